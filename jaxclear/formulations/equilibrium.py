@@ -189,12 +189,12 @@ def measures_of(case: Case, q: Array) -> Measures:
         for closure, own in zip(system.closures, loop_rows(system, motions), strict=True)
         for i in own.kept
     ]
-    move = lambda step: work(case, retract(system, q, speeds * step)) * speeds
-    none = jnp.zeros(len(speeds))
-    forces, stiff = move(none), jax.jacfwd(move)(none)
     rooms = _rooms(case)
     play = jnp.max(rooms, initial=0.0, where=rooms > 0) / arm
-    energy = jnp.max(jnp.abs(forces), initial=0.0) + play * jnp.max(jnp.abs(stiff), initial=0.0)
+    # There, and a play away along every freedom.
+    both = jnp.array([0.0, 1.0])[:, None] * play * speeds
+    there, beside = jax.vmap(lambda step: work(case, retract(system, q, step)) * speeds)(both)
+    energy = jnp.max(jnp.abs(there), initial=0.0) + jnp.max(jnp.abs(beside - there), initial=0.0)
     energy = jax.lax.stop_gradient(jnp.where(energy > 0, energy, 1.0))
     return Measures(speeds, jax.lax.stop_gradient(sp.stack(units)), arm, energy)
 

@@ -76,8 +76,8 @@ class Positions(AbstractShown):
             if many:
                 what = f'body "{branch.body}"' if branch.connection is None else f'"{branch.name}"'
                 said.append(
-                    f"{what} is free at {many} of {count} positions: nothing presses or holds it, "
-                    "and of the places that it may take one was taken."
+                    f"{what} moves freely at {many} of {count} positions: in one of its freedoms "
+                    "nothing presses or holds it, and of the places that it may take one was taken."
                 )
         split = int(np.sum(np.asarray(self.carried.split)))
         if split:
@@ -127,19 +127,21 @@ class Positions(AbstractShown):
         return motion.origin + jnp.einsum("tij,j->ti", motion.rotation, place)
 
     def coordinate(self, name: str) -> Float[Array, "positions q"]:
-        """Coordinates of a connection of the tree, or of one that is held [rad, m]."""
+        """Coordinates of a connection of the tree, of one that is held, or of a body that only
+        joints with clearance hold [rad, m]; where energy says where it rests, of any joint."""
         scene = self.scene
-        check_known("joint", name, scene.mechanism.connections, " in this mechanism")
+        branches = {own.name: own for own in scene.mechanism.topology.branches}
+        names = [*scene.mechanism.connections, *branches]
+        check_known("joint or floating body", name, dict.fromkeys(names), " in this mechanism")
         if name in scene.held:
             return self.position[:, [scene.held.index(name)]]
-        branch = scene.mechanism.topology.branch_of(name)
+        branch = branches.get(name)
         if branch is None and scene.loose:
             return self._over(lambda now: sp.stack(_read(scene.mechanism, now, name)))
         if branch is None:
-            names = [b.name for b in scene.mechanism.topology.branches]
             raise ValueError(
                 f'joint "{name}" closes a loop and has no coordinates of its own; those with are '
-                f"{listed(names)}."
+                f"{listed(list(branches))}."
             )
         return self.coordinates[:, branch.coordinates]
 

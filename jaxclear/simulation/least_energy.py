@@ -24,6 +24,7 @@ from jaxclear.formulations import equilibrium
 from jaxclear.formulations.equilibrium import Carried, Case, Measures, Rounded, Terms
 from jaxclear.formulations.quasi_static import SEAT, Posed
 from jaxclear.ground.compiling import compiled_quickly
+from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import is_traced
 from jaxclear.multibody.assembly import assembled, ready
 from jaxclear.multibody.closure_coordinates import angles_at_start
@@ -31,7 +32,7 @@ from jaxclear.multibody.start_equations import ask, motions_at, retract
 from jaxclear.results.positions import Positions
 
 # Turns after which a position that is not found counts as none, and turns of the last search.
-MOST_TURNS, LAST_TURNS = 300, 6
+MOST_TURNS, LAST_TURNS = 300, 4
 # Source, eqs. 7, 8, 15: by which the barrier falls, when it may, how much of a slack a step leaves.
 # Where it begins and ends, beside the work of the largest force over the play.
 BARRIER_FALLS, BARRIER_POWER, SETTLED_AT, LEAVES = 0.2, 1.5, 10.0, 0.005
@@ -43,9 +44,14 @@ LONGEST, HALVINGS, PROMISED = 0.3, 12, 1e-4
 DEPENDENT, SINGULAR = 1e-9, 1e-11
 # What is left where a position is found, without units; of gaps beside the longest arm.
 LEFT = 1e-9
+# By how much a contact may pull beside the largest force: rounding where several share what one
+# could carry.
+PULLS = 1e-6
 # Bending of the energy below which a direction is flat, beside the largest that loads and springs
 # have; forces that are rounding, beside the largest.
 FLAT, ROUNDING = 1e-9, 1e-12
+# Beside the play: how far from its start the search begins.
+BESIDE = 1e-3
 # How near a place from which the energy falls to both sides counts as at it, and how far it is
 # left [rad, longest arms].
 AT_A_SADDLE, PUSHED = 1e-6, 1e-3
@@ -91,14 +97,14 @@ class ByEnergy(eqx.Module):
         """Where it rests at positions (positions, drives), each from its own start; pure."""
         if is_traced((scene, position, starts)) or is_traced(jnp.zeros(1)):
             one = lambda own, start: settle(scene.at(own), start, self)
-            return jax.vmap(one)(position, starts)
+            return _split_before(jax.vmap(one)(position, starts), starts)
         # One after the other, by the program that has led from one to the next.
         count = range(len(position))
         found = [
             self.alone(scene.at(position[i]), jax.tree.map(lambda x, i=i: x[i], starts))
             for i in count
         ]
-        return jax.tree.map(lambda *own: jnp.stack(own), *found)
+        return _split_before(jax.tree.map(lambda *own: jnp.stack(own), *found), starts)
 
     def read(self, scene: Posed, position: Array, spots: Rest) -> Positions:
         """What is read of the mechanism at positions (positions, drives) and where it rests."""
@@ -115,10 +121,21 @@ class ByEnergy(eqx.Module):
         return equilibrium.amiss(_case(scene, spot, self), spot.q)
 
 
+class Linear(NamedTuple):
+    """The equations and their derivatives by the free speeds: `bends` is that of the balance with
+    its sign changed, the energy's second derivative along the loops."""
+
+    now: Terms
+    bends: Float[Array, "v v"]
+    rows: Float[Array, "rows v"]
+    gaps: Float[Array, "contacts v"]
+
+
 class Search(NamedTuple):
     """An interior point: coordinates, slacks and normal forces of the contacts, multipliers of
-    loops, the barrier (all without units), slacks and barrier where it fell last, turns taken, what
-    is left, and whether it was pushed off a saddle."""
+    loops, the barrier (all without units), slacks and barrier where it fell last, turns taken and
+    whether it was pushed off a saddle. Once the barrier has ended, which contacts carry, and turns
+    taken since. The equations where they were looked at last."""
 
     q: Array
     slacks: Array
@@ -128,18 +145,10 @@ class Search(NamedTuple):
     before: Array
     higher: Array
     turns: Array
-    left: Array
     split: Array
-
-
-class Linear(NamedTuple):
-    """The equations and their derivatives by the free speeds: `bends` is that of the balance with
-    its sign changed, the energy's second derivative along the loops."""
-
-    now: Terms
-    bends: Float[Array, "v v"]
-    rows: Float[Array, "rows v"]
-    gaps: Float[Array, "contacts v"]
+    carries: Array
+    last: Array
+    here: Linear
 
 
 def settle(scene: Posed, start: Rest, way: ByEnergy) -> Rest:
@@ -151,7 +160,7 @@ def settle(scene: Posed, start: Rest, way: ByEnergy) -> Rest:
     def found(arrays, start):
         case = _case(eqx.combine(arrays, rest), start, way)
         measures = equilibrium.measures_of(case, start.q)
-        return _last(case, measures, _searched(case, measures, start.q), start)
+        return _rest(case, measures, _searched(case, measures, start.q), start)
 
     @found.defjvp
     def tangents(primals, moved):
@@ -193,6 +202,11 @@ def begun(scene: Posed) -> tuple[Rest, ByEnergy]:
     return rest, way
 
 
+def _split_before(found: Rest, starts: Rest) -> Rest:
+    """What was found, from where a side had been taken before."""
+    return eqx.tree_at(lambda own: own.split, found, found.split | starts.split)
+
+
 _settled = compiled_quickly(settle)
 
 
@@ -213,88 +227,128 @@ def linear(case: Case, measures: Measures, q: Array, closing: Array, pushing: Ar
 
 
 def _searched(case: Case, measures: Measures, q: Array) -> Search:
-    """The interior point at the last barrier, or after the last turn."""
-    loops, gaps = equilibrium.restraints(case, q)
+    """Where contacts that carry are closed and the others carry nothing, to rounding; or what is
+    reached in `MOST_TURNS`."""
+    counts = jax.eval_shape(equilibrium.restraints, case, q)
+    rows, contacts, free = len(counts[0]), len(counts[1]), len(measures.speeds)
     play = equilibrium.play(case, measures)
-    slacks = jnp.maximum(gaps / measures.arm, BARRIER_BEGINS * play)
-    last = BARRIER_ENDS * play
+    none = lambda *shape: jnp.zeros(shape)
+    now = Terms(none(free), none(rows), none(contacts))
     # Without contacts there is no barrier that had to fall.
-    barrier = BARRIER_BEGINS * play if len(gaps) else last
-    start = Search(
-        q,
+    barrier = (BARRIER_BEGINS if contacts else BARRIER_ENDS) * play
+    slacks = jnp.full(contacts, play)
+    # A journal in its very middle does not know a direction.
+    aside = BESIDE * play * jnp.cos(1.0 + jnp.arange(free))
+    begun = Search(
+        retract(case.system, q, measures.speeds * aside) if contacts else q,
         slacks,
         barrier / slacks,
-        jnp.zeros(len(loops)),
+        none(rows),
         barrier,
         slacks,
         barrier,
         jnp.zeros((), int),
-        jnp.full((), jnp.inf),
         jnp.zeros((), bool),
+        jnp.zeros(contacts, bool),
+        jnp.zeros((), int),
+        Linear(now, none(free, free), none(rows, free), none(contacts, free)),
     )
 
-    def more(now):
-        reached = (now.barrier <= last) & (now.left <= SETTLED_AT * BARRIER_ENDS)
-        return ~reached & (now.turns < MOST_TURNS) & jnp.all(jnp.isfinite(now.q))
+    def turned(now):
+        then = _turned(case, measures, now, play)
+        numbers = jax.tree.leaves((then.q, then.slacks, then.pushing, then.closing))
+        fine = jnp.all(jnp.isfinite(jnp.concatenate(numbers)))
+        given_up = now._replace(turns=jnp.full_like(now.turns, MOST_TURNS))
+        return jax.tree.map(lambda a, b: jnp.where(fine, a, b), then, given_up)
 
-    return jax.lax.while_loop(more, lambda now: _turned(case, measures, now, play), start)
+    unfinished = lambda now: (now.last <= LAST_TURNS) & (now.turns < MOST_TURNS)
+    return jax.lax.while_loop(unfinished, turned, begun)
 
 
 def _turned(case: Case, measures: Measures, now: Search, play: Array) -> Search:
-    """The interior point after a turn."""
+    """The search after a turn: towards the least energy within the barrier, or, once this has
+    ended, Newton's step on the contacts that carry."""
     here = linear(case, measures, now.q, now.closing, now.pushing)
-    free, across = _directions(here.rows)
-    own = here.now
-    inside = own.gaps - now.slacks
-    stiff = now.pushing / now.slacks
-    # Contacts count with the stiffness that the barrier gives them (source, eq. 11).
-    bends = here.bends + (here.gaps.T * stiff) @ here.gaps
-    held = here.rows.T @ now.closing + here.gaps.T @ now.pushing
-    forces = own.balance - held
-    pushed = here.gaps.T @ (now.barrier / now.slacks - stiff * inside)
-    closed = -across.T @ own.loops
-    pull = forces + pushed
-    along, split = _downhill(free, bends, pull - bends @ closed)
-    step = closed + along
-    closing = across @ (bends @ step - pull)
-    slack = here.gaps @ step + inside
-    pushing = now.barrier / now.slacks - stiff * slack - now.pushing
-    size = jnp.max(jnp.abs(step), initial=0.0)
-    most = jnp.minimum(1.0, LONGEST / jnp.maximum(size, LONGEST))
-    most = jnp.minimum(most, _inside(now.slacks, slack))
-    trial = _trial(case, measures, now, (forces, step, slack), (own.loops, inside, closing))
-    share = _halved(trial, most)
-    there = now._replace(
-        q=retract(case.system, now.q, measures.speeds * share * step),
-        slacks=now.slacks + share * slack,
-        pushing=now.pushing + _inside(now.pushing, pushing) * pushing,
-        closing=closing,
-        turns=now.turns + 1,
-        split=now.split | split,
-    )
-    left = _left(case, measures, there, play)
-    relative = now.barrier / play
-    lower = play * jnp.minimum(BARRIER_FALLS * relative, relative**BARRIER_POWER)
-    falls = (left <= SETTLED_AT * relative) & (relative > BARRIER_ENDS)
-    return there._replace(
-        left=jnp.where(falls, jnp.inf, left),
-        barrier=jnp.where(falls, lower, now.barrier),
-        before=jnp.where(falls, there.slacks, now.before),
-        higher=jnp.where(falls, now.barrier, now.higher),
-    )
+    first = now.turns == 0
+    # Slacks begin as wide as the gaps, as far as these are open.
+    gaps = jnp.maximum(here.now.gaps, BARRIER_BEGINS * play)
+    slacks = jnp.where(first, gaps, now.slacks)
+    now = now._replace(slacks=slacks, here=here, turns=now.turns + 1)
+    now = _lowered(now, play, first)
+    inside, last = _within(case, measures, now), _closed(case, measures, now)
+    ended = now.last > 0
+    return jax.tree.map(lambda a, b: jnp.where(ended, b, a), inside, last)
 
 
-def _left(case: Case, measures: Measures, now: Search, play: Array) -> Array:
-    """What is left of the equations of the barrier, lengths and work beside the play (source, eq.
-    5)."""
-    own = equilibrium.terms(case, measures, now.q, now.closing, now.pushing)
+def _lowered(now: Search, play: Array, first: Array) -> Search:
+    """The search with a lower barrier where it has settled within this one (source, eqs. 5, 7), and
+    without one where that was the last."""
+    own = now.here.now
     parts = (
         own.balance,
         own.loops / play,
         (own.gaps - now.slacks) / play,
         (now.slacks * now.pushing - now.barrier) / play,
     )
-    return jnp.max(jnp.abs(jnp.concatenate(parts)), initial=0.0)
+    left = jnp.max(jnp.abs(jnp.concatenate(parts)), initial=0.0)
+    relative = now.barrier / play
+    settled = ~first & (left <= SETTLED_AT * relative)
+    ends = settled & (relative <= BARRIER_ENDS) & (now.last == 0)
+    falls = settled & ~ends & (now.last == 0)
+    lower = play * jnp.minimum(BARRIER_FALLS * relative, relative**BARRIER_POWER)
+    # Slacks of contacts that carry fall as the barrier does, others stay (El-Bakry, Tapia & Zhang
+    # 1994, SIAM Rev. 36, 45, doi:10.1137/1036002).
+    carries = now.slacks < jnp.sqrt(now.barrier / now.higher) * now.before
+    carries = jnp.where(ends, carries, now.carries)
+    return now._replace(
+        barrier=jnp.where(falls, lower, now.barrier),
+        before=jnp.where(falls, now.slacks, now.before),
+        higher=jnp.where(falls, now.barrier, now.higher),
+        carries=carries,
+        pushing=jnp.where(ends & ~carries, 0.0, now.pushing),
+        last=jnp.where(ends, 1, now.last),
+    )
+
+
+def _within(case: Case, measures: Measures, now: Search) -> Search:
+    """The search after a step within the barrier."""
+    here, own = now.here, now.here.now
+    free, across = _directions(here.rows)
+    inside, stiff = own.gaps - now.slacks, now.pushing / now.slacks
+    # Contacts count with the stiffness that the barrier gives them (source, eq. 11).
+    bends = here.bends + (here.gaps.T * stiff) @ here.gaps
+    forces = own.balance - here.rows.T @ now.closing - here.gaps.T @ now.pushing
+    pull = forces + here.gaps.T @ (now.barrier / now.slacks - stiff * inside)
+    closed = -across.T @ own.loops
+    along, split = _downhill(free, bends, pull - bends @ closed)
+    step = closed + along
+    closing = across @ (bends @ step - pull)
+    slack = here.gaps @ step + inside
+    pushing = now.barrier / now.slacks - stiff * slack - now.pushing
+    size = jnp.max(jnp.abs(step), initial=0.0)
+    most = jnp.minimum(LONGEST / jnp.maximum(size, LONGEST), _inside(now.slacks, slack))
+    trial = _trial(case, measures, now, (forces, step, slack), (own.loops, inside, closing))
+    share = _halved(trial, most)
+    return now._replace(
+        q=retract(case.system, now.q, measures.speeds * share * step),
+        slacks=now.slacks + share * slack,
+        pushing=now.pushing + _inside(now.pushing, pushing) * pushing,
+        closing=closing,
+        split=now.split | split,
+    )
+
+
+def _closed(case: Case, measures: Measures, now: Search) -> Search:
+    """The search after Newton's step on the contacts that carry."""
+    missed = _equations(now.here.now, now.pushing, now.carries)
+    step = -_inverse(_square(now.here, now.carries)) @ missed
+    n, m = len(measures.speeds), len(now.closing)
+    return now._replace(
+        q=retract(case.system, now.q, measures.speeds * step[:n]),
+        closing=now.closing + step[n : n + m],
+        pushing=now.pushing + step[n + m :],
+        last=now.last + 1,
+    )
 
 
 def _directions(rows: Array) -> tuple[Array, Array]:
@@ -316,8 +370,8 @@ def _downhill(free: Array, bends: Array, pull: Array) -> tuple[Array, Array]:
     along, largest = free @ bends @ free, jnp.max(jnp.abs(bends), initial=0.0)
     sizes, ways = jnp.linalg.eigh(0.5 * (along + along.T))
     slopes = ways.T @ (free @ pull)
-    floor = jnp.finfo(float).eps * largest + jnp.finfo(float).tiny
-    step = slopes / jnp.maximum(jnp.abs(sizes), floor)
+    floor = jnp.maximum(jnp.finfo(float).eps * largest, jnp.abs(slopes) / LONGEST)
+    step = safe_divide(slopes, jnp.maximum(jnp.abs(sizes), floor))
     flat = (jnp.abs(sizes) <= FLAT * largest) & (jnp.abs(slopes) <= ROUNDING)
     step = jnp.where(flat, 0.0, step)
     saddle = (sizes < -FLAT * largest) & (jnp.abs(step) < AT_A_SADDLE)
@@ -364,37 +418,25 @@ def _halved(is_less: Any, most: Array) -> Array:
         share = 0.5 * now[0]
         return share, now[1] + 1, is_less(share)
 
-    return jax.lax.while_loop(more, half, (most, jnp.zeros((), int), is_less(most)))[0]
+    begun = 2.0 * most, jnp.zeros((), int), jnp.zeros((), bool)
+    return jax.lax.while_loop(more, half, begun)[0]
 
 
-def _last(case: Case, measures: Measures, found: Search, start: Rest) -> Rest:
-    """Where the contacts that carry are closed and the others carry nothing, to rounding."""
-    # Slacks of contacts that carry fall as the barrier does, others stay (El-Bakry, Tapia & Zhang
-    # 1994, SIAM Rev. 36, 45, doi:10.1137/1036002).
-    carries = found.slacks < jnp.sqrt(found.barrier / found.higher) * found.before
-
-    def nearer(_, now):
-        q, closing, pushing = now
-        here = linear(case, measures, q, closing, pushing)
-        step = -_inverse(_square(here, carries)) @ _equations(here.now, pushing, carries)
-        n, m = len(measures.speeds), len(closing)
-        q = retract(case.system, q, measures.speeds * step[:n])
-        return q, closing + step[n : n + m], pushing + step[n + m :]
-
-    begun = found.q, found.closing, jnp.where(carries, found.pushing, 0.0)
-    q, closing, pushing = jax.lax.fori_loop(0, LAST_TURNS, nearer, begun)
-    here = linear(case, measures, q, closing, pushing)
-    left = jnp.max(jnp.abs(_equations(here.now, pushing, carries)), initial=0.0)
+def _rest(case: Case, measures: Measures, found: Search, start: Rest) -> Rest:
+    """What was found; its equations are those of the last turn but one."""
+    here, carries = found.here, found.carries
+    left = jnp.max(jnp.abs(_equations(here.now, found.pushing, carries)), initial=0.0)
     deep = jnp.max(-here.now.gaps, initial=0.0)
-    pulls = jnp.max(-pushing, initial=0.0)
-    sound = (deep <= LEFT) & (pulls <= SINGULAR**0.5)
+    pulls = jnp.max(-found.pushing, initial=0.0)
+    sound = (found.last > LAST_TURNS) & (deep <= LEFT) & (pulls <= PULLS)
     loose, saddle = _loose(here, carries)
+    angles = equilibrium.angles_near(case, found.q) if case.angles else start.angles
     return Rest(
-        q,
-        measures.multipliers(closing),
-        measures.pushes(pushing),
+        found.q,
+        measures.multipliers(found.closing),
+        measures.pushes(found.pushing),
         carries,
-        equilibrium.angles_near(case._replace(angles=start.angles), q),
+        angles,
         jnp.where(sound, left, jnp.nan),
         jnp.zeros(()),
         loose,

@@ -40,6 +40,15 @@ DEPENDENT = 1e-6
 PLACES = ("x", "y", "z", "x.z", "y.z")
 
 
+class Assembled(NamedTuple):
+    """Where a search begins, whether the mechanism is assembled there, and the rows of its loops
+    there by what counts as much as a radian."""
+
+    spot: Spot
+    sound: Any
+    rows: Any
+
+
 class Sought(NamedTuple):
     """A mechanism whose positions are sought, how, and where it stands at each of them."""
 
@@ -79,12 +88,7 @@ def _by_loops(mechanism: Mechanism, held: tuple[str, ...], first: np.ndarray) ->
         return None, None
     if rows == free:
         way = way_of(scene)
-        start, sound = _assembled(here, way)
-        if sound and way.alone(here, start).change <= SETTLED:
-            return scene, way
-        # At a dead point it is refused later, by name.
-        singular = _rank(np.asarray(_slopes(here, start.q, way)[0])) < free
-        return (None, None) if singular else (scene, way)
+        return (scene, way) if _rank(_assembled(here, way).rows) == free else (None, None)
     return _with_rows(scene, here, free)
 
 
@@ -112,8 +116,13 @@ def _with_rows(scene: Posed, here: Posed, free: int) -> tuple[Any, Any]:
     return (scene, way) if np.abs(left).max(initial=0.0) <= DEPENDENT else (None, None)
 
 
-def _rank(rows: np.ndarray) -> int:
-    return int(np.linalg.matrix_rank(rows, tol=DEPENDENT)) if rows.size else 0
+def _rank(rows: Any) -> int:
+    """Rank of rows each of which counts alike."""
+    sizes = np.linalg.norm(rows, axis=1, keepdims=True)
+    if not np.size(rows) or not np.all(np.isfinite(sizes)) or not np.any(sizes):
+        return 0
+    alike = np.asarray(rows) / np.where(sizes > DEPENDENT * sizes.max(), sizes, np.inf)
+    return int(np.linalg.matrix_rank(alike, tol=DEPENDENT))
 
 
 def _loops(scene: Posed, q: Array, seats: dict[str, tuple]) -> tuple[Array, Array]:
@@ -146,10 +155,14 @@ def _slopes(scene: Posed, q: Array, way: Way) -> tuple[Array, Array]:
 
 
 @eqx.filter_jit
-def _assembled(scene: Posed, way: Way) -> tuple[Spot, Array]:
+def _assembled(scene: Posed, way: Way) -> Assembled:
     start = assemble_arrays(scene.mechanism)
     spot = Spot(start.coordinates, way.middle(), jnp.zeros(()), jnp.zeros(()))
-    return spot, is_sound(scene.mechanism, start)
+    system = prepare(scene.mechanism)
+    none = jnp.zeros((0, system.topology.speed_count))
+    rows = jnp.concatenate([none, *start.jacobians.values()])
+    scales = speed_scales(system, longest_arm(system))
+    return Assembled(spot, is_sound(scene.mechanism, start), rows * scales)
 
 
 def _led(scene: Posed, start: Any, before: np.ndarray, now: np.ndarray, way: Any) -> Any:
@@ -216,7 +229,8 @@ def spots_along(scene: Posed, position: np.ndarray, way: Any, start: Any = None)
 def _begun(scene: Posed, way: Way) -> tuple[Spot, Any]:
     """Where the search begins, and whether the mechanism is assembled there."""
     if scene.rows is None:
-        return _assembled(scene, way)
+        found = _assembled(scene, way)
+        return found.spot, found.sound
     start = ready(scene.mechanism)[1]
     return Spot(start.coordinates, way.middle(), jnp.zeros(()), jnp.zeros(())), True
 
