@@ -50,6 +50,8 @@ PULLS = 1e-6
 # Bending of the energy below which a direction is flat, beside the largest that loads and springs
 # have; forces that are rounding, beside the largest.
 FLAT, ROUNDING = 1e-9, 1e-12
+# Rounding of lengths that follow from others, in units of the last place of the longest arm.
+ROUNDED = 100
 # Beside the play: how far from its start the search begins.
 BESIDE = 1e-3
 # How near a place from which the energy falls to both sides counts as at it, and how far it is
@@ -235,7 +237,7 @@ def _searched(case: Case, measures: Measures, q: Array) -> Search:
     none = lambda *shape: jnp.zeros(shape)
     now = Terms(none(free), none(rows), none(contacts))
     # Without contacts there is no barrier that had to fall.
-    barrier = (BARRIER_BEGINS if contacts else BARRIER_ENDS) * play
+    barrier = (BARRIER_BEGINS if contacts else _ends_at(play)) * play
     slacks = jnp.full(contacts, play)
     # A journal in its very middle does not know a direction.
     aside = BESIDE * play * jnp.cos(1.0 + jnp.arange(free))
@@ -291,11 +293,12 @@ def _lowered(now: Search, play: Array, first: Array) -> Search:
         (now.slacks * now.pushing - now.barrier) / play,
     )
     left = jnp.max(jnp.abs(jnp.concatenate(parts)), initial=0.0)
-    relative = now.barrier / play
-    settled = ~first & (left <= SETTLED_AT * relative)
-    ends = settled & (relative <= BARRIER_ENDS) & (now.last == 0)
+    relative, least = now.barrier / play, _ends_at(play)
+    settled = ~first & (left <= SETTLED_AT * jnp.maximum(relative, least))
+    ends = settled & (relative <= least) & (now.last == 0)
     falls = settled & ~ends & (now.last == 0)
-    lower = play * jnp.minimum(BARRIER_FALLS * relative, relative**BARRIER_POWER)
+    lower = jnp.minimum(BARRIER_FALLS * relative, relative**BARRIER_POWER)
+    lower = play * jnp.maximum(lower, BARRIER_FALLS * least)
     # Slacks of contacts that carry fall as the barrier does, others stay (El-Bakry, Tapia & Zhang
     # 1994, SIAM Rev. 36, 45, doi:10.1137/1036002).
     carries = now.slacks < jnp.sqrt(now.barrier / now.higher) * now.before
@@ -308,6 +311,11 @@ def _lowered(now: Search, play: Array, first: Array) -> Search:
         pushing=jnp.where(ends & ~carries, 0.0, now.pushing),
         last=jnp.where(ends, 1, now.last),
     )
+
+
+def _ends_at(play: Array) -> Array:
+    """The last barrier, beside the play; not below what rounding of lengths is beside that."""
+    return jnp.maximum(BARRIER_ENDS, ROUNDED * jnp.finfo(float).eps / play)
 
 
 def _within(case: Case, measures: Measures, now: Search) -> Search:
