@@ -74,6 +74,11 @@ class Posed(eqx.Module):
         return tuple(values[self.rows.index(i)] if i in self.rows else 0 for i in range(count))
 
 
+class Undetermined(ValueError):
+    """Loops have fewer or more rows than there are free coordinates: they do not determine where a
+    mechanism stands, or not what each journal carries."""
+
+
 class Standing(NamedTuple):
     """A mechanism at coordinates and seats: `left` of the loops' closure [m, 1] with its
     `jacobian` (by free speed), of the rows that determine it, and the `seats` in which the
@@ -166,13 +171,15 @@ def shift(seat: tuple) -> Pose:
 
 def standing(scene: Posed, q: Any, seats: dict[str, tuple], side: float = 1.0) -> Standing:
     """The mechanism at coordinates `q` (entries of the state) and seats; `side` -1 reverses the
-    loads, not the springs."""
+    loads, not the springs. Raises `Undetermined`."""
     system = prepare(scene.mechanism, {name: shift(seat) for name, seat in seats.items()})
     count = system.topology.speed_count
     places, rates = unpack_motion(system, [*q, *(0,) * count])
     motions = kinematics.link_motions(system, places, rates, 0.0)
     rows = loop_rows(system, motions)
     every = [row for own in rows for row in own.jacobian]
+    if len(every) < count or (scene.rows is None and len(every) > count):
+        raise Undetermined(f"the loops have {len(every)} rows for {count} free coordinates.")
     left, jacobian = scene.determining(_residuals(rows)), scene.determining(every)
     loaded, forces = acting(system, motions, places, rates, side)
     transposed = [[row.get(j, 0) for row in jacobian] for j in range(count)]

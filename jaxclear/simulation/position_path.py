@@ -12,7 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxclear.formulations.quasi_static import Posed, left_open, loop_rows, posed, standing_motion
+from jaxclear.formulations.quasi_static import (
+    Posed,
+    Undetermined,
+    left_open,
+    loop_rows,
+    posed,
+    standing_motion,
+)
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import compiled_quickly
@@ -86,10 +93,14 @@ def _by_loops(mechanism: Mechanism, held: tuple[str, ...], first: np.ndarray) ->
     rows = len(jax.eval_shape(lambda q: _loops(here, q, Way(middle).opened({}))[0], places))
     if rows < free:
         return None, None
-    if rows == free:
+    if rows != free:
+        return _with_rows(scene, here, free)
+    try:
         way = way_of(scene)
-        return (scene, way) if _rank(_assembled(here, way).rows) == free else (None, None)
-    return _with_rows(scene, here, free)
+    except Undetermined:
+        # Leaning journals let rows speak that say nothing in the plane.
+        return None, None
+    return (scene, way) if _rank(_assembled(here, way).rows) == free else (None, None)
 
 
 def _with_rows(scene: Posed, here: Posed, free: int) -> tuple[Any, Any]:
