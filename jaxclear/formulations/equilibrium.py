@@ -178,8 +178,9 @@ def terms(case: Case, measures: Measures, q: Array, closing: Array, pushing: Arr
 
 
 def measures_of(case: Case, q: Array) -> Measures:
-    """Measures at coordinates; of work the most that a force there does over a radian or the
-    longest arm, or a spring over the play beside it, whichever is larger; 1 where nothing acts."""
+    """Measures at coordinates; of work what all weights do over the longest arm, and the most that
+    a force there does over a radian or that arm, or a spring over the play beside it; 1 where
+    nothing acts."""
     system = case.system
     arm = jax.lax.stop_gradient(longest_arm(system))
     speeds = speed_scales(system, arm)
@@ -190,11 +191,13 @@ def measures_of(case: Case, q: Array) -> Measures:
         for i in own.kept
     ]
     rooms = _rooms(case)
-    play = jnp.max(rooms, initial=0.0, where=rooms > 0) / arm
-    # There, and a play away along every freedom.
+    # There, and a play away along every freedom; a radian where there is none.
+    play = jnp.max(rooms, initial=0.0, where=rooms > 0) / arm if len(rooms) else 1.0
     both = jnp.array([0.0, 1.0])[:, None] * play * speeds
     there, beside = jax.vmap(lambda step: work(case, retract(system, q, step)) * speeds)(both)
-    energy = jnp.max(jnp.abs(there), initial=0.0) + jnp.max(jnp.abs(beside - there), initial=0.0)
+    weight = sum(link.mass for link in system.links) * sp.norm(system.gravity)
+    energy = weight * arm + jnp.max(jnp.abs(there), initial=0.0)
+    energy = energy + jnp.max(jnp.abs(beside - there), initial=0.0)
     energy = jax.lax.stop_gradient(jnp.where(energy > 0, energy, 1.0))
     return Measures(speeds, jax.lax.stop_gradient(sp.stack(units)), arm, energy)
 

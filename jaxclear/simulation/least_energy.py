@@ -47,10 +47,10 @@ LEFT = 1e-9
 # By how much a contact may pull beside the largest force: rounding where several share what one
 # could carry.
 PULLS = 1e-6
-# Bending of the energy below which a direction is flat, beside the largest that loads and springs
-# have; forces that are rounding, beside the largest.
+# Bending of the energy below which a direction is flat, and forces that are rounding, beside the
+# work of weights and loads over a radian or the longest arm.
 FLAT, ROUNDING = 1e-9, 1e-12
-# Rounding of lengths that follow from others, in units of the last place of the longest arm.
+# Rounding of lengths and forces that follow from others, in units of the last place of the largest.
 ROUNDED = 100
 # Beside the play: how far from its start the search begins.
 BESIDE = 1e-3
@@ -380,9 +380,10 @@ def _downhill(free: Array, bends: Array, pull: Array) -> tuple[Array, Array]:
     slopes = ways.T @ (free @ pull)
     floor = jnp.maximum(jnp.finfo(float).eps * largest, jnp.abs(slopes) / LONGEST)
     step = safe_divide(slopes, jnp.maximum(jnp.abs(sizes), floor))
-    flat = (jnp.abs(sizes) <= FLAT * largest) & (jnp.abs(slopes) <= ROUNDING)
+    least = FLAT + ROUNDED * jnp.finfo(float).eps * largest
+    flat = (jnp.abs(sizes) <= least) & (jnp.abs(slopes) <= ROUNDING)
     step = jnp.where(flat, 0.0, step)
-    saddle = (sizes < -FLAT * largest) & (jnp.abs(step) < AT_A_SADDLE)
+    saddle = (sizes < -least) & (jnp.abs(step) < AT_A_SADDLE)
     step = jnp.where(saddle, PUSHED, step)
     return free @ (ways @ step), jnp.any(saddle)
 
@@ -470,8 +471,8 @@ def _square(here: Linear, carries: Array) -> Array:
 
 def _inverse(matrix: Array) -> Array:
     """Pseudo-inverse: the least change where equations follow from others or leave freedoms."""
-    rows = jnp.maximum(jnp.max(jnp.abs(matrix), axis=1, initial=0.0), 1e-300)
-    return jnp.linalg.pinv(matrix / rows[:, None], rtol=SINGULAR) / rows[None, :]
+    size = jnp.maximum(jnp.linalg.norm(matrix), jnp.finfo(float).tiny)
+    return jnp.linalg.pinv(matrix, rtol=jnp.maximum(SINGULAR, FLAT / size))
 
 
 def _loose(here: Linear, carries: Array) -> tuple[Array, Array]:
@@ -480,12 +481,12 @@ def _loose(here: Linear, carries: Array) -> tuple[Array, Array]:
     held = jnp.concatenate([here.rows, jnp.where(carries[:, None], here.gaps, 0.0)])
     free = _directions(held)[0]
     sizes, ways = jnp.linalg.eigh(free @ here.bends @ free)
-    largest = jnp.max(jnp.abs(here.bends), initial=0.0)
+    least = FLAT + ROUNDED * jnp.finfo(float).eps * jnp.max(jnp.abs(here.bends), initial=0.0)
     # What is held has no part in the projected directions.
     own = jnp.sum((free @ ways) ** 2, axis=0) > 0.5
-    flat = own & (jnp.abs(sizes) <= FLAT * largest)
+    flat = own & (jnp.abs(sizes) <= least)
     parts = jnp.where(flat, (free @ ways) ** 2, 0.0)
-    return jnp.sqrt(jnp.sum(parts, axis=1)), jnp.any(own & (sizes < -FLAT * largest))
+    return jnp.sqrt(jnp.sum(parts, axis=1)), jnp.any(own & (sizes < -least))
 
 
 def _tangent(arrays: Any, moved: Any, rest: Any, out: Rest, way: ByEnergy) -> Rest:

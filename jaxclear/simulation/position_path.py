@@ -87,7 +87,8 @@ def _by_loops(mechanism: Mechanism, held: tuple[str, ...], first: np.ndarray) ->
         # A joint of which it is not known where a load presses it; what is wrong with the question
         # is refused by `sought`.
         return None, None
-    here, middle = scene.at(first), dict.fromkeys(scene.gaps, ())
+    here = scene.at(first)
+    middle: dict[str, tuple[int, ...]] = dict.fromkeys(scene.gaps, ())
     free = scene.mechanism.topology.speed_count
     places = jnp.zeros(scene.mechanism.topology.coordinate_count)
     rows = len(jax.eval_shape(lambda q: _loops(here, q, Way(middle).opened({}))[0], places))
@@ -160,8 +161,8 @@ def _slopes(scene: Posed, q: Array, way: Way) -> tuple[Array, Array]:
         for n, x in way.moving.items()
         if x
     }
-    every = [shifts[name] * size for name, size in sizes.items()]
-    every = jnp.concatenate([jnp.zeros((len(units), 0)), *every], axis=1)
+    none = jnp.zeros((len(units), 0))
+    every = jnp.concatenate([none, *(shifts[n] * size for n, size in sizes.items())], axis=1)
     return rows / units[:, None], every / units[:, None]
 
 
