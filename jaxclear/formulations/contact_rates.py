@@ -124,7 +124,7 @@ def _pressed(mechanism: Mechanism, start: Start, times: Any) -> dict[str, _Press
 
     def at(time):
         motions = kinematics.link_motions(model.system, q, v, time)
-        angles = angles_at_start(mechanism, model.system, model.layout, motions)
+        angles = angles_at_start(mechanism, model.system, model.layout.angles, motions)
         now = free_motion(model, time, q, v, angles)
         free = delassus.delassus_operator(now, []).free
         return {

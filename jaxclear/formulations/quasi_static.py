@@ -9,9 +9,11 @@ unknowns are the free coordinates and the seats of the journals, and the equatio
 and that every seat is the one of its own reaction: as many of the ones as of the others.
 """
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from jaxclear.components.body import Connection
@@ -30,7 +32,7 @@ from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, prepare
-from jaxclear.multibody.tree import Motion
+from jaxclear.multibody.tree import NOTHING, Motion
 
 # Numbers of a seat: offset (x, y, z) [m] and slope (dx/dz, dy/dz) of the axis [1].
 SEAT = 5
@@ -38,24 +40,49 @@ SEAT = 5
 
 class Posed(eqx.Module):
     """A mechanism whose drives hold their joints and whose joints are ideal, with the clearance
-    joints that these stand for (`gaps`, by connection)."""
+    joints that these stand for (`gaps`, by connection); or, `loose`, one that has its clearance
+    joints itself. `rows`: those rows of all loops that determine it, where the others follow from
+    them; None for all."""
 
     mechanism: Mechanism
     gaps: dict[str, AbstractClearance]
     held: tuple[str, ...] = eqx.field(static=True)
+    rows: tuple[int, ...] | None = eqx.field(static=True, default=None)
+    loose: bool = eqx.field(static=True, default=False)
+
+    def of(self, mechanism: Mechanism) -> "Posed":
+        """The same of a mechanism with other numbers."""
+        return posed(mechanism, self.held, loose=self.loose, rows=self.rows)
 
     def at(self, position: Any) -> "Posed":
         """The same at other positions of the drives, in the order of `held` [rad, m]."""
         places = lambda posed: [
             posed.mechanism.connections[n].joint.drive.position for n in posed.held
         ]
+        if not self.held:
+            return self
         return eqx.tree_at(places, self, [position[i] for i in range(len(self.held))])
+
+    def determining(self, values: list) -> list:
+        """Of values of all rows of loops those of the rows that determine the mechanism."""
+        return values if self.rows is None else [values[i] for i in self.rows]
+
+    def among(self, count: int, values: list) -> tuple:
+        """Values of these rows among those of all, 0 elsewhere."""
+        if self.rows is None:
+            return tuple(values)
+        return tuple(values[self.rows.index(i)] if i in self.rows else 0 for i in range(count))
+
+
+class Undetermined(ValueError):
+    """Loops have fewer or more rows than there are free coordinates: they do not determine where a
+    mechanism stands, or not what each journal carries."""
 
 
 class Standing(NamedTuple):
     """A mechanism at coordinates and seats: `left` of the loops' closure [m, 1] with its
-    `jacobian` (by free speed), and the `seats` in which the reactions there would press the
-    journals."""
+    `jacobian` (by free speed), of the rows that determine it, and the `seats` in which the
+    reactions there would press the journals."""
 
     system: System
     motions: tuple[Motion, ...]
@@ -65,9 +92,16 @@ class Standing(NamedTuple):
     seats: dict[str, tuple]
 
 
-def posed(mechanism: Mechanism, held: tuple[str, ...]) -> Posed:
-    """The mechanism with these joints held. Raises `ValueError`, naming the joint, for what has no
-    place under a load or cannot be held."""
+def posed(
+    mechanism: Mechanism,
+    held: tuple[str, ...],
+    *,
+    loose: bool = False,
+    rows: tuple[int, ...] | None = None,
+) -> Posed:
+    """The mechanism with these joints held; `loose`: with its clearance joints, not with ideal ones
+    in their place. Raises `ValueError`, naming the joint, for what has no place under a load or
+    cannot be held."""
     for name in held:
         if name not in mechanism.connections:
             raise ValueError(unknown("joint", name, mechanism.connections, " to be held"))
@@ -80,7 +114,7 @@ def posed(mechanism: Mechanism, held: tuple[str, ...]) -> Posed:
     connections, gaps = {}, {}
     for name, connection in mechanism.connections.items():
         joint = connection.joint
-        if name in mechanism.topology.clearances:
+        if name in mechanism.topology.clearances and not loose:
             gaps[name] = joint
             try:
                 joint = joint.coordinate_form()
@@ -98,7 +132,7 @@ def posed(mechanism: Mechanism, held: tuple[str, ...]) -> Posed:
     bare = Mechanism(
         mechanism.bodies, connections, loads, couplings=mechanism.couplings, guess=start | guess
     )
-    return Posed(bare, gaps, held)
+    return Posed(bare, gaps, held, rows, loose)
 
 
 def _free(given: dict[str, tuple], held: tuple[str, ...]) -> dict[str, tuple]:
@@ -107,6 +141,11 @@ def _free(given: dict[str, tuple], held: tuple[str, ...]) -> dict[str, tuple]:
 
 def _held(name: str, joint: Any) -> Any:
     """The joint with its coordinate held."""
+    if isinstance(joint, AbstractClearance):
+        raise ValueError(
+            f'joint "{name}" has clearance, and this mechanism rests where its potential energy is '
+            "least (springs, or freedoms that its loops leave); hold an ideal joint."
+        )
     if not isinstance(joint, AbstractDrivenJoint):
         raise ValueError(
             f'joint "{name}" is a {type(joint).__name__}, whose position cannot be held by one '
@@ -134,34 +173,84 @@ def shift(seat: tuple) -> Pose:
 
 def standing(scene: Posed, q: Any, seats: dict[str, tuple], side: float = 1.0) -> Standing:
     """The mechanism at coordinates `q` (entries of the state) and seats; `side` -1 reverses the
-    loads. Raises `ValueError` where the loops do not determine the mechanism."""
+    loads, not the springs. Raises `Undetermined`."""
     system = prepare(scene.mechanism, {name: shift(seat) for name, seat in seats.items()})
     count = system.topology.speed_count
     places, rates = unpack_motion(system, [*q, *(0,) * count])
     motions = kinematics.link_motions(system, places, rates, 0.0)
-    rows = [constraints.constraint_rows(system, motions, c) for c in system.closures]
-    left = [value for own in rows for value in own.residuals]
-    jacobian = [row for own in rows for row in own.jacobian]
-    _check_square(scene.mechanism, count, len(jacobian))
-    forces = applied_forces(system, motions, {}, places, rates, 0.0, {})
+    rows = loop_rows(system, motions)
+    every = [row for own in rows for row in own.jacobian]
+    if len(every) < count or (scene.rows is None and len(every) > count):
+        raise Undetermined(f"the loops have {len(every)} rows for {count} free coordinates.")
+    left, jacobian = scene.determining(_residuals(rows)), scene.determining(every)
+    loaded, forces = acting(system, motions, places, rates, side)
     transposed = [[row.get(j, 0) for row in jacobian] for j in range(count)]
-    multipliers = tuple(solved(transposed, _unheld(system, forces)))
-    reactions = _reactions(system, forces, multipliers, places)
+    multipliers = scene.among(len(every), solved(transposed, unheld(loaded, forces)))
+    reactions = reactions_of(loaded, forces, multipliers, places)
     pressed = {}
     for name, gap in scene.gaps.items():
-        force, torque = (sp.scale(side, part) for part in reactions[name])
-        offset, slope = gap.seat(force, torque)
+        offset, slope = gap.seat(*reactions[name])
         pressed[name] = (*offset, *slope)
     return Standing(system, motions, left, jacobian, reactions, pressed)
 
 
-def left_open(scene: Posed, q: Any, seats: dict[str, tuple]) -> list:
-    """What is left of the loops' closure at coordinates `q` and seats [m, 1], as in `standing`."""
+def standing_motion(
+    scene: Posed, q: Any, seats: dict[str, tuple]
+) -> tuple[System, tuple[Motion, ...]]:
+    """The mechanism ready, with its journals in these seats, and the motions of its links at
+    coordinates `q`."""
     system = prepare(scene.mechanism, {name: shift(seat) for name, seat in seats.items()})
-    motion = unpack_motion(system, [*q, *(0,) * system.topology.speed_count])
-    motions = kinematics.link_motions(system, *motion, 0.0)
-    rows = [constraints.constraint_rows(system, motions, c) for c in system.closures]
+    places = unpack_motion(system, [*q, *(0,) * system.topology.speed_count])
+    return system, kinematics.link_motions(system, *places, 0.0)
+
+
+def left_open(scene: Posed, q: Any, seats: dict[str, tuple]) -> list:
+    """What is left of the closure of all loops at coordinates `q` and seats [m, 1]."""
+    return _residuals(loop_rows(*standing_motion(scene, q, seats)))
+
+
+def loop_rows(system: System, motions: tuple[Motion, ...]) -> list[constraints.ConstraintRows]:
+    """The rows of each loop."""
+    return [constraints.constraint_rows(system, motions, own) for own in system.closures]
+
+
+def open_loops(system: System, motions: tuple[Motion, ...]) -> dict[str, Any]:
+    """By how much each joint that closes a loop is open [m, 1]."""
+    found = zip(system.topology.loops, loop_rows(system, motions), strict=True)
+    left = {name: [*own.residuals, *own.fixed.values()] for name, own in found}
+    return {n: jnp.max(jnp.abs(sp.stack(own)), initial=0.0) for n, own in left.items()}
+
+
+def _residuals(rows: list[constraints.ConstraintRows]) -> list:
     return [value for own in rows for value in own.residuals]
+
+
+def acting(
+    system: System,
+    motions: tuple[Motion, ...],
+    places: tuple,
+    rates: tuple,
+    side: Any,
+    angles: dict[str, Any] | None = None,
+) -> tuple[System, Forces]:
+    """What acts on a mechanism at rest, and the mechanism with gravity as it acts; `side` -1
+    reverses loads, but neither springs nor stops. `angles` [rad]: those near which coordinates
+    outside the tree are read."""
+    ask = lambda own: applied_forces(own, motions, {}, places, rates, 0.0, angles or {})
+    if isinstance(side, float) and side == 1.0:
+        return system, ask(system)
+    springs = {name: load for name, load in system.loads.items() if load.springs_back()}
+    loads = {name: load for name, load in system.loads.items() if name not in springs}
+    kept, turned = (ask(dataclasses.replace(system, loads=own)) for own in (springs, loads))
+    add = lambda a, b: sp.add(a, sp.mul(side, b))
+    wrenches = jax.tree.map(add, kept.wrenches, turned.wrenches)
+    forces = jax.tree.map(add, kept.coordinate_forces, turned.coordinate_forces)
+    on_joints = dict(kept.on_joints)
+    for name, own in turned.on_joints.items():
+        on_joints[name] = jax.tree.map(add, on_joints.get(name, NOTHING), own)
+    gravity = dataclasses.replace(system, gravity=sp.scale(side, system.gravity))
+    found = kept._replace(wrenches=wrenches, coordinate_forces=forces, on_joints=on_joints)
+    return gravity, found
 
 
 def solved(matrix: list[list], right: list) -> list:
@@ -174,7 +263,7 @@ def solved(matrix: list[list], right: list) -> list:
     return factorisation.eliminate(lines)
 
 
-def _unheld(system: System, forces: Forces) -> list:
+def unheld(system: System, forces: Forces) -> list:
     """What the multipliers must give each free coordinate for the mechanism to rest."""
     ground, missing = kinematics.upward(system), []
     for subtree in system.topology.subtrees:
@@ -186,7 +275,7 @@ def _unheld(system: System, forces: Forces) -> list:
     return missing
 
 
-def _reactions(
+def reactions_of(
     system: System, forces: Forces, multipliers: tuple, places: tuple
 ) -> dict[str, Reaction]:
     """Reaction of every connection."""
@@ -203,16 +292,3 @@ def _reactions(
             own = reaction_through(pose, branch.reversed, through[index])
             reactions[branch.connection] = own
     return reactions
-
-
-def _check_square(mechanism: Mechanism, free: int, rows: int) -> None:
-    if free > rows:
-        raise ValueError(
-            f"the loops leave the mechanism {free - rows} of its freedoms when joints "
-            f"{listed(mechanism.driven)} are held; give positions of {free - rows} more."
-        )
-    if rows > free:
-        raise ValueError(
-            f"the loops have {rows} rows for {free} free coordinates, so that the reactions are "
-            "not unique and no journal knows its side; give a joint of the loops more freedom."
-        )

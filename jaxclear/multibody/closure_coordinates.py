@@ -60,13 +60,13 @@ def angle_rates(system: System, layout: Layout, motions: tuple[Motion, ...]) -> 
 
 
 def angles_at_start(
-    mechanism: Mechanism, system: System, layout: Layout, motions: tuple[Motion, ...]
+    mechanism: Mechanism, system: System, names: tuple[str, ...], motions: tuple[Motion, ...]
 ) -> dict[str, Any]:
-    """The angles [rad] that the state follows, by joint: within half a turn of what `start` or
+    """The angles [rad] of joints outside the tree, by joint: within half a turn of what `start` or
     `guess` gives for the joint, of 0 where they give nothing."""
     angles = {}
     told = mechanism.guess | mechanism.start
-    for name in layout.angles:
+    for name in names:
         joint = coordinate_joint(name, mechanism.bodies, mechanism.connections)
         near = joint.start(told[name])[0] if name in told else 0.0
         angles[name] = read(system.measured[name], motions, near).position
@@ -80,7 +80,7 @@ def started(
     if not layout.angles:
         return state
     motions = kinematics.link_motions(system, *unpack_motion(system, _entries(state)), time)
-    return _with_angles(layout, state, angles_at_start(mechanism, system, layout, motions))
+    return _with_angles(layout, state, angles_at_start(mechanism, system, layout.angles, motions))
 
 
 def anchored(

@@ -14,13 +14,19 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.components.body import Marker
-from jaxclear.formulations.quasi_static import Posed, Standing, standing
+from jaxclear.formulations.equilibrium import Carried, Resting, case_of, resting
+from jaxclear.formulations.quasi_static import Posed, standing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.datasets import Column, dataset
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.wording import listed
+from jaxclear.multibody.given import source
+from jaxclear.multibody.kinematics import relative_motion
+
+# Share of a free motion from which on a freedom takes part in it [1].
+LOOSE = 1e-3
 
 __all__ = ["Positions"]
 
@@ -41,6 +47,8 @@ class Positions(AbstractShown):
     `scene.held`, `coordinates` those of the tree, `seats` of each joint with clearance where its
     journal lies (positions, 5): offset [m] in the bearing's axes, slope of its axis [1].
     `found` (positions,): whether the mechanism closes and every seat is the one of its reaction.
+    `carried`: what holds it, where its energy says where it rests. `warnings` say where its place
+    is not the only one.
     """
 
     scene: Posed
@@ -52,6 +60,32 @@ class Positions(AbstractShown):
     # Numbers of each seat that are not zero by construction.
     moving: dict[str, tuple[int, ...]] = eqx.field(static=True)
     other: "Positions | None" = None
+    carried: Carried | None = None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What there is to say of places that are not the only ones: parts that no load presses,
+        and sides of an unstable equilibrium of which one was taken."""
+        if self.carried is None:
+            return ()
+        said, count = [], len(self.position)
+        topology = self.scene.mechanism.topology
+        free = np.asarray(self.carried.loose) > LOOSE
+        for branch in topology.branches:
+            many = int(np.sum(np.any(free[:, branch.speeds], axis=1)))
+            if many:
+                what = f'body "{branch.body}"' if branch.connection is None else f'"{branch.name}"'
+                said.append(
+                    f"{what} moves freely at {many} of {count} positions: in one of its freedoms "
+                    "nothing presses or holds it, and of the places that it may take one was taken."
+                )
+        split = int(np.sum(np.asarray(self.carried.split)))
+        if split:
+            said.append(
+                f"at {split} of {count} positions the equilibrium next to the start is unstable; "
+                "the mechanism went to one of its two sides. A guess on one side chooses."
+            )
+        return tuple(said)
 
     def __str__(self) -> str:
         places = ", ".join(
@@ -61,7 +95,9 @@ class Positions(AbstractShown):
         both = ", also under reversed loads" if self.other is not None else ""
         lost = int(np.sum(~np.asarray(self.found)))
         told = f" {lost} were not found." if lost else ""
-        return f"{len(self.position)} positions{both}: {places}.{told}"
+        many = f"{len(self.position)} position{'s' if len(self.position) > 1 else ''}"
+        first = f"{many}{both}: {places or 'at rest under its loads'}.{told}"
+        return " ".join([first, *self.warnings])
 
     @property
     def reversed(self) -> "Positions":
@@ -91,17 +127,21 @@ class Positions(AbstractShown):
         return motion.origin + jnp.einsum("tij,j->ti", motion.rotation, place)
 
     def coordinate(self, name: str) -> Float[Array, "positions q"]:
-        """Coordinates of a connection of the tree, or of one that is held [rad, m]."""
+        """Coordinates of a connection of the tree, of one that is held, or of a body that only
+        joints with clearance hold [rad, m]; where energy says where it rests, of any joint."""
         scene = self.scene
-        check_known("joint", name, scene.mechanism.connections, " in this mechanism")
+        branches = {own.name: own for own in scene.mechanism.topology.branches}
+        names = [*scene.mechanism.connections, *branches]
+        check_known("joint or floating body", name, dict.fromkeys(names), " in this mechanism")
         if name in scene.held:
             return self.position[:, [scene.held.index(name)]]
-        branch = scene.mechanism.topology.branch_of(name)
+        branch = branches.get(name)
+        if branch is None and scene.loose:
+            return self._over(lambda now: sp.stack(_read(scene.mechanism, now, name)))
         if branch is None:
-            names = [b.name for b in scene.mechanism.topology.branches]
             raise ValueError(
                 f'joint "{name}" closes a loop and has no coordinates of its own; those with are '
-                f"{listed(names)}."
+                f"{listed(list(branches))}."
             )
         return self.coordinates[:, branch.coordinates]
 
@@ -144,13 +184,31 @@ class Positions(AbstractShown):
         joint: Any = self.scene.mechanism.connections[name].joint
         return joint.units[0]
 
-    def _over(self, one: Callable[[Standing], Any]) -> Any:
+    def _over(self, one: Callable[[Any], Any]) -> Any:
+        carried = self.carried
+        if carried is not None:
+
+            def rests(position, q, closing, pushes, angles):
+                scene = self.scene.at(position)
+                case = case_of(scene, carried.side, angles, carried.rounded)
+                return one(resting(case, q, closing, pushes))
+
+            held = carried.closing, carried.pushes, carried.angles
+            return jax.vmap(rests)(self.position, self.coordinates, *held)
+
         def row(position, q, seats):
             scene = self.scene.at(position)
             own = {name: opened(seats[name], moving) for name, moving in self.moving.items()}
             return one(standing(scene, [*q], own, self.side))
 
         return jax.vmap(row)(self.position, self.coordinates, self.seats)
+
+
+def _read(mechanism: Any, now: Resting, name: str) -> tuple:
+    """Coordinates of a joint outside the tree [rad, m]: of one with clearance those of the ideal
+    joint that it would be."""
+    where = source(mechanism, now.system, name)
+    return where.joint.coordinates_at(relative_motion(where.closure, now.motions)[1])
 
 
 def opened(seat: Array, moving: tuple[int, ...]) -> tuple:

@@ -1,19 +1,35 @@
-"""How a mechanism is led from one position of its drives to the next, on the way of assembly on
+"""How positions of a mechanism are sought: by its loops and seats where these determine it, else by
+its potential energy; and how it is led from one position to the next, on the way of assembly on
 which it began.
 """
 
-from typing import NoReturn
+import dataclasses
+from typing import Any, NamedTuple, NoReturn
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxclear.formulations.quasi_static import Posed
-from jaxclear.multibody.assembly import nearest
+from jaxclear.formulations.quasi_static import (
+    Posed,
+    Undetermined,
+    left_open,
+    loop_rows,
+    posed,
+    standing_motion,
+)
+from jaxclear.ground import factorisation
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.compiling import compiled_quickly
+from jaxclear.multibody.assembly import nearest, ready
+from jaxclear.multibody.given import speed_scales
+from jaxclear.multibody.loops import is_length
+from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import longest_arm, prepare
-from jaxclear.simulation.spot import SETTLED, Spot, Way, settle
+from jaxclear.simulation import least_energy
+from jaxclear.simulation.least_energy import ByEnergy, Rest
+from jaxclear.simulation.spot import SETTLED, Spot, Way, moved_by, way_of
 
 # Steps from a position to the next, at the least and at the most: they are halved where coordinates
 # move by more than the first bound within one, or the way of assembly changes and they move by more
@@ -24,25 +40,149 @@ STEPS_BETWEEN, MOST_BETWEEN = 4, 256
 FURTHEST, FURTHEST_ACROSS = 0.3, 0.06
 
 
-@eqx.filter_jit
-def _settled(scene: Posed, start: Spot, way: Way) -> Spot:
-    return settle(scene, start, way)
+# A row of loops follows from the others where it says no more than this beside them, of what a
+# radian or the longest arm changes.
+DEPENDENT = 1e-6
+# Rows that a clearance joint closes as its play vanishes, in the order of a seat's numbers.
+PLACES = ("x", "y", "z", "x.z", "y.z")
 
 
-def _assembled(scene: Posed, way: Way) -> tuple[Spot, Array]:
+class Assembled(NamedTuple):
+    """Where a search begins, whether the mechanism is assembled there, and the rows of its loops
+    there by what counts as much as a radian."""
+
+    spot: Spot
+    sound: Any
+    rows: Any
+
+
+class Sought(NamedTuple):
+    """A mechanism whose positions are sought, how, and where it stands at each of them."""
+
+    scene: Posed
+    way: Way | ByEnergy
+    spots: Spot | Rest
+
+
+def sought(mechanism: Mechanism, held: tuple[str, ...], position: np.ndarray) -> Sought:
+    """Where a mechanism stands with these joints held, at each position (positions, joints).
+
+    By its loops where they determine it, with every journal where its own reaction presses it; else
+    by its energy. Raises `ValueError` with a sentence for what cannot be asked, and for the first
+    position that it does not reach.
+    """
+    scene, way = _by_loops(mechanism, held, position[0])
+    if way is not None:
+        return Sought(scene, way, spots_along(scene, position, way))
+    scene = posed(mechanism, held, loose=True)
+    start, by_energy = least_energy.begun(scene.at(position[0]))
+    return Sought(scene, by_energy, spots_along(scene, position, by_energy, start))
+
+
+def _by_loops(mechanism: Mechanism, held: tuple[str, ...], first: np.ndarray) -> tuple[Any, Any]:
+    """The scene, and how it is sought by its loops; None where these do not determine it."""
+    try:
+        scene = posed(mechanism, held)
+    except ValueError:
+        # A joint of which it is not known where a load presses it; what is wrong with the question
+        # is refused by `sought`.
+        return None, None
+    here = scene.at(first)
+    middle: dict[str, tuple[int, ...]] = dict.fromkeys(scene.gaps, ())
+    free = scene.mechanism.topology.speed_count
+    places = jnp.zeros(scene.mechanism.topology.coordinate_count)
+    rows = len(jax.eval_shape(lambda q: _loops(here, q, Way(middle).opened({}))[0], places))
+    if rows < free:
+        return None, None
+    if rows != free:
+        return _with_rows(scene, here, free)
+    try:
+        way = way_of(scene)
+    except Undetermined:
+        # Leaning journals let rows speak that say nothing in the plane.
+        return None, None
+    return (scene, way) if _rank(_assembled(here, way).rows) == free else (None, None)
+
+
+def _with_rows(scene: Posed, here: Posed, free: int) -> tuple[Any, Any]:
+    """The scene with as many independent rows as there are free coordinates, and how it is sought;
+    None where there are not, or where others do not follow as journals lie in their seats."""
+    try:
+        q = ready(here.mechanism)[1].coordinates
+    except ValueError:
+        return None, None
+    way, before = Way(dict.fromkeys(scene.gaps, ())), None
+    while way != before:
+        rows = np.asarray(_slopes(here, q, way)[0])
+        if _rank(rows) != free:
+            return None, None
+        ranks = [0, *(_rank(rows[: i + 1]) for i in range(len(rows)))]
+        chosen = tuple(i for i in range(len(rows)) if ranks[i + 1] > ranks[i])
+        scene = dataclasses.replace(scene, rows=chosen)
+        way, before = moved_by(scene, way), way
+    anywhere = {n: tuple(map(PLACES.index, gap.ideal_rows)) for n, gap in scene.gaps.items()}
+    every, shifts = map(np.asarray, _slopes(here, q, Way(anywhere)))
+    if len(every) != len(rows):
+        return None, None
+    left = shifts - rows @ np.linalg.lstsq(rows, shifts, rcond=DEPENDENT)[0]
+    return (scene, way) if np.abs(left).max(initial=0.0) <= DEPENDENT else (None, None)
+
+
+def _rank(rows: Any) -> int:
+    """Rank of rows each of which counts alike."""
+    sizes = np.linalg.norm(rows, axis=1, keepdims=True)
+    if not np.size(rows) or not np.all(np.isfinite(sizes)) or not np.any(sizes):
+        return 0
+    alike = np.asarray(rows) / np.where(sizes > DEPENDENT * sizes.max(), sizes, np.inf)
+    return int(np.linalg.matrix_rank(alike, tol=DEPENDENT))
+
+
+def _loops(scene: Posed, q: Array, seats: dict[str, tuple]) -> tuple[Array, Array]:
+    """Jacobian of all rows of loops (rows, v), and what counts as much as a radian in each."""
+    system, motions = standing_motion(scene, q, seats)
+    found, count, arm = loop_rows(system, motions), system.topology.speed_count, longest_arm(system)
+    rows = tuple(tuple(x.get(j, 0) for j in range(count)) for own in found for x in own.jacobian)
+    names = zip(system.closures, found, strict=True)
+    units = [arm if is_length(c.rows[i]) else jnp.ones(()) for c, own in names for i in own.kept]
+    dense = factorisation.to_array(rows).reshape(len(rows), count)
+    return dense * speed_scales(system, arm), sp.stack(units)
+
+
+@compiled_quickly
+def _slopes(scene: Posed, q: Array, way: Way) -> tuple[Array, Array]:
+    """How rows of loops change with coordinates and with the seats of journals in the middle, in
+    shares of a radian or the longest arm."""
+    rows, units = _loops(scene, q, way.opened(way.middle()))
+    arm = longest_arm(prepare(scene.mechanism))
+    left = lambda seats: sp.stack(left_open(scene, q, way.opened(seats)))
+    shifts = jax.jacfwd(left)(way.middle())
+    sizes = {
+        n: jnp.stack([arm if k < 3 else jnp.ones(()) for k in x])
+        for n, x in way.moving.items()
+        if x
+    }
+    none = jnp.zeros((len(units), 0))
+    every = jnp.concatenate([none, *(shifts[n] * size for n, size in sizes.items())], axis=1)
+    return rows / units[:, None], every / units[:, None]
+
+
+def _assembled(scene: Posed, way: Way) -> Assembled:
     found = nearest(scene.mechanism)
-    seats = {name: jnp.zeros(len(own)) for name, own in way.moving.items()}
-    return Spot(found.start.coordinates, seats, jnp.zeros(()), jnp.zeros(())), found.sound
+    spot = Spot(found.start.coordinates, way.middle(), jnp.zeros(()), jnp.zeros(()))
+    system = prepare(scene.mechanism)
+    none = jnp.zeros((0, system.topology.speed_count))
+    rows = jnp.concatenate([none, *found.start.jacobians.values()])
+    return Assembled(spot, found.sound, rows * speed_scales(system, longest_arm(system)))
 
 
-def _led(scene: Posed, start: Spot, before: np.ndarray, now: np.ndarray, way: Way) -> Spot:
+def _led(scene: Posed, start: Any, before: np.ndarray, now: np.ndarray, way: Any) -> Any:
     """The spot at the next position, led there in steps that are halved where it moves far. Raises
     `ValueError` where it jumps, however short the steps: the sign of the loops' determinant tells
     two ways of assembly apart, and spatial loops may have more of one sign."""
     scale, spot = _scales(scene), start
     share, size = 0.0, 1.0 / STEPS_BETWEEN
     while share < 1.0:
-        found = _settled(scene.at(before + (share + size) * (now - before)), spot, way)
+        found = way.alone(scene.at(before + (share + size) * (now - before)), spot)
         moved = float(np.max(np.abs(found.q - spot.q) / scale, initial=0.0))
         settled = bool(found.change <= SETTLED)
         same = bool(found.branch == spot.branch)
@@ -82,19 +222,44 @@ def _refuse_jump(scene: Posed, now: np.ndarray) -> NoReturn:
     )
 
 
-def spots_along(scene: Posed, position: np.ndarray, way: Way) -> Spot:
-    """Where the mechanism stands at each position, gone through in their order. Raises
-    `ValueError` for the first that it does not reach."""
-    spot, sound = _assembled(scene.at(position[0]), way)
+def spots_along(scene: Posed, position: np.ndarray, way: Any, start: Any = None) -> Any:
+    """Where the mechanism stands at each position, gone through in their order, from a start
+    (None: as it is assembled). Raises `ValueError` for the first that it does not reach."""
+    spot, sound = (start, True) if start is not None else _begun(scene.at(position[0]), way)
     spots, before = [], position[0]
     for i, now in enumerate(position):
-        spot = _led(scene, spot, before, now, way) if i else _settled(scene.at(now), spot, way)
+        spot = _led(scene, spot, before, now, way) if i else way.alone(scene.at(now), spot)
         if not (sound and spot.change <= SETTLED):
-            raise ValueError(
-                f"the mechanism cannot be assembled at position {i} ({_named(scene, now)}): no "
-                "place of its bodies closes the loops there, or a dead point lies on the way from "
-                "the position before. Give positions within reach, closer together."
-            )
+            _refuse(scene, way, spot, i, now)
         spots.append(spot)
         before = now
     return jax.tree.map(lambda *own: jnp.stack(own), *spots)
+
+
+def _begun(scene: Posed, way: Way) -> tuple[Spot, Any]:
+    """Where the search begins, and whether the mechanism is assembled there."""
+    if scene.rows is None:
+        found = _assembled(scene, way)
+        return found.spot, found.sound
+    start = ready(scene.mechanism)[1]
+    return Spot(start.coordinates, way.middle(), jnp.zeros(()), jnp.zeros(())), True
+
+
+def _refuse(scene: Posed, way: Any, spot: Any, i: int, now: np.ndarray) -> NoReturn:
+    """Raises `ValueError` for a position at which nothing was found."""
+    loops, deep = ({n: float(x) for n, x in own.items()} for own in way.amiss(scene.at(now), spot))
+    amiss = {n: x for n, x in (loops | deep).items() if not x <= SETTLED}
+    where = _named(scene, now)
+    place = f"at position {i}" + (f" ({where})" if where else "")
+    if not amiss:
+        raise ValueError(
+            f"the mechanism finds no rest {place}: something that nothing holds moves away under "
+            "its loads. Hold it, or give it a spring or a stop."
+        )
+    name = max(amiss, key=lambda own: np.nan_to_num(amiss[own], nan=np.inf))
+    kind = "the loop through" if name in loops else "the journal of"
+    raise ValueError(
+        f"the mechanism cannot be assembled {place}: no place of its bodies closes the loops "
+        "there, or a dead point lies on the way from the position before; "
+        f'{kind} joint "{name}" fits least. Give positions within reach, closer together.'
+    )

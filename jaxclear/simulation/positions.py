@@ -1,42 +1,37 @@
 """A mechanism over positions of its drives, without time: `positions`.
 
-Each position is sought from where its neighbour stood (`spot`); the first are reached in steps, on
-one way of assembly (`position_path`).
+Each position is sought from where its neighbour stood, by its loops (`spot`) or its energy
+(`least_energy`); the first are reached in steps, on one way of assembly (`position_path`).
 """
 
 from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.formulations.quasi_static import SEAT, Posed, posed
+from jaxclear.formulations.quasi_static import Posed
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.wording import described
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.positions import Positions
-from jaxclear.simulation.position_path import spots_along
-from jaxclear.simulation.spot import SETTLED, Spot, Way, settle, way_of
+from jaxclear.simulation.position_path import sought
 
 
 def positions_at(
-    scene: Posed, position: Float[Array, "positions drives"], starts: Spot, way: Way
+    scene: Posed, position: Float[Array, "positions drives"], starts: Any, way: Any
 ) -> Positions:
     """The mechanism at positions of its drives, each from its own start; pure."""
-    spots = jax.vmap(lambda own, start: settle(scene.at(own), start, way))(position, starts)
-    seats = {
-        name: jnp.zeros((len(position), SEAT)).at[:, list(own)].set(spots.seats[name])
-        for name, own in way.moving.items()
-    }
+    spots = way.each(scene, position, starts)
+    found = way.read(scene, position, spots)
     finite = jnp.all(jnp.isfinite(spots.q), axis=-1)
     # From where the nominal mechanism stands a sample may fall to another way of assembly.
-    found = finite & (spots.change <= SETTLED) & (spots.branch == starts.branch)
-    return Positions(scene, position, spots.q, seats, found, way.side, way.moving)
+    kept = found.found & finite & (spots.branch == starts.branch)
+    return eqx.tree_at(lambda own: own.found, found, kept)
 
 
 def checked_positions(positions: Any) -> tuple[tuple[str, ...], np.ndarray]:
@@ -54,11 +49,10 @@ def checked_positions(positions: Any) -> tuple[tuple[str, ...], np.ndarray]:
                 "in a row [rad, m]."
             )
         columns[name] = column
-    if not columns or len({len(column) for column in columns.values()}) > 1:
-        raise ValueError(
-            "positions must tell at least one joint, and as many coordinates of each as of the "
-            "others."
-        )
+    if not columns:
+        return (), np.zeros((1, 0))
+    if len({len(column) for column in columns.values()}) > 1:
+        raise ValueError("positions must tell as many coordinates of each joint as of the others.")
     return tuple(columns), np.stack(list(columns.values()), axis=1)
 
 
@@ -68,27 +62,30 @@ def positions(
 ) -> Positions:
     """A mechanism at rest at positions of its drives, without time.
 
-    `positions`: coordinates [rad, m] by joint, as many of each; every drive must be among them, and
-    enough joints that the loops determine the rest; `start` and `guess` of the mechanism choose
-    between ways to assemble. Loads are quasi-static: they press each journal against its bearing
-    without friction and inertia. `both_ways`: also under reversed loads
-    (`.reversed`), for lost motion. Raises `ValueError` with a sentence for what cannot be asked or
-    is out of reach.
+    `positions`: coordinates [rad, m] by joint, as many of each; every drive must be among them. {}
+    for a mechanism without drives, which then stands once. `start` and `guess` of the mechanism
+    choose between ways to assemble. Loads are quasi-static, as at 0 s; they act without friction
+    and inertia, and contacts are rigid. `both_ways`: also under reversed loads (`.reversed`), for
+    lost motion; springs and stops stay as they are.
+
+    Where the loops determine everything else each journal lies where its own reaction presses it.
+    Elsewhere (springs, freedoms that are left, journals that share a load, play in angle) the
+    mechanism rests where its potential energy is least: near the start, from one position to the
+    next. What nothing holds is named by `warnings` of the result. Raises `ValueError` with a
+    sentence for what cannot be asked or is out of reach.
     """
     check_double_precision()
     expect(mechanism, Mechanism, "what is positioned", "a jaxclear.Mechanism")
     check_flags("positions", both_ways=both_ways)
     held, places = checked_positions(positions)
-    scene = posed(mechanism, held)
-    way = way_of(scene)
-    starts = spots_along(scene, places, way)
+    scene, way, starts = sought(mechanism, held, places)
     return both(scene, jnp.asarray(places), starts, way, both_ways)
 
 
-def both(scene: Posed, places: Array, starts: Spot, way: Way, both_ways: bool) -> Positions:
+def both(scene: Posed, places: Array, starts: Any, way: Any, both_ways: bool) -> Positions:
     """The positions, with those under reversed loads where these are wanted."""
     found = positions_at(scene, places, starts, way)
     if not both_ways:
         return found
-    other = positions_at(scene, places, starts, Way(way.moving, -way.side))
+    other = positions_at(scene, places, starts, way.reversed)
     return eqx.tree_at(lambda p: p.other, found, other, is_leaf=lambda x: x is None)

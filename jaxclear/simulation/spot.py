@@ -15,19 +15,31 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
-from jaxclear.formulations.quasi_static import SEAT, Posed, left_open, solved, standing
+from jaxclear.formulations.quasi_static import (
+    SEAT,
+    Posed,
+    left_open,
+    open_loops,
+    solved,
+    standing,
+    standing_motion,
+)
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody.given import speed_scales
 from jaxclear.multibody.start_equations import retract
 from jaxclear.multibody.system import longest_arm, prepare
 from jaxclear.native import while_loop
+from jaxclear.results.positions import Positions
 
 # Turns after which a position that has not settled counts as not found.
 MOST_TURNS = 25
 # A turn that changes coordinates [rad, shares of the longest arm] and seats by less than this is
 # the last: what is left is its square, or its share by the clearances.
 SETTLED = 1e-9
+# By how much rows of loops that follow from the others may be open [m, 1]: what closes a loop as it
+# was drawn counts as closed (`start_check.HELD`).
+FOLLOWS = 1e-6
 # Of a Newton step, in radians or shares of the longest arm.
 LONGEST = 0.5
 
@@ -51,6 +63,43 @@ class Way(eqx.Module):
     moving: dict[str, tuple[int, ...]] = eqx.field(static=True)
     side: float = eqx.field(static=True, default=1.0)
 
+    @property
+    def reversed(self) -> "Way":
+        """The same under reversed loads."""
+        return Way(self.moving, -self.side)
+
+    def alone(self, scene: Posed, start: Spot) -> Spot:
+        """Where the mechanism stands at one position, sought from a start."""
+        return _settled(scene, start, self)
+
+    def each(self, scene: Posed, position: Array, starts: Spot) -> Spot:
+        """Where it stands at positions (positions, drives), each from its own start; pure."""
+        one = lambda own, start: settle(scene.at(own), start, self)
+        return jax.vmap(one)(position, starts)
+
+    def read(self, scene: Posed, position: Array, spots: Spot) -> Positions:
+        """What is read of the mechanism at positions (positions, drives) and where it stands."""
+        seats = {
+            name: jnp.zeros((len(position), SEAT)).at[:, list(own)].set(spots.seats[name])
+            for name, own in self.moving.items()
+        }
+        closed = jnp.ones(len(position), bool)
+        if scene.rows is not None:
+            opened = jax.vmap(lambda own, s: self._open(scene.at(own), s))(position, spots)
+            closed = opened <= FOLLOWS
+        found = closed & (spots.change <= SETTLED)
+        return Positions(scene, position, spots.q, seats, found, self.side, self.moving)
+
+    def _open(self, scene: Posed, spot: Spot) -> Array:
+        """By how much a row of the loops is open at the most [m, 1]."""
+        left = left_open(scene, spot.q, self.opened(spot.seats))
+        return jnp.max(jnp.abs(sp.stack(left)), initial=0.0)
+
+    def amiss(self, scene: Posed, spot: Spot) -> tuple[dict[str, Any], dict[str, Any]]:
+        """By how much loops are open [m, 1], by the joint that closes them, and how deep journals
+        lie in their bearings: not at all."""
+        return open_loops(*standing_motion(scene, spot.q, self.opened(spot.seats))), {}
+
     def opened(self, seats: dict[str, Array]) -> dict[str, tuple]:
         """The five numbers of each seat, those that are zero by construction as such."""
         return {
@@ -58,30 +107,37 @@ class Way(eqx.Module):
             for name, own in self.moving.items()
         }
 
+    def middle(self) -> dict[str, Array]:
+        """The numbers of each seat that move, of journals in the middle."""
+        return {name: jnp.zeros(len(own)) for name, own in self.moving.items()}
+
     def closed(self, seats: dict[str, tuple]) -> dict[str, Array]:
         """The numbers of each seat that move."""
         return {name: sp.stack([seats[name][k] for k in own]) for name, own in self.moving.items()}
 
 
 def way_of(scene: Posed) -> Way:
-    """Which numbers of the seats move; raises `ValueError` for what has no unique reactions."""
-    system = prepare(scene.mechanism)
+    """Which numbers of the seats move."""
     way = Way(dict.fromkeys(scene.gaps, ()))
     while True:
-        found: dict[str, tuple[int, ...]] = {}
-
-        def seen(q, seats, way=way, found=found):
-            now = standing(scene, q, way.opened(seats)).seats
-            found.update(
-                {n: tuple(k for k in range(SEAT) if not sp.is_zero(now[n][k])) for n in now}
-            )
-            return q
-
-        seats = {name: jnp.zeros(len(own)) for name, own in way.moving.items()}
-        jax.eval_shape(seen, jnp.zeros(system.topology.coordinate_count), seats)
-        if found == way.moving:
+        found = moved_by(scene, way)
+        if found == way:
             return way
-        way = Way(found)
+        way = found
+
+
+def moved_by(scene: Posed, way: Way) -> Way:
+    """Which numbers of the seats the reactions move where those of a way may."""
+    found: dict[str, tuple[int, ...]] = {}
+
+    def seen(q, seats):
+        now = standing(scene, q, way.opened(seats)).seats
+        found.update({n: tuple(k for k in range(SEAT) if not sp.is_zero(now[n][k])) for n in now})
+        return q
+
+    count = prepare(scene.mechanism).topology.coordinate_count
+    jax.eval_shape(seen, jnp.zeros(count), way.middle())
+    return Way(found)
 
 
 def turned(scene: Posed, spot: Spot, way: Way) -> Spot:
@@ -93,7 +149,7 @@ def turned(scene: Posed, spot: Spot, way: Way) -> Spot:
     changes = [jnp.max(jnp.abs(seats[n] - spot.seats[n]), initial=0.0) / arm for n in seats]
     q = spot.q
     if count:
-        left = left_open(scene, q, way.opened(seats))
+        left = scene.determining(left_open(scene, q, way.opened(seats)))
         rows = [[row.get(j, 0) for j in range(count)] for row in now.jacobian]
         step = sp.stack(solved(rows, [sp.neg(x) for x in left]))
         size = jnp.max(jnp.abs(step / speed_scales(system, arm)))
@@ -122,6 +178,9 @@ def settle(scene: Posed, start: Spot, way: Way) -> Spot:
         return spot, _tangent(primals[0], moved[0], rest, spot, way)
 
     return found(arrays, start)
+
+
+_settled = eqx.filter_jit(settle)
 
 
 def _tangent(arrays: Any, moved: Any, rest: Any, spot: Spot, way: Way) -> Spot:

@@ -178,7 +178,8 @@ def of_corners(study: Any) -> Any:
         "end": Column(("end",), list(ends)),
         VARIABLE: Column((VARIABLE,), list(problem.names)),
     }
-    said = {"runs": study.runs} | _warnings(study)
+    said = {"runs": study.runs, "points": study.points, "failed": len(study.failed)}
+    said |= _warnings(study)
     return dataset(columns, coordinates, what="worst case", problem=in_texts(problem), **said)
 
 

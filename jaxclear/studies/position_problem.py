@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.formulations.quasi_static import posed
+from jaxclear.formulations.quasi_static import Posed
 from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import inside, numbers
@@ -22,9 +22,10 @@ from jaxclear.integrators import Outcome
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.positions import Positions
 from jaxclear.results.response import unit_of
-from jaxclear.simulation.position_path import spots_along
+from jaxclear.simulation.least_energy import ByEnergy, Rest
+from jaxclear.simulation.position_path import sought
 from jaxclear.simulation.positions import both, checked_positions
-from jaxclear.simulation.spot import Spot, Way, way_of
+from jaxclear.simulation.spot import Spot, Way
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
 from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.inputs import correlation_matrix
@@ -62,8 +63,9 @@ class PositionProblem(AbstractProblem):
     response: dict[str, Callable]
     variables: dict[str, AbstractMechanismVariable]
     position: Float[Array, "positions drives"]
-    starts: Spot
-    way: Way
+    scene: Posed
+    starts: Spot | Rest
+    way: Way | ByEnergy
     correlation: Float[Array, "variables variables"] | None
     held: tuple[str, ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
@@ -96,9 +98,7 @@ class PositionProblem(AbstractProblem):
         self.correlation = correlation_matrix(correlation, self.names)
         self.held, places = checked_positions(positions)
         self.position = jnp.asarray(places)
-        scene = posed(mechanism, self.held)
-        self.way = way_of(scene)
-        self.starts = spots_along(scene, places, self.way)
+        self.scene, self.way, self.starts = sought(mechanism, self.held, places)
 
     def nominal(self):
         return stacked([self.variables[n].nominal_in(self.mechanism) for n in self.names])
@@ -109,7 +109,7 @@ class PositionProblem(AbstractProblem):
     def positions(self, values: Float[Array, " variables"]) -> Positions:
         """The mechanism of one set of values at all positions; pure."""
         variables = [self.variables[name] for name in self.names]
-        scene = posed(with_values(self.mechanism, variables, values), self.held)
+        scene = self.scene.of(with_values(self.mechanism, variables, values))
         return both(scene, self.position, self.starts, self.way, self.both_ways)
 
     def evaluate(self, values, *, discrete_derivatives=False):

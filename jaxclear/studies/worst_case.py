@@ -1,15 +1,18 @@
 """The worst that tolerances allow: `jaxclear.worst_case`, the extremes of a response over the box
 of all its variables, beside the bound of first order.
 
-From the corner to which the slopes at nominal point, and from the worst points of a few hundred
-spread over the box, each extreme is climbed to by its gradient (L-BFGS-B). Where a derivative is
-refused, because contacts open and close, steps along the variables serve (compass search). What
-is found is a value that occurs: the true extreme is at least as far out.
+From the corner to which the slopes at nominal point, and from the worst of all corners and of a few
+hundred points spread over the box, each extreme is climbed to by its gradient (L-BFGS-B). Where a
+derivative is refused, because contacts open and close, steps along the variables serve (compass
+search). What is found is a value that occurs: the true extreme is at least as far out. Points that
+have no answer, of which no mechanism can be built, are counted: the worst may be that.
 
 Source: Byrd, Lu, Nocedal & Zhu 1995, SIAM J. Sci. Comput. 16, 1190, doi:10.1137/0916069; compass
 search: Kolda, Lewis & Torczon 2003, SIAM Rev. 45, 385, doi:10.1137/S003614450242889.
 """
 
+import itertools
+import math
 from typing import Any
 
 import equinox as eqx
@@ -34,6 +37,8 @@ from jaxclear.studies.warned import by_kind, codes_of, concerning
 
 # Points from which each extreme is climbed to, the corner of the slopes apart.
 STARTS = 4
+# Corners of the box are all asked where there are no more, those of ten variables.
+MOST_CORNERS = 2**10
 # A compass search ends when its steps are this share of the box, or after so many rounds.
 SHORTEST, MOST_ROUNDS = 1e-3, 60
 
@@ -50,7 +55,8 @@ class Extreme(eqx.Module):
 
 class WorstCase(AbstractShown):
     """The extremes of every response over the box from `low` to `high` (variables,), and its
-    `nominal` values; `warnings` say which extremes are those of runs that warn."""
+    `nominal` values. Of the `points` asked over the box, its corners among them, `failed` (failed,
+    variables) have no answer; `warnings` say so, and which extremes are those of runs that warn."""
 
     problem: AbstractProblem
     low: np.ndarray
@@ -58,6 +64,8 @@ class WorstCase(AbstractShown):
     nominal: dict[str, float]
     least: dict[str, Extreme]
     largest: dict[str, Extreme]
+    failed: np.ndarray
+    points: int = eqx.field(static=True)
     runs: int = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
@@ -96,9 +104,10 @@ def worst_case(
 ) -> WorstCase:
     """The least and largest value of every response over the box of the variables: to the ends of
     distributions that have ends, and to `sigmas` [1] normal scores of others. `samples`: points
-    spread over the box to begin with.
+    spread over the box to begin with; beside them all corners are asked, of up to ten variables.
 
-    It says nothing of how likely the worst is, which `jaxclear.monte_carlo` does.
+    What cannot be built, or fails, is in no extreme: `failed` holds these points, and the print
+    counts them. It says nothing of how likely the worst is, which `jaxclear.monte_carlo` does.
     """
     check_sampled(problem, samples, seed)
     check_number("sigmas of worst_case", sigmas, above=0)
@@ -108,8 +117,10 @@ def worst_case(
     spread = scrambled_shares(samples, len(low), np.random.default_rng(seed))
     nominal = np.asarray(problem.nominal())
     search = Search(problem, low, high, progress_bar)
-    points = np.concatenate([nominal[None], low + spread * (high - low)])
+    corners = corners_of(low, high)
+    points = np.concatenate([nominal[None], corners, low + spread * (high - low)])
     responses = search.responses(points)
+    unanswered = search.unanswered(points, len(corners))
     extremes: dict[int, dict] = {-1: {}, 1: {}}
     for name in problem.response_names:
         slopes = search.slopes(name, nominal)
@@ -121,8 +132,18 @@ def worst_case(
             found[name] = search.climbed(name, sign, starts, first)
     at_nominal = {name: float(responses[name][0]) for name in problem.response_names}
     least, largest = extremes[-1], extremes[1]
-    warnings = search.warnings(nominal, {"least": least, "largest": largest})
-    return WorstCase(problem, low, high, at_nominal, least, largest, search.runs, warnings)
+    warnings = unanswered + search.warnings(nominal, {"least": least, "largest": largest})
+    failed = points[search.failed]
+    told = at_nominal, least, largest, failed
+    return WorstCase(problem, low, high, *told, len(points), search.runs, warnings)
+
+
+def corners_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """All corners of a box (corners, variables); none where they are too many."""
+    ends = [np.unique(own) for own in zip(low, high, strict=True)]
+    if math.prod(len(own) for own in ends) > MOST_CORNERS:
+        return np.zeros((0, len(low)))
+    return np.array(list(itertools.product(*ends)))
 
 
 def box(problem: AbstractProblem, sigmas: float) -> tuple[np.ndarray, np.ndarray]:
@@ -152,6 +173,8 @@ class Search:
     def __init__(self, problem: AbstractProblem, low, high, progress_bar: bool):
         self.problem, self.low, self.high, self.bar = problem, low, high, progress_bar
         self.runs = 0
+        # Of the points asked last: whether one has no answer, and how and when [s] each ended.
+        self.failed, self.ends = np.zeros(0, bool), (np.zeros(0, int), np.zeros(0))
         # Of what the runs warn, by their values.
         self.codes: dict[bytes, int] = {}
         self.differentiable = not any(problem.pathwise_limits())
@@ -165,7 +188,26 @@ class Search:
         self._keep(points, found.checks)
         good = np.asarray(found.outcome) == Outcome.REACHED
         told = lambda name, own: good & answered(self.problem, {name: own})
+        self.failed = ~(good & answered(self.problem, found.responses))
+        self.ends = np.asarray(found.outcome), np.asarray(found.ended)
         return {n: np.where(told(n, own), own, np.nan) for n, own in found.responses.items()}
+
+    def unanswered(self, points: np.ndarray, corners: int) -> tuple[str, ...]:
+        """How many of the points asked last have no answer, the first of which is the nominal one
+        and the next are `corners`, and why the first of them has none."""
+        lost = np.flatnonzero(self.failed)
+        if not len(lost):
+            return ()
+        outcome, ended = (own[lost[0]] for own in self.ends)
+        why = self.problem.ending(int(outcome), float(ended)).rstrip(".")
+        why = "a response is not a number" if outcome == Outcome.REACHED else why
+        at = int(np.sum((lost > 0) & (lost <= corners)))
+        among = f", {at} of its {corners} corners among them," if corners else ""
+        return (
+            f"{len(lost)} of {len(points)} points of the box{among} cannot be built or have no "
+            f"answer (the first of them: {why}). The least and the largest are those of the part "
+            "that has, and may lie on its edge.",
+        )
 
     def _keep(self, points: np.ndarray, checks: Checks) -> None:
         codes = codes_of(checks, len(points)).tolist()

@@ -127,6 +127,42 @@ def test_the_worst_case_is_at_the_corner_or_within():
     assert found.table()["largest: a"][0] == pytest.approx(0.9)
 
 
+def wedge(size):
+    """Angle at which a part of length a stands between faces b apart; none where a is longer."""
+    U = D.Uniform
+    sizes = {"a": jc.Dimension(0.99, U(size), unit="1"), "b": jc.Dimension(1.0, U(size / 2))}
+    return jc.FunctionProblem(lambda a, b: {"angle": jnp.arccos(a / b)}, sizes, units="rad")
+
+
+def test_what_cannot_be_built_is_counted_and_said():
+    """Where a > b there is no angle: one corner, and the share of the box beyond the diagonal."""
+    found = jc.worst_case(wedge(0.02), samples=1024)
+    a, b = found.failed.T
+    assert np.all(a > b) and found.points == 1 + 4 + 1024
+    # The triangle b < a <= 1.01 beside the whole, by its area.
+    share = 0.5 * 0.02 * 0.02 / (0.04 * 0.02)
+    assert len(found.failed) == pytest.approx(share * 1024, abs=0.03 * 1024)
+    (said,) = found.warnings
+    assert said.startswith(f"{len(found.failed)} of 1029 points of the box, 1 of its 4 corners")
+    assert "cannot be built" in said and said in str(found)
+    assert found.to_dataset().attrs["failed"] == len(found.failed)
+    assert found.least["angle"].value == pytest.approx(0.0, abs=1e-2)
+    small = jc.worst_case(wedge(1e-4))
+    assert not len(small.failed) and not small.warnings
+
+
+def test_all_corners_are_asked():
+    """A response that only one corner of eight has, with no slope elsewhere."""
+    names = "abc"
+    spike = jc.FunctionProblem(
+        lambda a, b, c: jnp.where(a - b + c > 2.9999, 5.0, 0.0),
+        {name: jc.Dimension(0.0, D.Uniform(1.0)) for name in names},
+    )
+    found = jc.worst_case(spike, samples=16)
+    assert found.largest["response"].value == 5.0
+    np.testing.assert_allclose(found.largest["response"].values, [1.0, -1.0, 1.0], atol=1e-6)
+
+
 def test_the_worst_case_of_what_has_no_derivative_is_searched():
     rough = jc.FunctionProblem(
         lambda a, b: jnp.floor(20 * a) + b, {n: jc.Dimension(0.0, D.Uniform(1.0)) for n in "ab"}
