@@ -119,6 +119,8 @@ INNER = {
 }
 # A folder of samples remembers its problem by one.
 INNER |= {"RecordedProblem", "StateGroup"}
+# A mechanism that does not say how its loops are held.
+INNER |= {"AsNeeded"}
 
 
 def family_classes():

@@ -90,9 +90,9 @@ class AbstractIntegrator(AbstractQuantified):
 
     @property
     def opens_loops(self) -> bool:
-        """Whether its steps open loops by more than rounding, so that they are closed anew after
+        """Whether its steps open loops by more than rounding, so that it closes them anew after
         each where a mechanism does not say how its loops are held."""
-        return self.projects
+        return False
 
     def asked_step(self) -> Scalar | None:
         """The longest step [s] that was asked for; None where nobody asked for one."""

@@ -98,6 +98,10 @@ class ImplicitStep(AbstractIntegrator):
         return eqx.tree_at(lambda own: own.step, self, share * self.step)
 
     @property
+    def opens_loops(self):
+        return True
+
+    @property
     def formulation(self):
         return CompliantContact()
 

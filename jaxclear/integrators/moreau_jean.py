@@ -95,6 +95,10 @@ class MoreauJean(AbstractIntegrator):
         return eqx.tree_at(lambda own: own.step, self, share * self.step)
 
     @property
+    def opens_loops(self):
+        return True
+
+    @property
     def formulation(self):
         return RigidContact()
 

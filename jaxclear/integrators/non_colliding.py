@@ -75,6 +75,10 @@ class NonColliding(AbstractIntegrator):
         return eqx.tree_at(lambda own: own.step, self, share * self.step)
 
     @property
+    def opens_loops(self):
+        return True
+
+    @property
     def formulation(self):
         return PermanentContact(self.regularised)
 
