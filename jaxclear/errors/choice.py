@@ -84,11 +84,10 @@ class Tried(NamedTuple):
         return max(self.errors.values(), default=math.inf)
 
 
-def budget_of(times: np.ndarray, together: int = 1) -> float:
-    """What a choice for a run saved at these times [s] may take [evaluations of forces]; for so
-    many `together`, what it may take of each."""
+def budget_of(times: np.ndarray) -> float:
+    """What a choice for a run saved at these times [s] may take [evaluations of forces]."""
     usual = RK4 * float(times[-1] - times[0]) / USUAL_STEP
-    return max(PATIENCE * usual, LEAST_BUDGET / together)
+    return max(PATIENCE * usual, LEAST_BUDGET)
 
 
 def chosen(

@@ -48,6 +48,10 @@ FEWEST = 3
 # Of n copies the worst must keep within n / (n + SPARED) of the accuracy: then another one exceeds
 # it about once in a hundred where errors scatter normally, whatever n.
 SPARED = 3.0
+# So many times the work of a choice may go into an advice where that does not pay for a run under
+# error control, beside which the others stand: the contacts of a flap, of rates of 1e9 1/s, close
+# all at once.
+MORE = 10.0
 GONE = ("duration", "reference", "whole", "shorter")
 
 
@@ -203,7 +207,7 @@ class Advice(AbstractShown):
     `problem` the problem with it, `sentence()` the answer in words, `why_not()` what is wrong with
     the others, `table()` every trial; `jaxclear.plot.work_precision` draws it.
 
-    `chosen`: the trial that is recommended, `trials` all of them; `cost`: CPU seconds for a
+    `chosen`: the trial that is recommended, `trials` all of them; `cost` [s/s]: CPU time for a
     simulated second of one run. `at(accuracy)` asks the same at another accuracy, `of_means()` of
     means over the copies; both run only what is not known yet.
     """
@@ -411,13 +415,17 @@ def _searched(
     """The search among rungs of the stated model, and by method what was judged, of others too."""
     apart = lambda _, one, other: asked.beside(one, other)
     question = Question(lambda runs: runs.answers, apart, copies.times)
-    budget = budget_of(copies.times, len(copies.values))
-    search, tried = Search(copies.run, question, budget), {}
-    for name, rung in rungs.stated.items():
-        known = len(search.judged)
-        search.climb(rung)
-        tried[name] = search.judged[known:]
-        bar.update(1)
+    tried: dict[str, list[Tried]] = {}
+    for budget in (budget_of(copies.times), MORE * budget_of(copies.times)):
+        search = Search(copies.run, question, budget)
+        for name, rung in rungs.stated.items():
+            known = len(search.judged)
+            search.climb(rung)
+            tried[name] = search.judged[known:]
+            bar.update(1)
+        controlled = [name for name, rung in rungs.stated.items() if rung.controlled]
+        if not controlled or any(tried[name] for name in controlled):
+            break
     for name, rung in rungs.other.items():
         aside = Search(copies.run, question, budget, search.best)
         if copies.run(rung.first).refused:
