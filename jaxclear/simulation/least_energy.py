@@ -26,7 +26,7 @@ from jaxclear.formulations.quasi_static import SEAT, Posed
 from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import is_traced
-from jaxclear.multibody.assembly import assembled, ready
+from jaxclear.multibody.assembly import nearest, ready
 from jaxclear.multibody.closure_coordinates import angles_at_start
 from jaxclear.multibody.start_equations import ask, motions_at, retract
 from jaxclear.results.positions import Positions
@@ -176,11 +176,11 @@ def begun(scene: Posed) -> tuple[Rest, ByEnergy]:
     """Where the search begins, with journals in the middle of their bearings where the loops let
     them, and how it goes on."""
     try:
-        start = ready(scene.mechanism)[1]
+        start = ready(scene.mechanism).start
     except ValueError:
         # Journals that share a load need not be concentric, all at once; what does not fit at all
         # is refused, by name, where nothing is found from there.
-        start = assembled(scene.mechanism, False)
+        start = nearest(scene.mechanism, False).start
     way = ByEnergy(equilibrium.rounded(scene.mechanism), jnp.ones(()))
     system = ask(scene.mechanism, False).system
     still = jnp.zeros(system.topology.speed_count)

@@ -108,7 +108,7 @@ def _with_rows(scene: Posed, here: Posed, free: int) -> tuple[Any, Any]:
     """The scene with as many independent rows as there are free coordinates, and how it is sought;
     None where there are not, or where others do not follow as journals lie in their seats."""
     try:
-        q = ready(here.mechanism)[1].coordinates
+        q = ready(here.mechanism).start.coordinates
     except ValueError:
         return None, None
     way, before = Way(dict.fromkeys(scene.gaps, ())), None
