@@ -8,6 +8,10 @@ from jaxclear.ground.quantity import AbstractQuantified
 class AbstractLoad(AbstractQuantified):
     """A load on bodies, or on the coordinate of a joint."""
 
+    def springs_back(self) -> bool:
+        """Whether what it acts on may swing by it, as by a spring; it may unless overridden."""
+        return True
+
 
 def check_acts(spring: Any) -> None:
     """Raises `ValueError` for a spring that is neither one nor a damper."""

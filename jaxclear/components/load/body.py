@@ -77,6 +77,9 @@ class Gravity(AbstractLoad):
         (0.0, -9.81), "m/s^2", "free fall, ground frame", counts=(2, 3), usual=USUAL_GRAVITY
     )
 
+    def springs_back(self):
+        return False
+
 
 class Force(AbstractBodyLoad):
     """A force at a marker: 2 or 3 numbers [N] or a function of time, in ground axes, or in the
@@ -91,6 +94,9 @@ class Force(AbstractBodyLoad):
         converter=vector_or_function,
     )
     follows: bool = eqx.field(static=True, default=False)
+
+    def springs_back(self):
+        return False
 
     def __check_init__(self):
         check_function_of_time(self, "value", (2, 3))
@@ -120,6 +126,9 @@ class Torque(AbstractBodyLoad):
         converter=one_or_more_or_function,
     )
     follows: bool = eqx.field(static=True, default=False)
+
+    def springs_back(self):
+        return False
 
     def __check_init__(self):
         check_function_of_time(self, "value", (1, 3))
@@ -151,6 +160,9 @@ class MotorTorque(AbstractBodyLoad):
         unit="N m", meaning="torque, or a function of time", converter=number_or_function
     )
 
+    def springs_back(self):
+        return False
+
     def __check_init__(self):
         check_function_of_time(self, "value")
 
@@ -174,6 +186,9 @@ class Spring(AbstractBodyLoad):
     stiffness: Scalar | None = quantity(None, "N/m", "stiffness", at_least=0)
     free_length: Scalar = quantity(0.0, "m", "length without force", at_least=0)
     damping: Scalar | None = quantity(None, "N s/m", "viscous damping", at_least=0)
+
+    def springs_back(self):
+        return self.stiffness is not None
 
     def __check_init__(self):
         check_acts(self)

@@ -40,6 +40,9 @@ class AbstractCoordinateLoad(AbstractLoad):
         """Whether the force depends on the coordinate; it does unless overridden."""
         return True
 
+    def springs_back(self) -> bool:
+        return self.reads_position()
+
     def inertia_along(self) -> Scalar | None:
         """Inertia [kg m^2] that moves with the coordinate and with nothing else; None unless
         overridden. Only a joint that the tree carries can have some."""
