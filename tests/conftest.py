@@ -1,6 +1,6 @@
 """What holds for every test: examples that are drawn are the same in every run, unless asked
 otherwise, and compiled programs do not pile up. Most of a test is compiling, so what XLA compiles
-is not optimised (an eighth of the suite), and Python looks for cycles of garbage rarely (a
+is optimised little (an eighth of the suite), and Python looks for cycles of garbage rarely (a
 twentieth); flags of XLA's that a user sets go before. Kernels are optimised as users' are.
 """
 
@@ -16,8 +16,8 @@ from jax.experimental.compilation_cache import compilation_cache
 from jaxclear.errors import verification
 
 # XLA reads them when it starts, which no import does.
-UNOPTIMISED = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
-os.environ["XLA_FLAGS"] = f"{UNOPTIMISED} {os.environ.get('XLA_FLAGS', '')}".strip()
+LITTLE_OPTIMISED = "--xla_backend_optimization_level=1 --xla_llvm_disable_expensive_passes=true"
+os.environ["XLA_FLAGS"] = f"{LITTLE_OPTIMISED} {os.environ.get('XLA_FLAGS', '')}".strip()
 gc.set_threshold(300_000, 20, 1000)
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)

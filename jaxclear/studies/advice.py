@@ -67,6 +67,12 @@ class PilotSettings(AbstractQuantified):
     shorter: Any = eqx.field(static=True, default=None)
 
     def __check_init__(self):
+        expect(
+            self.reference,
+            (AbstractIntegrator, type(None)),
+            "reference of PilotSettings",
+            "an integrator",
+        )
         for name in GONE:
             if getattr(self, name) is not None:
                 _warn_of(f"{name} of PilotSettings", "runs are as long as the problem's")
