@@ -72,8 +72,7 @@ def away_from(times, instants):
 
 
 def ends_in_reversal(time):
-    """Which steps end as the slip reverses: friction there is as it is on either side, for loops are
-    closed at their end."""
+    """Which steps end as the slip reverses, where friction may be that of either side."""
     return np.abs(np.sin(SPEED * time[1:])) < 0.5 * SPEED * STEP
 
 
