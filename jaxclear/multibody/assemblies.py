@@ -148,6 +148,7 @@ def _modes(mechanism: Mechanism, first: FirstFound, samples: int) -> list[Mode]:
         mechanism.bodies,
         mechanism.connections,
         mechanism.loads,
+        couplings=mechanism.couplings,
         **given | {"guess": homes | {n: x for n, x in given["guess"].items() if n in homes}},
         stabilisation=mechanism.stabilisation,
     )

@@ -388,3 +388,15 @@ def test_couplings_are_written_and_read(tmp_path):
     assert str(again) == str(rig)
     assert again.couplings["outer"].internal and not again.couplings["inner"].internal
     assert "Gear" in str(jc.scene_schema())
+
+
+def test_ways_to_assemble_keep_couplings():
+    rig = pair(jc.coupling.Gear("A", "B", RATIO))
+    ways = jc.assemblies(rig, 8)
+    assert len(ways) == 1
+    guessed = jc.Mechanism(
+        rig.bodies, rig.connections, couplings=rig.couplings, guess={"A": 0.3, "B": -0.3 / RATIO}
+    )
+    np.testing.assert_allclose(
+        jc.assemblies(guessed, 8).coordinates[0], [0.3, -0.3 / RATIO], atol=1e-12
+    )
