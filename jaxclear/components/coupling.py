@@ -126,6 +126,11 @@ class AbstractBodyCoupling(AbstractCoupling):
     at the parent's where the child is the ground. Where all joints are at home the parts mesh.
     """
 
+    def moves(self) -> tuple[tuple[str, ...], ...]:
+        """Units of what each joint must leave free that is not fixed: "rad" a turn, "m" a slide;
+        joints may be any unless overridden."""
+        return ((),) * len(self.joints())
+
     @abstractmethod
     def angles(self, pose: Pose) -> tuple:
         """The angles [rad] that the residual reads off the pose of the second marker in the first;
@@ -181,6 +186,9 @@ class Gear(AbstractBodyCoupling):
     def joints(self):
         return self.a, self.b
 
+    def moves(self):
+        return ("rad",), ("rad",)
+
     def angles(self, pose):
         return _seen_along_centres(pose)
 
@@ -228,6 +236,9 @@ class Belt(AbstractBodyCoupling):
     def joints(self):
         return self.a, self.b
 
+    def moves(self):
+        return ("rad",), ("rad",)
+
     def angles(self, pose):
         return _seen_along_centres(pose)
 
@@ -261,6 +272,9 @@ class Rack(AbstractBodyCoupling):
 
     def joints(self):
         return self.pinion, self.rack
+
+    def moves(self):
+        return ("rad",), ("m",)
 
     def angles(self, pose):
         x, y = (row[2] for row in pose.rotation[:2])
@@ -314,6 +328,9 @@ class Screw(AbstractBodyCoupling):
 
     def joints(self):
         return (self.joint,)
+
+    def moves(self):
+        return (("rad", "m"),)
 
     def angles(self, pose):
         return (angle_of(pose.rotation[1][0], pose.rotation[0][0]),)

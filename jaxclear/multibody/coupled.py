@@ -34,11 +34,26 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
                 f'coupling "{name}" ties body "{first.body}" to itself; its joints '
                 f"{listed(names)} carry one body."
             )
+        _check_moves(name, coupling, bodies, connections)
         if not is_traced((coupling, bodies, connections)):
             try:
                 coupling.check(drawn_pose(coupling, bodies, connections))
             except ValueError as error:
                 raise ValueError(f'coupling "{name}" {error}') from None
+
+
+def _check_moves(name: str, coupling: Any, bodies: dict, connections: dict) -> None:
+    """That the joints leave free what the coupling ties; a part may be held by a fixed one."""
+    says = {"rad": "turn", "m": "slide"}
+    for joint, needed in zip(coupling.joints(), coupling.moves(), strict=True):
+        ideal = coordinate_joint(joint, bodies, connections)
+        left = [says[unit] for unit in needed if unit not in ideal.units]
+        if left and ideal.units:
+            raise ValueError(
+                f'coupling "{name}", a {type(coupling).__name__}, needs a joint "{joint}" whose '
+                f"parts {' and '.join(says[unit] for unit in needed)}; those of a "
+                f"{type(connections[joint].joint).__name__} do not {' and '.join(left)}."
+            )
 
 
 def _check_coordinates(

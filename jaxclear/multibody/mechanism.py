@@ -215,14 +215,16 @@ class Mechanism(AbstractQuantified):
             stabilisation=self.stabilisation,
         )
 
-    def with_load(self, name: str, load: AbstractLoad) -> "Mechanism":
-        """The mechanism under one load more, or another in place of that of this name; everything
-        else stays."""
+    def with_load(self, name: str, load: AbstractLoad | None) -> "Mechanism":
+        """The mechanism under one load more, or another in place of that of this name; with None,
+        without it. Everything else stays. Raises `ValueError` for a name that there is not."""
+        if load is None:
+            check_known("load", name, self.loads, " in this mechanism")
+            return self.with_loads({n: own for n, own in self.loads.items() if n != name})
         return self.with_loads(self.loads | {name: load})
 
     def with_loads(self, loads: Mapping[str, AbstractLoad]) -> "Mechanism":
-        """The mechanism under other loads; everything else stays. All loads but one: `{n: load for
-        n, load in mechanism.loads.items() if n != name}`."""
+        """The mechanism under other loads; everything else stays."""
         return Mechanism(
             self.bodies,
             self.connections,

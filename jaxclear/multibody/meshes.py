@@ -131,10 +131,9 @@ def mesh(
 ) -> Mesh:
     """The reading of a coupling of bodies."""
     drawn = drawn_pose(coupling, bodies, connections)
-    count = len(coupling.angles(drawn))
-    if count == 1:
-        return Mesh(coupling, drawn, (None,))
     parts = [carried(connections[name]) for name in coupling.joints()]
+    if len(coupling.angles(drawn)) == 1:
+        return Mesh(coupling, drawn, (_single(coupling, parts, topology, bodies, connections),))
     depths = [_depth(topology, part.marker.body) for part in parts]
     deepest = [depth == max(depths) for depth in depths]
     together = parts[0].inner == parts[1].inner
@@ -143,6 +142,24 @@ def mesh(
         for name, part, deep in zip(coupling.joints(), parts, deepest, strict=True)
     )
     return Mesh(coupling, drawn, counts)
+
+
+def _single(
+    coupling: AbstractBodyCoupling,
+    parts: list[Part],
+    topology: Topology,
+    bodies: dict,
+    connections: dict,
+) -> Count | None:
+    """What counts the one angle of a coupling: how the second marker turns in the first, which is
+    the child's in the parent's of one joint, or what stands still as a part turns beneath it."""
+    own = len(parts) == 1
+    if not own and parts[0].inner != parts[1].inner:
+        return None
+    found = _count(coupling.joints()[0], parts[0], topology, bodies, connections)
+    if found is None:
+        return None
+    return eqx.tree_at(lambda count: count.sign, found, 1.0 if own else -found.sign)
 
 
 def _depth(topology: Topology, body: str) -> int:

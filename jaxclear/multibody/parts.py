@@ -23,8 +23,9 @@ class Parts(dict):
             "a built Mechanism is read-only: what is changed in it now would not be checked, and "
             "its motion would not follow. Build another: mechanism.with_joint(name, joint), "
             "mechanism.with_body(name, body), mechanism.with_load(name, load), "
-            "mechanism.with_coupling(name, coupling), or "
-            'Mechanism(bodies, connections | {"N": ...}, loads, **mechanism.given).'
+            "mechanism.with_coupling(name, coupling) (None takes a load or a coupling out), or "
+            "jaxclear.Mechanism(mechanism.bodies, mechanism.connections, mechanism.loads, "
+            "couplings=mechanism.couplings, **mechanism.given | {'start': ...})."
         )
 
     __setitem__ = __delitem__ = __ior__ = _refused

@@ -241,7 +241,8 @@ def _of_saved_states(looks: Looks) -> Seen:
     told, verdict = jax.tree.map(lambda each: each[1:], (said["told"], said.get("verdict")))
     figures = {check: told[check] for check in OF_LOOKS if check in told}
     if energies is not None:
-        gains = _gains(_small_energy(system), energies, means)[1:, None]
+        small = _small_energy(system, looks.history.time[-1] - looks.history.time[0])
+        gains = _gains(small, energies, means)[1:, None]
         figures[Check.ENERGY_GAIN] = gains
         verdict = _ending({Check.ENERGY_GAIN: gains}, verdict)
     times = looks.history.time[looks.rows]
@@ -304,12 +305,13 @@ def _energies(now: Instant, formulation: AbstractFormulation) -> dict[str, Float
     return {"energies": sp.stack([kinetic, potential, stored])}
 
 
-def _small_energy(system: System) -> Any:
-    """What lifts all masses by `LEAST_LIFT` of the longest arm [J]: what is at rest has no other
-    energy to compare with."""
+def _small_energy(system: System, duration: Any) -> Any:
+    """What lifts all masses by `LEAST_LIFT` of the longest arm, or moves them by it within the
+    duration [s] of a run [J]: what is at rest has no other energy to compare with."""
     mass = sp.total(link.mass for link in system.links)
     gravity = safe_sqrt(jnp.asarray(sp.dot(system.gravity, system.gravity), float))
-    return LEAST_LIFT * mass * gravity * longest_arm(system)
+    way = LEAST_LIFT * longest_arm(system)
+    return mass * (gravity * way + 0.5 * (way / duration) ** 2)
 
 
 def _gains(small: Any, energies: Float[Array, "looks 3"], moved: bool) -> Float[Array, " looks"]:

@@ -188,7 +188,8 @@ def begun(scene: Posed) -> tuple[Rest, ByEnergy]:
     names = tuple(name for name, own in system.measured.items() if own.followed)
     angles = angles_at_start(scene.mechanism, system, names, motions)
     case = equilibrium.case_of(scene, way.side, angles, way.rounded)
-    loops, gaps = jax.eval_shape(equilibrium.restraints, case, start.coordinates)
+    # Not by `jax.eval_shape`, which hides what is zero whatever moves.
+    loops, gaps = equilibrium.restraints(case, start.coordinates)
     nothing = jnp.zeros(())
     rest = Rest(
         start.coordinates,
@@ -231,7 +232,8 @@ def linear(case: Case, measures: Measures, q: Array, closing: Array, pushing: Ar
 def _searched(case: Case, measures: Measures, q: Array) -> Search:
     """Where contacts that carry are closed and the others carry nothing, to rounding; or what is
     reached in `MOST_TURNS`."""
-    counts = jax.eval_shape(equilibrium.restraints, case, q)
+    # Not by `jax.eval_shape`, which hides what is zero whatever moves.
+    counts = equilibrium.restraints(case, q)
     rows, contacts, free = len(counts[0]), len(counts[1]), len(measures.speeds)
     play = equilibrium.play(case, measures)
     none = lambda *shape: jnp.zeros(shape)

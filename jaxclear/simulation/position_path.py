@@ -4,6 +4,7 @@ which it began.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple, NoReturn
 
 import jax
@@ -16,16 +17,19 @@ from jaxclear.formulations.quasi_static import (
     Undetermined,
     left_open,
     loop_rows,
+    open_loops,
     posed,
     standing_motion,
 )
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import compiled_quickly
+from jaxclear.ground.quantity import is_traced
 from jaxclear.multibody.assembly import nearest, ready
 from jaxclear.multibody.given import speed_scales
 from jaxclear.multibody.loops import is_length
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.start_check import HELD
 from jaxclear.multibody.system import longest_arm, prepare
 from jaxclear.simulation import least_energy
 from jaxclear.simulation.least_energy import ByEnergy, Rest
@@ -73,10 +77,41 @@ def sought(mechanism: Mechanism, held: tuple[str, ...], position: np.ndarray) ->
     """
     scene, way = _by_loops(mechanism, held, position[0])
     if way is not None:
-        return Sought(scene, way, spots_along(scene, position, way))
+        spots = spots_along(scene, position, way)
+        _check_closed(scene, position, spots.q, lambda i: way.opened(_at(spots.seats, i)))
+        return Sought(scene, way, spots)
     scene = posed(mechanism, held, loose=True)
+    if is_traced((scene, jnp.zeros(1))):
+        raise ValueError(
+            "where a mechanism rests by its energy is sought with numbers and cannot be traced: "
+            "ask a jaxclear.PositionProblem, which is differentiated and batched."
+        )
     start, by_energy = least_energy.begun(scene.at(position[0]))
-    return Sought(scene, by_energy, spots_along(scene, position, by_energy, start))
+    spots = spots_along(scene, position, by_energy, start)
+    _check_closed(scene, position, spots.q, lambda i: {})
+    return Sought(scene, by_energy, spots)
+
+
+def _at(spots: Any, i: int) -> Any:
+    return jax.tree.map(lambda x: x[i], spots)
+
+
+def _check_closed(scene: Posed, position: np.ndarray, q: Array, seats: Callable) -> None:
+    """Raises `ValueError` where positions, or couplings, contradict each other in rows of loops
+    that were not asked."""
+    found = loop_rows(*standing_motion(scene.at(position[0]), q[0], seats(0)))
+    if scene.rows is None and not any(own.fixed for own in found):
+        return
+    for i, now in enumerate(position):
+        system, motions = standing_motion(scene.at(now), q[i], seats(i))
+        left = open_loops(system, motions)
+        worst = max(left, key=lambda name: float(left[name]))
+        if float(left[worst]) > HELD * max(1.0, float(longest_arm(system))):
+            raise ValueError(
+                f'{_named(scene, now)} leaves "{worst}" open by {float(left[worst]):.3g} m (or '
+                "rad): what is held, joints and couplings contradict each other there. Leave one "
+                "of them out."
+            )
 
 
 def _by_loops(mechanism: Mechanism, held: tuple[str, ...], first: np.ndarray) -> tuple[Any, Any]:
@@ -155,7 +190,8 @@ def _slopes(scene: Posed, q: Array, way: Way) -> tuple[Array, Array]:
     rows, units = _loops(scene, q, way.opened(way.middle()))
     arm = longest_arm(prepare(scene.mechanism))
     left = lambda seats: sp.stack(left_open(scene, q, way.opened(seats)))
-    shifts = jax.jacfwd(left)(way.middle())
+    middle = way.middle()
+    shifts = jax.jacfwd(left)(middle) if jax.tree.leaves(middle) else middle
     sizes = {
         n: jnp.stack([arm if k < 3 else jnp.ones(()) for k in x])
         for n, x in way.moving.items()

@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxclear.components.body import Connection, Marker
 from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.coupling import AbstractBodyCoupling
 from jaxclear.formulations import CompliantContact, model_of
 from jaxclear.formulations.unique_reactions import ReactionNotUnique
 from jaxclear.ground import sparse as sp
@@ -117,6 +118,9 @@ def _pressed(
 
 def _put(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
     """(mechanism, its start) with every journal in its seat."""
+    if any(isinstance(own, AbstractBodyCoupling) for own in mechanism.couplings.values()):
+        # A journal in its seat by a bearing that is moved would mesh elsewhere.
+        return _at_rest_together(first, mechanism, read)
     system = prepare(mechanism)
     connections = dict(mechanism.connections)
     with warnings.catch_warnings(record=True) as doubts:

@@ -282,6 +282,21 @@ def test_a_planet_rolls_on_a_wheel_that_is_fixed():
     assert "mesh.transmitted" in run.to_dataset()
 
 
+def test_a_seated_bearing_holds_what_the_teeth_press():
+    rig = jc.Mechanism(
+        {"a": jc.Body(0.3, J_A), "b": jc.Body(1.0, J_B)},
+        {
+            "A": jc.Connection(TURN, "ground", "a"),
+            "B": jc.Connection(JOURNAL, jc.Marker("ground", (R_A + R_B, 0.0)), jc.Marker("b")),
+        },
+        {"m": jc.load.JointTorque("A", DRIVING), "l": jc.load.JointTorque("B", DRIVING * RATIO)},
+        couplings={"mesh": jc.coupling.Gear("A", "B", RATIO, pressure_angle=-TEETH)},
+    )
+    run = jc.simulate(rig, 1e-5, save=2, state=jc.seated(rig))
+    pressed = DRIVING / (R_A * np.cos(TEETH))
+    np.testing.assert_allclose(np.linalg.norm(run.contact("B").force[0]), pressed, rtol=0.02)
+
+
 def test_derivatives_pass_through_gears():
     def end(ratio):
         rig = pair(jc.coupling.Gear("A", "B", ratio, pressure_angle=TEETH))
@@ -361,6 +376,30 @@ def test_every_coupling_of_bodies_is_tried():
     assert tried == set(AbstractBodyCoupling.__subclasses__())
 
 
+def rack_along_its_pinion():
+    slide = jc.Connection(jc.joint.Prismatic(), "ground", "b", axis="z")
+    return {
+        "bodies": {"a": jc.Body(0.3, (J_A,) * 3), "b": jc.Body(1.0, (J_B,) * 3)},
+        "connections": {"A": jc.Connection(TURN, "ground", "a"), "B": slide},
+        "couplings": {"mesh": jc.coupling.Rack("A", "B", 0.02)},
+    }
+
+
+@pytest.mark.parametrize("turns", [0.6, 7.0, -9.5])
+def test_a_rack_counts_the_turns_that_its_pinion_starts_with(turns):
+    across = jc.Marker("ground", (0.0, -0.02, 0.0), axis="x")
+    rig = jc.Mechanism(
+        {"a": jc.Body(0.3, (J_A,) * 3), "b": jc.Body(1.0, (J_B,) * 3)},
+        {
+            "A": jc.Connection(TURN, "ground", "a"),
+            "B": jc.Connection(jc.joint.Prismatic(), across, jc.Marker("b", axis="x")),
+        },
+        couplings={"mesh": jc.coupling.Rack("A", "B", 0.02)},
+        start={"A": turns},
+    )
+    np.testing.assert_allclose(jc.assemble(rig).coordinates, [turns, 0.02 * turns], rtol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("build", "said"),
     [
@@ -372,7 +411,8 @@ def test_every_coupling_of_bodies_is_tried():
         (lambda: pair(jc.coupling.Gear("A", "B", 1.0, internal=True)), "one axis"),
         (lambda: pair(jc.coupling.Gear("A", "B", 2.0), distance=0.0), "wheels on one axis"),
         (lambda: pair(jc.coupling.Gear("A", "B", 2.0), axes=("z", "y")), "not parallel"),
-        (lambda: pair(jc.coupling.Rack("A", "B", 0.02)), "does not lie across"),
+        (lambda: pair(jc.coupling.Rack("A", "B", 0.02)), "whose parts slide"),
+        (lambda: jc.Mechanism(**rack_along_its_pinion()), "does not lie across"),
         (lambda: press().with_coupling("x", jc.coupling.Gear("slide", "guide", 2.0)), "to itself"),
     ],
 )

@@ -94,3 +94,24 @@ def test_a_batch_keeps_the_figures_of_every_sample():
     assert found.outcome.tolist() == [0, jc.integrator.Outcome.LOOP_TORN]
     assert found.ended[1] == times[1]
     np.testing.assert_array_equal(found.states[1, 1], found.states[1, 2])
+
+
+@pytest.mark.parametrize("integrator", [jc.integrator.Adaptive(), jc.integrator.FixedStep(1e-4)])
+def test_what_rests_without_loads_gains_no_energy(integrator):
+    """Loops that are closed to rounding move by rounding, which is no energy."""
+    turn = jc.joint.Revolute()
+    pin = jc.Marker("rod", (0.12, 0.0)), jc.Marker("rocker", (0.1, 0.0))
+    rig = jc.Mechanism(
+        {"crank": jc.Body(0.3, 1e-4), "rod": jc.Body(0.2, 3e-4), "rocker": jc.Body(0.3, 2e-4)},
+        {
+            "O": jc.Connection(turn, "ground", "crank"),
+            "A": jc.Connection(turn, "crank", "rod", at=(0.05, 0.0)),
+            "B": jc.Connection(
+                turn, jc.Marker("rod", (0.12, 0.0)), jc.Marker("rocker", (0.1, 0.0))
+            ),
+            "D": jc.Connection(turn, jc.Marker("ground", (0.13, 0.0)), jc.Marker("rocker")),
+        },
+        start={"O": 0.6},
+    )
+    run = jc.simulate(rig, 0.1, save=11, integrator=integrator)
+    assert run.succeeded and not run.warnings

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import brentq, minimize
+from scipy.optimize import brentq, minimize, minimize_scalar
 
 import jaxclear as jc
 from jaxclear.formulations.quasi_static import posed
@@ -503,3 +503,31 @@ def test_a_shaft_leans_in_a_long_bearing_and_stands_on_its_collar():
     # It may turn about its axis, wherever its weight leans it.
     assert any('body "shaft" moves freely' in said for said in stands.warnings)
     assert seat[2] < -0.5 * 0.1e-3
+
+
+def test_a_slider_crank_that_a_joint_closes_rests_where_its_energy_is_least():
+    turn = jc.joint.Revolute()
+    rig = jc.Mechanism(
+        {
+            "crank": jc.Body(0.1, 1e-4, com=(0.02, 0.0)),
+            "rod": jc.Body(0.1, 1e-4, com=(0.05, 0.0)),
+            "slider": jc.Body(0.2, 1e-4),
+        },
+        {
+            "O": jc.Connection(turn, "ground", "crank"),
+            "A": jc.Connection(turn, "crank", "rod", at=(0.04, 0.0)),
+            "B": jc.Connection(turn, "rod", "slider", at=(0.1, 0.0)),
+            "G": jc.Connection(jc.joint.Prismatic(), "ground", "slider", axis="x"),
+        },
+        {"spring": jc.load.JointSpring("O", 3.0, 0.5), "weight": jc.load.Gravity((0.0, -9.81))},
+        guess={"O": 0.4, "A": -0.6},
+    )
+
+    def energy(turned):
+        height = 0.04 * np.sin(turned)
+        weights = 0.1 * 0.5 * height + 0.1 * (height - 0.05 * height / 0.1)
+        return 1.5 * (turned - 0.5) ** 2 + 9.81 * weights
+
+    least = minimize_scalar(energy, bounds=(-0.5, 1.2), options={"xatol": 1e-10})
+    found = jc.positions(rig, {}).coordinate("O")[0, 0]
+    np.testing.assert_allclose(found, least.x, atol=1e-7)
