@@ -100,7 +100,6 @@ def test_a_batch_keeps_the_figures_of_every_sample():
 def test_what_rests_without_loads_gains_no_energy(integrator):
     """Loops that are closed to rounding move by rounding, which is no energy."""
     turn = jc.joint.Revolute()
-    pin = jc.Marker("rod", (0.12, 0.0)), jc.Marker("rocker", (0.1, 0.0))
     rig = jc.Mechanism(
         {"crank": jc.Body(0.3, 1e-4), "rod": jc.Body(0.2, 3e-4), "rocker": jc.Body(0.3, 2e-4)},
         {
