@@ -107,8 +107,8 @@ def told_for_start(
                 f'nothing else holds body "{body}" out of it (rows {listed(lost)}); take a joint '
                 "that acts in space, such as a JournalBearing with a flange."
             )
-    told = {*given["start"], *guess}
-    if name not in told and not afloat & told:
+    # A home counts where nothing else is guessed, as it did while the tree carried the joint.
+    if not guess and name not in given["start"] and not afloat & {*given["start"]}:
         guess[name] = form.home
     if afloat and name not in speeds and not afloat & {*speeds}:
         speeds[name] = (0.0,) * len(form.columns(form.home))
