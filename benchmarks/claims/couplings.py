@@ -13,12 +13,11 @@ import jax.numpy as jnp
 import jaxclear as jc
 from benchmarks.measure import arguments, report, side_by_side, sign
 from jaxclear.simulation.simulate import run
+from tests.rigs.planetary import PLANET, RING, SUN, planetary
 
 STEP, SAVES = 1e-4, 11
 TURN = jc.joint.Revolute()
 R_A, R_B, J_A, J_B = 0.02, 0.06, 1e-4, 2e-3
-SUN, PLANET = 0.03, 0.015
-RING = SUN + 2 * PLANET
 TEETH = 0.35
 
 
@@ -36,24 +35,6 @@ def shafts(couplings: dict, alone: bool = False) -> jc.Mechanism:
             {"pinion": bodies["pinion"]}, {"A": connections["A"]}, loads | {"wheel": rotor}
         )
     return jc.Mechanism(bodies, connections, loads, couplings=couplings)
-
-
-def planetary(couplings: dict) -> jc.Mechanism:
-    """Sun, ring, carrier and one planet."""
-    inertias = {"sun": 1e-4, "ring": 4e-4, "carrier": 3e-4, "planet": 2e-5}
-    return jc.Mechanism(
-        {name: jc.Body(0.2, inertia) for name, inertia in inertias.items()},
-        {
-            "S": jc.Connection(TURN, "ground", "sun"),
-            "R": jc.Connection(TURN, "ground", "ring"),
-            "C": jc.Connection(TURN, "ground", "carrier"),
-            "P": jc.Connection(
-                TURN, jc.Marker("carrier", (SUN + PLANET, 0.0)), jc.Marker("planet")
-            ),
-        },
-        {"m": jc.load.JointTorque("S", 1.0), "l": jc.load.JointTorque("C", -0.5)},
-        couplings=couplings,
-    )
 
 
 def press(couplings: dict) -> jc.Mechanism:

@@ -32,7 +32,7 @@ from jaxclear.formulations.quasi_static import (
     unheld,
 )
 from jaxclear.ground import sparse as sp
-from jaxclear.multibody import closure_coordinates, contact_point, kinematics, loops
+from jaxclear.multibody import closure_coordinates, constraints, contact_point, kinematics
 from jaxclear.multibody.forces import add_action_and_reaction
 from jaxclear.multibody.given import speed_scales
 from jaxclear.multibody.start_equations import retract
@@ -185,11 +185,8 @@ def measures_of(case: Case, q: Array) -> Measures:
     arm = jax.lax.stop_gradient(longest_arm(system))
     speeds = speed_scales(system, arm)
     motions = _motions(system, q)[2]
-    units = [
-        arm if loops.is_length(closure.rows[i]) else jnp.ones(())
-        for closure, own in zip(system.closures, loop_rows(system, motions), strict=True)
-        for i in own.kept
-    ]
+    each = zip(system.closures, loop_rows(system, motions), strict=True)
+    units = [x for closure, own in each for x in constraints.measures(closure, own, arm)]
     rooms = _rooms(case)
     # There, and a play away along every freedom; a radian where there is none.
     play = jnp.max(rooms, initial=0.0, where=rooms > 0) / arm if len(rooms) else 1.0

@@ -4,7 +4,7 @@ contact."""
 from jaxclear.components.body import Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint
-from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism, rebuilt
 
 
 def fit(mechanism: Mechanism) -> Mechanism:
@@ -22,14 +22,7 @@ def fit(mechanism: Mechanism) -> Mechanism:
         if name in mechanism.topology.clearances:
             joint = permanent_joint(name, joint)
         connections[name] = Connection(joint, connection.parent, connection.child)
-    return Mechanism(
-        mechanism.bodies,
-        connections,
-        mechanism.loads,
-        couplings=mechanism.couplings,
-        **mechanism.given,
-        stabilisation=mechanism.stabilisation,
-    )
+    return rebuilt(mechanism, connections=connections)
 
 
 def permanent_joint(name: str, joint: AbstractClearance) -> AbstractJoint:

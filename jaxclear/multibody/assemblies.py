@@ -16,7 +16,7 @@ from jaxclear.ground.wording import listed
 from jaxclear.multibody import assembly_modes, start_check
 from jaxclear.multibody.assembly import FirstFound, first_found
 from jaxclear.multibody.assembly_modes import Mode
-from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.topology import joint_of
 from jaxclear.multibody.turned_round import at_start
 
@@ -144,14 +144,8 @@ def _modes(mechanism: Mechanism, first: FirstFound, samples: int) -> list[Mode]:
         return first.modes(samples)
     given = mechanism.given
     homes = as_guess(mechanism, _homes(mechanism))
-    whole = Mechanism(
-        mechanism.bodies,
-        mechanism.connections,
-        mechanism.loads,
-        couplings=mechanism.couplings,
-        **given | {"guess": homes | {n: x for n, x in given["guess"].items() if n in homes}},
-        stabilisation=mechanism.stabilisation,
-    )
+    guessed = {n: x for n, x in given["guess"].items() if n in homes}
+    whole = rebuilt(mechanism, guess=homes | guessed)
     at_homes = first_found(whole, first.concentric)
     found = at_homes.modes(samples)
     if given["guess"]:

@@ -62,6 +62,12 @@ class ClosureEquations(NamedTuple):
     dependence: Dependence | None
 
 
+def measures(closure: Closure, found: ConstraintRows, arm: Any) -> list:
+    """What counts as much as a radian in each row that is kept: of lengths the longest `arm`
+    [m]."""
+    return [arm if loops.is_length(closure.rows[i]) else 1.0 for i in found.kept]
+
+
 def dependence(system: System, found: list[ConstraintRows]) -> Dependence | None:
     """How the rows of all closures depend on each other."""
     redundancy = system.topology.redundancy

@@ -9,6 +9,7 @@ from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.meshes import drawn_pose, markers
 from jaxclear.multibody.topology import Topology, coordinate_joint
+from jaxclear.multibody.validation import one_coordinate
 
 __all__ = ["check_couplings"]
 
@@ -63,17 +64,7 @@ def _check_coordinates(
     an angle outside the tree."""
     driven, uncounted = [], []
     for place in coupling.joints():
-        try:
-            joint = coordinate_joint(place, bodies, connections)
-        except ValueError as error:
-            raise ValueError(
-                f'coupling "{name}" speaks of joint "{place}", which {error}'
-            ) from None
-        if len(joint.home) != 1:
-            raise ValueError(
-                f'coupling "{name}" speaks of the coordinate of joint "{place}", which must have '
-                f"one, of turning or sliding; it has {len(joint.home)}."
-            )
+        joint = one_coordinate(f'coupling "{name}" speaks of', place, bodies, connections)
         driven += [place] if drive_of(joint) is not None else []
         outside = topology.branch_of(place) is None
         uncounted += [place] if outside and joint.units == ("rad",) else []

@@ -191,14 +191,7 @@ class Mechanism(AbstractQuantified):
             start = {
                 what: {n: x for n, x in own.items() if n != name} for what, own in start.items()
             }
-        return Mechanism(
-            self.bodies,
-            connections,
-            loads,
-            couplings=self.couplings,
-            **start,
-            stabilisation=self.stabilisation,
-        )
+        return rebuilt(self, connections=connections, loads=loads, **start)
 
     def with_body(self, name: str, body: Body) -> "Mechanism":
         """The mechanism with another body in place of one, such as one of another mass; its joints
@@ -206,14 +199,7 @@ class Mechanism(AbstractQuantified):
         body needs a connection too, so give both to `Mechanism`."""
         check_known("body", name, self.bodies, " in this mechanism")
         expect(body, Body, f'what is put in place of "{name}"', "a jaxclear.Body")
-        return Mechanism(
-            self.bodies | {name: body},
-            self.connections,
-            self.loads,
-            couplings=self.couplings,
-            **self.given,
-            stabilisation=self.stabilisation,
-        )
+        return rebuilt(self, bodies=self.bodies | {name: body})
 
     def with_load(self, name: str, load: AbstractLoad | None) -> "Mechanism":
         """The mechanism under one load more, or another in place of that of this name; with None,
@@ -225,14 +211,7 @@ class Mechanism(AbstractQuantified):
 
     def with_loads(self, loads: Mapping[str, AbstractLoad]) -> "Mechanism":
         """The mechanism under other loads; everything else stays."""
-        return Mechanism(
-            self.bodies,
-            self.connections,
-            loads,
-            couplings=self.couplings,
-            **self.given,
-            stabilisation=self.stabilisation,
-        )
+        return rebuilt(self, loads=loads)
 
     def with_coupling(self, name: str, coupling: AbstractCoupling | None) -> "Mechanism":
         """The mechanism with a coupling more, or another in the place of the one of this name; with
@@ -245,14 +224,7 @@ class Mechanism(AbstractQuantified):
             del couplings[name]
         else:
             couplings[name] = coupling
-        return Mechanism(
-            self.bodies,
-            self.connections,
-            self.loads,
-            couplings=couplings,
-            **self.given,
-            stabilisation=self.stabilisation,
-        )
+        return rebuilt(self, couplings=couplings)
 
     def parameters(self) -> Any:
         """All numbers of the mechanism with unit and meaning, as a pandas table."""
@@ -289,6 +261,16 @@ def _unshared(parts: tuple[dict[str, Any], ...]) -> tuple[Parts, ...]:
         return part if kept else jax.tree.unflatten(jax.tree.structure(part), new)
 
     return tuple(Parts((name, told_apart(part)) for name, part in one.items()) for one in parts)
+
+
+# Arguments of a mechanism beside what is given for its start.
+PARTS = ("bodies", "connections", "loads", "couplings", "stabilisation")
+
+
+def rebuilt(mechanism: Mechanism, **changed: Any) -> Mechanism:
+    """The mechanism built anew, by these of its arguments in the place of its own."""
+    own = {part: getattr(mechanism, part) for part in PARTS}
+    return Mechanism(**own | mechanism.given | changed)
 
 
 def ungiven(mechanism: Mechanism) -> Mechanism:

@@ -15,7 +15,7 @@ from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.least_change import Change, least_change, of_rank
 from jaxclear.multibody import constraints, given, kinematics
-from jaxclear.multibody.loops import Closure, is_length
+from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, prepare
@@ -313,13 +313,12 @@ def _closure_block(
     asked: Ask, motions: tuple[Motion, ...], name: str, closure: Closure, kind: str, rates: bool
 ) -> Block:
     found = constraints.constraint_rows(asked.system, motions, closure)
-    measure = [asked.arm if is_length(closure.rows[i]) else 1.0 for i in found.kept]
     return Block(
         kind,
         name,
         sp.stack(found.rates if rates else found.residuals),
         _dense(asked, found.jacobian),
-        sp.stack(measure),
+        sp.stack(constraints.measures(closure, found, asked.arm)),
         sp.stack(() if rates else tuple(found.fixed.values())),
     )
 

@@ -97,23 +97,33 @@ def _check_load(name: str, load: Any, bodies: dict, connections: dict) -> None:
             _check_body(f'load "{name}" acts on', marker.body, bodies)
     if isinstance(load, AbstractCoordinateLoad):
         check_known(f'joint for load "{name}" to act on', load.connection, connections)
-        try:
-            joint = coordinate_joint(load.connection, bodies, connections)
-        except ValueError as error:
-            raise ValueError(
-                f'load "{name}" acts on joint "{load.connection}", which {error}'
-            ) from None
-        if len(joint.home) != 1:
-            raise ValueError(
-                f'load "{name}" acts on the coordinate of joint "{load.connection}", which must '
-                f"have one, of turning or sliding; it has {len(joint.home)}. Put the load on "
-                "markers (jaxclear.load.Torque) or on another joint."
-            )
+        joint = one_coordinate(
+            f'load "{name}" acts on',
+            load.connection,
+            bodies,
+            connections,
+            " Put the load on markers (jaxclear.load.Torque) or on another joint.",
+        )
         if drive_of(joint) is not None:
             raise ValueError(
                 f'load "{name}" acts on joint "{load.connection}", whose coordinate is driven; put '
                 "the load on markers (jaxclear.load.Torque) or on another joint."
             )
+
+
+def one_coordinate(what: str, name: str, bodies: dict, connections: dict, else_: str = "") -> Any:
+    """The joint `name` as its coordinate is read. Raises `ValueError` where it has not exactly one:
+    `what` says who asks, `else_` what would be right."""
+    try:
+        joint = coordinate_joint(name, bodies, connections)
+    except ValueError as error:
+        raise ValueError(f'{what} joint "{name}", which {error}') from None
+    if len(joint.home) != 1:
+        raise ValueError(
+            f'{what} the coordinate of joint "{name}", which must have one, of turning or sliding; '
+            f"it has {len(joint.home)}.{else_}"
+        )
+    return joint
 
 
 def _check_body(what: str, body: str, bodies: dict) -> None:

@@ -182,9 +182,9 @@ def begun(scene: Posed) -> tuple[Rest, ByEnergy]:
         # is refused, by name, where nothing is found from there.
         start = nearest(scene.mechanism, False).start
     way = ByEnergy(equilibrium.rounded(scene.mechanism), jnp.ones(()))
-    system = ask(scene.mechanism, False).system
-    still = jnp.zeros(system.topology.speed_count)
-    motions = motions_at(ask(scene.mechanism, False), start.coordinates, still, 0.0)[2]
+    asked = ask(scene.mechanism, False)
+    system, still = asked.system, jnp.zeros(asked.system.topology.speed_count)
+    motions = motions_at(asked, start.coordinates, still, 0.0)[2]
     names = tuple(name for name, own in system.measured.items() if own.followed)
     angles = angles_at_start(scene.mechanism, system, names, motions)
     case = equilibrium.case_of(scene, way.side, angles, way.rounded)

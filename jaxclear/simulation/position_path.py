@@ -25,9 +25,9 @@ from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.quantity import is_traced
+from jaxclear.multibody import constraints
 from jaxclear.multibody.assembly import nearest, ready
 from jaxclear.multibody.given import speed_scales
-from jaxclear.multibody.loops import is_length
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.start_check import HELD
 from jaxclear.multibody.system import longest_arm, prepare
@@ -177,8 +177,8 @@ def _loops(scene: Posed, q: Array, seats: dict[str, tuple]) -> tuple[Array, Arra
     system, motions = standing_motion(scene, q, seats)
     found, count, arm = loop_rows(system, motions), system.topology.speed_count, longest_arm(system)
     rows = tuple(tuple(x.get(j, 0) for j in range(count)) for own in found for x in own.jacobian)
-    names = zip(system.closures, found, strict=True)
-    units = [arm if is_length(c.rows[i]) else jnp.ones(()) for c, own in names for i in own.kept]
+    each = zip(system.closures, found, strict=True)
+    units = [x for closure, own in each for x in constraints.measures(closure, own, arm)]
     dense = factorisation.to_array(rows).reshape(len(rows), count)
     return dense * speed_scales(system, arm), sp.stack(units)
 

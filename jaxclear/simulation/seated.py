@@ -23,7 +23,7 @@ from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators import NonColliding
 from jaxclear.multibody.assembly import ready, ready_from
 from jaxclear.multibody.magnitudes import UnusualMagnitude
-from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.state import names
 from jaxclear.multibody.system import System, prepare, readings
 from jaxclear.multibody.worn_laws import laws_now
@@ -132,14 +132,7 @@ def _put(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
     with warnings.catch_warnings():
         # Its numbers have been looked at; where a journal lies is no length of a link.
         warnings.simplefilter("ignore", UnusualMagnitude)
-        put = Mechanism(
-            mechanism.bodies,
-            connections,
-            mechanism.loads,
-            couplings=mechanism.couplings,
-            **mechanism.given,
-            stabilisation=mechanism.stabilisation,
-        )
+        put = rebuilt(mechanism, connections=connections)
     try:
         known, start = ready(put)[:2]
     except ValueError:

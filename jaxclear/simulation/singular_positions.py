@@ -33,6 +33,7 @@ from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.start_equations import (
     LOOP,
     Ask,
+    Block,
     ask,
     motions_at,
     nearer,
@@ -115,6 +116,10 @@ def diagnosed_outcome(trajectory: Trajectory) -> Int[Array, ""]:
     return jnp.where(early & ~closable, Outcome.DEAD_POINT, outcome)
 
 
+def _loops(asked: Ask, q: Array, time: Any) -> list[Block]:
+    return [block for block in position_blocks(asked, q, time) if block.kind == LOOP]
+
+
 @eqx.filter_jit
 def _closable(
     mechanism: Mechanism, q: Float[Array, " q"], start: Any, stop: Any, asked_for: Bool[Array, ""]
@@ -123,9 +128,6 @@ def _closable(
     [s]; true without a look where that is not asked for."""
     asked = ask(mechanism, False)
 
-    def loops(q, time):
-        return [block for block in position_blocks(asked, q, time) if block.kind == LOOP]
-
     def goes_on(carry):
         done, _, closed = carry
         return (done < INSTANTS) & closed & asked_for
@@ -133,8 +135,10 @@ def _closable(
     def follow(carry):
         done, q, _ = carry
         time = start + (stop - start) * done / (INSTANTS - 1)
-        q = jax.lax.fori_loop(0, ITERATIONS, lambda _, q: nearer(asked, q, loops(q, time)), q)
-        left = jnp.max(jnp.abs(stacked(asked, loops(q, time))[1]))
+        q = jax.lax.fori_loop(
+            0, ITERATIONS, lambda _, q: nearer(asked, q, _loops(asked, q, time)), q
+        )
+        left = jnp.max(jnp.abs(stacked(asked, _loops(asked, q, time))[1]))
         return done + 1, q, left <= CLOSED * jnp.minimum(asked.arm, 1.0)
 
     return jax.lax.while_loop(goes_on, follow, (jnp.asarray(0), q, jnp.asarray(True)))[2]
@@ -178,14 +182,13 @@ def _carried_on(
     asked = ask(mechanism, False)
     scales = speed_scales(asked)
 
-    def loops(q, time):
-        return [block for block in position_blocks(asked, q, time) if block.kind == LOOP]
-
     def follow(q, ahead):
         time, length = ahead
         q = retract(asked.system, q, length * v)
-        q = jax.lax.fori_loop(0, FEW_ITERATIONS, lambda _, q: settled(asked, q, loops(q, time)), q)
-        blocks = loops(q, time)
+        q = jax.lax.fori_loop(
+            0, FEW_ITERATIONS, lambda _, q: settled(asked, q, _loops(asked, q, time)), q
+        )
+        blocks = _loops(asked, q, time)
         rows, left = stacked(asked, blocks)
         measure = jnp.concatenate([block.measure for block in blocks])
         rows = rows * scales / measure[:, None]
@@ -195,7 +198,7 @@ def _carried_on(
 
     lengths = jnp.diff(times, prepend=times[:1])
     rows, closed = jax.lax.scan(follow, q, (times, lengths))[1]
-    sizes = [len(block.left) for block in loops(q, times[0])]
+    sizes = [len(block.left) for block in _loops(asked, q, times[0])]
     return rows, closed, jnp.asarray(np.repeat(np.arange(len(sizes)), sizes))
 
 
@@ -215,8 +218,8 @@ def _rows_of(asked: Ask, q: Array, time: Any) -> _Rows:
     entries, left, closures = [], [], []
     for k, closure in enumerate(system.closures):
         found = constraints.constraint_rows(system, motions, closure)
-        for i, row, residual in zip(found.kept, found.jacobian, found.residuals, strict=True):
-            measure = asked.arm if len(closure.rows[i]) == 1 else 1.0
+        counts = constraints.measures(closure, found, asked.arm)
+        for measure, row, residual in zip(counts, found.jacobian, found.residuals, strict=True):
             entries.append({j: x * scales[j] / measure for j, x in row.items()})
             left.append(jnp.asarray(residual / measure, float))
             closures.append(k)

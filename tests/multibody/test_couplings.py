@@ -13,6 +13,8 @@ from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import prepare
 from tests.extension.test_coupling import PlanetMesh
+from tests.rigs.planetary import PLANET, RING, SUN
+from tests.rigs.planetary import planetary as tied
 
 TURN = jc.joint.Revolute()
 J_PINION, J_WHEEL, R_PINION, R_WHEEL = 1e-4, 2e-3, 0.02, 0.06
@@ -79,34 +81,15 @@ def test_a_gear_pair_turns_as_its_formula():
     assert run.warnings == ()
 
 
-def planetary(sun=0.03, planet=0.015):
-    """A planetary set of sun, ring, carrier and one planet, its two meshes as ratios as seen from
-    the carrier."""
-    ring = sun + 2 * planet
-    return jc.Mechanism(
-        {
-            "sun": jc.Body(0.2, 1e-4),
-            "ring": jc.Body(0.4, 4e-4),
-            "carrier": jc.Body(0.3, 3e-4),
-            "planet": jc.Body(0.1, 2e-5),
-        },
-        {
-            "S": jc.Connection(TURN, "ground", "sun"),
-            "R": jc.Connection(TURN, "ground", "ring"),
-            "C": jc.Connection(TURN, "ground", "carrier"),
-            "P": jc.Connection(
-                TURN, jc.Marker("carrier", (sun + planet, 0.0)), jc.Marker("planet")
-            ),
-        },
-        {"m": jc.load.JointTorque("S", 1.0), "l": jc.load.JointTorque("C", -0.5)},
-        couplings={"willis": jc.coupling.Differential("R", "S", "C", sun / ring)},
-    )
+def planetary():
+    """With its two meshes as ratios as seen from the carrier."""
+    return tied({"willis": jc.coupling.Differential("R", "S", "C", SUN / RING)})
 
 
 def test_a_planetary_set_turns_as_willis_says():
-    sun, planet = 0.03, 0.015
+    sun, planet = SUN, PLANET
     ring = sun + 2 * planet
-    base = planetary(sun, planet)
+    base = planetary()
     rig = base.with_coupling("willis", None)
     rig = rig.with_coupling("inner", PlanetMesh("S", "C", "P", sun, planet))
     rig = rig.with_coupling("outer", PlanetMesh("R", "C", "P", -ring, planet))

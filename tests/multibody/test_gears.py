@@ -11,6 +11,8 @@ import jaxclear as jc
 from jaxclear.components.coupling import AbstractBodyCoupling
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import Pose
+from tests.rigs.planetary import PLANET, RING, SUN
+from tests.rigs.planetary import planetary as tied
 
 TURN = jc.joint.Revolute()
 J_A, J_B, R_A, R_B = 1e-4, 2e-3, 0.02, 0.06
@@ -98,31 +100,12 @@ def test_a_bearing_carries_the_force_of_the_teeth():
         np.testing.assert_allclose(run.reaction("mesh").force, load, rtol=1e-9, atol=1e-9)
 
 
-def planetary(sun=0.03, planet=0.015, teeth=None):
-    """Sun, ring and carrier on the ground, one planet on the carrier that meshes with both."""
-    ring = sun + 2 * planet
+def planetary(teeth=None):
+    """With one planet that meshes with sun and ring."""
     gear = jc.coupling.Gear
-    return jc.Mechanism(
-        {
-            "sun": jc.Body(0.2, 1e-4),
-            "ring": jc.Body(0.4, 4e-4),
-            "carrier": jc.Body(0.3, 3e-4),
-            "planet": jc.Body(0.1, 2e-5),
-        },
-        {
-            "S": jc.Connection(TURN, "ground", "sun"),
-            "R": jc.Connection(TURN, "ground", "ring"),
-            "C": jc.Connection(TURN, "ground", "carrier"),
-            "P": jc.Connection(
-                TURN, jc.Marker("carrier", (sun + planet, 0.0)), jc.Marker("planet")
-            ),
-        },
-        {"m": jc.load.JointTorque("S", 1.0), "l": jc.load.JointTorque("C", -0.5)},
-        couplings={
-            "inner": gear("S", "P", planet / sun, pressure_angle=teeth),
-            "outer": gear("P", "R", ring / planet, internal=True, pressure_angle=teeth),
-        },
-    )
+    inner = gear("S", "P", PLANET / SUN, pressure_angle=teeth)
+    outer = gear("P", "R", RING / PLANET, internal=True, pressure_angle=teeth)
+    return tied({"inner": inner, "outer": outer})
 
 
 @pytest.mark.parametrize("teeth", [None, TEETH])
