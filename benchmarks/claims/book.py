@@ -11,21 +11,18 @@ and a cell of a table are paragraphs as any other; programs and their output are
 
 import argparse
 import ast
-import importlib
 import inspect
 import json
 import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 from markdown_it.renderer import RendererHTML
 from myst_parser.config.main import MdParserConfig
 from myst_parser.parsers.mdit import create_md_parser
 
-import jaxclear
 from benchmarks.measure import report, sign
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -212,25 +209,10 @@ def other_signatures() -> list[str]:
     return found
 
 
-def public() -> dict[str, Any]:
-    """Every class and function that a user reaches from `jaxclear`, by its shortest path."""
-    found: dict[str, Any] = {}
-    left = [("jaxclear", jaxclear), ("jaxclear.plot", importlib.import_module("jaxclear.plot"))]
-    while left:
-        path, place = left.pop(0)
-        for name in place.__all__:
-            value = getattr(place, name)
-            if isinstance(value, ModuleType):
-                left.append((f"{path}.{name}", value))
-            elif callable(value) and not any(value is other for other in found.values()):
-                found[f"{path}.{name}"] = value
-    return found
-
-
 def on_no_page() -> list[str]:
     """Public names that no page of the API describes."""
-    described = [entry.value for entry in entries().values()]
-    return [path for path, value in public().items() if not any(value is d for d in described)]
+    described = {id(entry.value) for entry in entries().values()}
+    return [path for key, (path, _) in reference.public().items() if key not in described]
 
 
 def page_rows() -> list[dict[str, Any]]:
