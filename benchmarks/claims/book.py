@@ -50,6 +50,7 @@ BOXES = {
     "hint",
     "dropdown",
     "details",
+    "fold",
     "seealso",
 }
 BOX = re.compile(r"\{(\w+)\}")
@@ -108,16 +109,17 @@ def paragraphs(source: str) -> Iterator[Paragraph]:
 
 def _shown(children: list[Any]) -> str:
     """What is read of a paragraph; a formula is one word."""
-    said = {"softbreak": " ", "hardbreak": " "}
-    plain = ("text", "code_inline", "myst_role")
-    return "".join(
-        token.content
-        if token.type in plain
-        else "x"
-        if token.type.startswith("math")
-        else said.get(token.type, "")
-        for token in children
-    )
+    text = ""
+    for token in children:
+        if token.type in ("text", "code_inline"):
+            text += token.content
+        elif token.type == "myst_role":
+            text += token.content.split("<")[0]
+        elif token.type in ("softbreak", "hardbreak"):
+            text += " "
+        elif token.type.startswith("math"):
+            text += "x"
+    return text
 
 
 def _terms(children: list[Any], bold: bool) -> list[str]:
