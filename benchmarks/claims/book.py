@@ -55,7 +55,6 @@ BOXES = {
 }
 BOX = re.compile(r"\{(\w+)\}")
 OPTION = re.compile(r"\A(?::[\w-]+:[^\n]*\n|\s*\n)+")
-REFERENCE = re.compile(r"^```\{reference\} (\S+) ?(.*)$", re.MULTILINE)
 # What Python writes of a warning: where, its class, its text.
 WARNED = re.compile(r"^\S+:\d+: (\w+): (.*)$", re.MULTILINE)
 SELF = {"self", "cls"}
@@ -168,7 +167,7 @@ def entries() -> dict[str, Entry]:
     """Every class, function and method that the pages of the API describe."""
     found = {}
     for name, source in pages().items():
-        for path, asked in REFERENCE.findall(source) if name.startswith("api/") else ():
+        for path, asked in reference.ASKED.findall(source) if name.startswith("api/") else ():
             module = reference.module_at(path)
             for word in asked.split() or reference.public_names(module):
                 value = getattr(module, word)
@@ -223,7 +222,7 @@ def page_rows() -> list[dict[str, Any]]:
     rows = []
     for name, source in pages().items():
         read = list(paragraphs(source))
-        for path, asked in REFERENCE.findall(source):
+        for path, asked in reference.ASKED.findall(source):
             module = reference.module_at(path)
             for word in asked.split() or reference.public_names(module):
                 lines = reference.described(f"{path}.{word}", getattr(module, word))

@@ -5,6 +5,7 @@ is built. MathML needs neither. docutils, which Sphinx stands on, brings the tra
 """
 
 import re
+from html import unescape
 from xml.etree import ElementTree
 
 from docutils import nodes
@@ -15,6 +16,8 @@ from sphinx.util import logging
 LOG = logging.getLogger(__name__)
 # docutils does not know these; they mean the same.
 SHORT_FRACTION = re.compile(r"\\frac\s*(\d)(\d)")
+# Those of HTML, such as &nbsp;, which XML does not know.
+ENTITY = re.compile(r"&(?!(?:lt|gt|amp|quot|apos);)\w+;")
 MATHML = "http://www.w3.org/1998/Math/MathML"
 ElementTree.register_namespace("", MATHML)
 SYNONYMS = {r"\operatorname*": r"\operatorname", r"\tfrac": r"\frac", r"\dfrac": r"\frac"}
@@ -35,7 +38,7 @@ def beside(formula: str) -> str:
     """A formula whose subscripts stand beside the letters: docutils sets that of a letter with an
     accent under it, as limits are set under a sum.
     """
-    tree = ElementTree.fromstring(formula)
+    tree = ElementTree.fromstring(ENTITY.sub(lambda named: unescape(named[0]), formula))
     for found in tree.iter(f"{{{MATHML}}}munderover"):
         letter, below, accent = found
         if letter.tag == f"{{{MATHML}}}mo" or accent.tag != f"{{{MATHML}}}mo":

@@ -14,9 +14,11 @@ import functools
 import importlib
 import inspect
 import re
+import sys
 import types
 import typing
 from collections.abc import Callable, Collection
+from pathlib import Path
 from types import ModuleType
 
 from docutils import nodes
@@ -26,6 +28,9 @@ from sphinx.util.docutils import SphinxDirective
 
 from jaxclear.ground.quantity import numbers, range_in_words
 
+BOOK = Path(__file__).resolve().parents[1]
+# A page's directives: module and names.
+ASKED = re.compile(r"^```\{reference\} (\S+) ?(.*)$", re.MULTILINE)
 DOI = re.compile(r"doi:\s?(10\.\d+/[^\s,;]*[^\s,;.)])")
 # Where a sentence, or a part of one, ends before a name, an error or a source.
 APART = ("Raises ", "Source: ", "Sources: ")
@@ -116,6 +121,18 @@ def public() -> dict[int, tuple[str, object]]:
     return found
 
 
+@functools.cache
+def paths() -> dict[int, str]:
+    """Where the book describes a class: under its public path, or that of a page of the API."""
+    found = {key: path for key, (path, _) in public().items()}
+    for page in sorted((BOOK / "api").glob("*.md")):
+        for path, names in ASKED.findall(page.read_text()):
+            module = module_at(path)
+            for name in names.split() or public_names(module):
+                found.setdefault(id(getattr(module, name)), f"{path}.{name}")
+    return found
+
+
 def type_text(kind: object) -> str:
     """A type as a user would write it; "" where anything may be given."""
     inner = [type_text(part) for part in typing.get_args(kind)]
@@ -123,7 +140,7 @@ def type_text(kind: object) -> str:
     if kind in (inspect.Parameter.empty, typing.Any):
         return ""
     if isinstance(kind, str):
-        return kind if re.fullmatch(r"[\w.\[\], |]+", kind) else ""
+        return kind if kind.isidentifier() else ""
     if hasattr(kind, "dim_str"):
         dtype = kind.__name__.split("[")[0]
         scalar = {"Float": "float", "Int": "int", "Bool": "bool"}.get(dtype)
@@ -141,13 +158,19 @@ def type_text(kind: object) -> str:
         return "..."
     if kind in (None, type(None)):
         return "None"
-    return public().get(id(kind), (getattr(kind, "__name__", ""), kind))[0]
+    return paths().get(id(kind), getattr(kind, "__name__", ""))
 
 
 def fields_of(kind: object) -> list[dataclasses.Field]:
     """Fields that are given when an object is built."""
     known = inspect.isclass(kind) and dataclasses.is_dataclass(kind)
     return [field for field in dataclasses.fields(kind) if field.init] if known else []
+
+
+def _meant(kind: object, value: object) -> object:
+    """A type that is written as a string, as one names a class within itself."""
+    known = vars(sys.modules[value.__module__])
+    return known.get(kind, kind) if isinstance(kind, str) else kind
 
 
 def signature(value: object) -> str:
@@ -162,11 +185,13 @@ def signature(value: object) -> str:
     for given in found.parameters.values():
         if given.name in ("self", "cls"):
             continue
-        kind = type_text(given.annotation) or type_text(kept.get(given.name, typing.Any))
+        kind = type_text(_meant(given.annotation, value)) or type_text(
+            kept.get(given.name, typing.Any)
+        )
         if given.default is not given.empty:
             given = given.replace(default=default_text(given.default))
         plain.append(given.replace(annotation=Words(kind) if kind else given.empty))
-    result = "" if inspect.isclass(value) else type_text(found.return_annotation)
+    result = "" if inspect.isclass(value) else type_text(_meant(found.return_annotation, value))
     shown = found.replace(
         parameters=plain, return_annotation=Words(result) if result else found.empty
     )
