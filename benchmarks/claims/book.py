@@ -58,6 +58,7 @@ OPTION = re.compile(r"\A(?::[\w-]+:[^\n]*\n|\s*\n)+")
 # What Python writes of a warning: where, its class, its text.
 WARNED = re.compile(r"^\S+:\d+: (\w+): (.*)$", re.MULTILINE)
 SELF = {"self", "cls"}
+COLLIDING = "CollidingText"
 TERM_WORDS = 4  # a longer phrase in bold is a sentence that is stressed
 SAME_WORDS = 6  # so many words of a warning in a row are told by nothing else
 PARSER = create_md_parser(
@@ -254,19 +255,38 @@ def executed(built: Path) -> dict[str, dict]:
     return {name: json.loads(path.read_text()) for name, path in found.items() if name in pages()}
 
 
+def told(built: Path) -> Iterator[tuple[str, int, str, str]]:
+    """(page, number of the cell, class, text) of what cells of a built book warned of; a figure
+    whose texts collide is such a warning too, which the build adds (`_extensions/figures.py`)."""
+    for page, notebook in executed(built).items():
+        for number, cell in enumerate(notebook["cells"]):
+            errors = [o["text"] for o in cell.get("outputs", []) if o.get("name") == "stderr"]
+            for kind, text in WARNED.findall("".join("".join(lines) for lines in errors)):
+                yield page, number, kind, text
+
+
+def colliding_figures(built: Path) -> list[str]:
+    """Cells whose figures have texts that lie upon each other, and what is first told of it."""
+    first: dict[str, str] = {}
+    for page, number, kind, text in told(built):
+        if kind == COLLIDING:
+            first.setdefault(f"{page}, cell {number}", text)
+    return [f"{place}: {text}" for place, text in first.items()]
+
+
 def unnamed_warnings(built: Path) -> list[str]:
     """Warnings of cells of which their page says nothing: it names a warning by its class, or by
     some words of it in a row, in its text or in what a cell prints."""
-    found = []
+    said = {}
     for page, notebook in executed(built).items():
         outputs = [o for cell in notebook["cells"] for o in cell.get("outputs", [])]
         printed = "".join("".join(o["text"]) for o in outputs if o.get("name") == "stdout")
-        said = " ".join([*(p.text for p in paragraphs(pages()[page])), printed])
-        for output in outputs:
-            if output.get("name") == "stderr":
-                for kind, text in WARNED.findall("".join(output["text"])):
-                    if not named(kind, text, said):
-                        found.append(f"{page}: {kind}: {text}")
+        said[page] = " ".join([*(p.text for p in paragraphs(pages()[page])), printed])
+    found = [
+        f"{page}: {kind}: {text}"
+        for page, _, kind, text in told(built)
+        if kind != COLLIDING and not named(kind, text, said[page])
+    ]
     return list(dict.fromkeys(found))
 
 
@@ -282,11 +302,12 @@ def named(kind: str, text: str, said: str) -> bool:
 def built_rows(built: Path) -> dict[str, float]:
     """What only a built book tells."""
     found: dict[str, float] = {
-        "warnings that their page does not name": len(unnamed_warnings(built))
+        "figures with colliding text": len(colliding_figures(built)),
+        "warnings that their page does not name": len(unnamed_warnings(built)),
     }
-    told = built / "build.json"
-    if told.exists():
-        spent = json.loads(told.read_text())
+    times = built / "build.json"
+    if times.exists():
+        spent = json.loads(times.read_text())
         found["build [s]"] = spent["seconds"]
         found["build [CPU s]"] = spent["CPU seconds"]
         found["cells [s]"] = sum(spent["pages"].values())
@@ -327,6 +348,7 @@ def main() -> None:
             "terms without an entry": sorted(set(without_entry())),
             "on no page of the API": on_no_page(),
             "with another signature": other_signatures(),
+            "figures": colliding_figures(options.built) if options.built else [],
             "warnings that are not named": unnamed_warnings(options.built) if options.built else [],
         }
         for name, found in lists.items():

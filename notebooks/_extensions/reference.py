@@ -101,7 +101,9 @@ def default_text(default: object) -> Words:
     """A default as it is written, without the zeros of `repr`; dots for what no literal gives."""
     if isinstance(default, float):
         return Words(f"{default:g}")
-    plain = isinstance(default, (str, int, tuple, type(None)))
+    if dataclasses.is_dataclass(default) and not dataclasses.fields(default):
+        return Words(f"{type(default).__name__}()")
+    plain = isinstance(default, (str, int, tuple, dict, type(None)))
     return Words(repr(default) if plain else "...")
 
 
@@ -179,8 +181,9 @@ def signature(value: object) -> str:
         found = inspect.signature(value)
     except (TypeError, ValueError):
         return "()"
+    fields = {field.name: field for field in fields_of(value)} | getattr(value, "fields", {})
     # What converts a number takes anything: its field says what is meant.
-    kept = {field.name: field.type for field in fields_of(value) if "unit" in field.metadata}
+    kept = {name: field.type for name, field in fields.items() if "unit" in field.metadata}
     plain = []
     for given in found.parameters.values():
         if given.name in ("self", "cls"):
@@ -189,7 +192,9 @@ def signature(value: object) -> str:
             kept.get(given.name, typing.Any)
         )
         if given.default is not given.empty:
-            given = given.replace(default=default_text(given.default))
+            made = getattr(fields.get(given.name), "default_factory", dataclasses.MISSING)
+            default = given.default if made is dataclasses.MISSING else made()
+            given = given.replace(default=default_text(default))
         plain.append(given.replace(annotation=Words(kind) if kind else given.empty))
     result = "" if inspect.isclass(value) else type_text(_meant(found.return_annotation, value))
     shown = found.replace(
