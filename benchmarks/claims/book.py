@@ -15,6 +15,7 @@ import inspect
 import json
 import re
 import sys
+from html import unescape
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -55,6 +56,7 @@ BOXES = {
 }
 BOX = re.compile(r"\{(\w+)\}")
 OPTION = re.compile(r"\A(?::[\w-]+:[^\n]*\n|\s*\n)+")
+ENTRY = re.compile(r'<dt class="sig[^"]*" id="([^"]+)">(.*?)</dt>', re.DOTALL)
 # What Python writes of a warning: where, its class, its text.
 WARNED = re.compile(r"^\S+:\d+: (\w+): (.*)$", re.MULTILINE)
 SELF = {"self", "cls"}
@@ -172,9 +174,9 @@ def entries() -> dict[str, Entry]:
             module = reference.module_at(path)
             for word in asked.split() or reference.public_names(module):
                 value = getattr(module, word)
-                shown = reference.signature(value) if callable(value) else ""
+                shown = reference.signature(value) if reference.is_own(value) else ""
                 found[f"{path}.{word}"] = Entry(value, shown)
-                for kind, own, method in reference.methods(value) if shown else ():
+                for kind, own, method in reference.methods(value) if inspect.isclass(value) else ():
                     if kind == "method":
                         place = f"{path}.{word}.{own}"
                         found[place] = Entry(method, reference.signature(method))
@@ -201,13 +203,27 @@ def may_be_typed(value: Any) -> list[tuple[str, str]] | None:
     return [(p.name, how.get(p.kind.name, "by place")) for p in known if p.name not in SELF]
 
 
-def other_signatures() -> list[str]:
-    """Entries that show what cannot be typed, or hide what can."""
+def other_signatures(built: Path | None = None) -> list[str]:
+    """Entries that show what cannot be typed, or hide what can; where a built book is given, as its
+    pages show them."""
+    on_pages = built_signatures(built) if built else {}
     found = []
     for path, entry in entries().items():
-        accepted = may_be_typed(entry.value) if callable(entry.value) else None
-        if accepted is not None and typed(entry.shown) != accepted:
+        accepted = may_be_typed(entry.value) if entry.shown else None
+        shown = on_pages.get(path, "(on_no_page)") if built else entry.shown
+        if accepted is not None and typed(shown) != accepted:
             found.append(path)
+    return found
+
+
+def built_signatures(built: Path) -> dict[str, str]:
+    """Arguments of every entry as the built pages of the API show them."""
+    found = {}
+    for page in sorted((built / "api").glob("*.html")):
+        for path, shown in ENTRY.findall(page.read_text()):
+            given = unescape(re.sub(r"<[^>]*>", "", shown))
+            arguments = given[given.find("(") : given.rfind(")") + 1] if "(" in given else "()"
+            found[path] = re.sub(r"\s+", " ", arguments)
     return found
 
 
@@ -300,18 +316,18 @@ def named(kind: str, text: str, said: str) -> bool:
 
 
 def built_rows(built: Path) -> dict[str, float]:
-    """What only a built book tells."""
-    found: dict[str, float] = {
+    """What only a book tells whose cells ran."""
+    times = built / "build.json"
+    spent = json.loads(times.read_text()) if times.exists() else {"pages": {}}
+    if not spent["pages"]:
+        return {}
+    return {
         "figures with colliding text": len(colliding_figures(built)),
         "warnings that their page does not name": len(unnamed_warnings(built)),
+        "build [s]": spent["seconds"],
+        "build [CPU s]": spent["CPU seconds"],
+        "cells [s]": sum(spent["pages"].values()),
     }
-    times = built / "build.json"
-    if times.exists():
-        spent = json.loads(times.read_text())
-        found["build [s]"] = spent["seconds"]
-        found["build [CPU s]"] = spent["CPU seconds"]
-        found["cells [s]"] = sum(spent["pages"].values())
-    return found
 
 
 def measure(built: Path | None = None) -> dict[str, float]:
@@ -322,7 +338,7 @@ def measure(built: Path | None = None) -> dict[str, float]:
         "longest head of a page [words]": max(row["head [words]"] for row in rows),
         "terms without an entry in the glossary": len(set(without_entry())),
         "public names on no page of the API": len(on_no_page()),
-        "entries of the API with another signature": len(other_signatures()),
+        "entries of the API with another signature": len(other_signatures(built)),
     }
     return found | (built_rows(built) if built else {})
 
@@ -347,7 +363,7 @@ def main() -> None:
         lists = {
             "terms without an entry": sorted(set(without_entry())),
             "on no page of the API": on_no_page(),
-            "with another signature": other_signatures(),
+            "with another signature": other_signatures(options.built),
             "figures": colliding_figures(options.built) if options.built else [],
             "warnings that are not named": unnamed_warnings(options.built) if options.built else [],
         }

@@ -263,12 +263,16 @@ def bases(kind: type) -> list[str]:
     return [f"Family: {links}.", ""] if known else []
 
 
+def is_own(value: object) -> bool:
+    """Whether something is a class or function of the package."""
+    return callable(value) and (getattr(value, "__module__", None) or "").startswith("jaxclear")
+
+
 def described(path: str, value: object) -> list[str]:
     """Markdown of one public name."""
     if isinstance(value, ModuleType):
         return []
-    own = (getattr(value, "__module__", None) or "").startswith("jaxclear")
-    if not callable(value) or not own:
+    if not is_own(value):
         return [f"::::{{py:data}} {path}", "::::", ""]
     what = "class" if inspect.isclass(value) else "function"
     lines = [f":::::{{py:{what}}} {path}{signature(value)}", "", *told(value), ""]
