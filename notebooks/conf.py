@@ -32,6 +32,8 @@ nb_execution_mode = "cache"
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
+# Sliders of a notebook need a kernel; their scripts would be fetched from a network.
+nb_ipywidgets_js = {}
 # Progress bars and compilers write there.
 nb_output_stderr = "remove"
 # What a cell prints in pieces is one block.
