@@ -14,7 +14,6 @@ their names:
 """
 
 import json
-import re
 from pathlib import Path
 from typing import ClassVar
 
@@ -23,15 +22,13 @@ from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-# Benchmarks call a setting of an integrator a rung; readers of the book do not.
-RUNG = re.compile(r"\brung(s?)\b")
 RESULTS = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
 
 
 def cell(value: object) -> str:
     """A cell's text: numbers with three digits, bars kept out of the table's own."""
     text = f"{value:.3g}" if isinstance(value, float) else "–" if value is None else str(value)
-    return RUNG.sub(r"integrator\1", text).replace("|", "\\|")
+    return text.replace("|", "\\|")
 
 
 def table(rows: list[dict], columns: list[str]) -> list[str]:
@@ -76,7 +73,7 @@ class Measured(SphinxDirective):
                 raise self.error(f"{path.name}, {title!r}: no column is named {missing[0]!r}")
             before, said = said, origin(about, title) if about else ""
             lines += [said, ""] if said != before else []
-            lines += [f"*{cell(title)}*", "", *table(rows, columns), ""]
+            lines += [f"*{title}*", "", *table(rows, columns), ""]
         found = nodes.container(classes=["measured"])
         self.state.nested_parse(StringList(lines, str(path)), self.content_offset, found)
         return [found]
