@@ -16,7 +16,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
 project = "jaxclear"
 author = "the authors of jaxclear"
-extensions = ["myst_nb", "offline_math", "measured", "reference"]
+extensions = ["myst_nb", "fold", "offline_math", "measured", "reference"]
 exclude_patterns = ["_extensions", "**.ipynb_checkpoints"]
 master_doc = "index"
 
