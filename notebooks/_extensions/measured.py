@@ -14,6 +14,7 @@ their names:
 """
 
 import json
+import re
 from pathlib import Path
 from typing import ClassVar
 
@@ -25,6 +26,12 @@ from sphinx.util.docutils import SphinxDirective
 RESULTS = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
 
 
+def in_words(text: str) -> str:
+    """A title or a column's name in the book's words: benchmarks call an integrator with settings
+    from coarse to fine a rung."""
+    return re.sub(r"\brung(s?)\b", r"integrator\1", text)
+
+
 def cell(value: object) -> str:
     """A cell's text: numbers with three digits, bars kept out of the table's own."""
     text = f"{value:.3g}" if isinstance(value, float) else "–" if value is None else str(value)
@@ -34,7 +41,8 @@ def cell(value: object) -> str:
 def table(rows: list[dict], columns: list[str]) -> list[str]:
     """Markdown lines of a table; the first row names the columns, unless some are asked for."""
     names = columns or list(rows[0])
-    lines = ["| " + " | ".join(map(cell, names)) + " |", "|" + " --- |" * len(names)]
+    lines = ["| " + " | ".join(cell(in_words(name)) for name in names) + " |"]
+    lines.append("|" + " --- |" * len(names))
     lines += ["| " + " | ".join(cell(row.get(name)) for name in names) + " |" for row in rows]
     return lines
 
@@ -73,7 +81,7 @@ class Measured(SphinxDirective):
                 raise self.error(f"{path.name}, {title!r}: no column is named {missing[0]!r}")
             before, said = said, origin(about, title) if about else ""
             lines += [said, ""] if said != before else []
-            lines += [f"*{title}*", "", *table(rows, columns), ""]
+            lines += [f"*{in_words(title)}*", "", *table(rows, columns), ""]
         found = nodes.container(classes=["measured"])
         self.state.nested_parse(StringList(lines, str(path)), self.content_offset, found)
         return [found]
