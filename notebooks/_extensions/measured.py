@@ -26,10 +26,13 @@ from sphinx.util.docutils import SphinxDirective
 RESULTS = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
 
 
+# Words of the benchmarks, and the book's: a rung is an integrator from coarse settings to fine ones.
+WORDS = {"rung": "integrator", "rungs": "integrators", "told": "estimated"}
+
+
 def in_words(text: str) -> str:
-    """A title or a column's name in the book's words: benchmarks call an integrator with settings
-    from coarse to fine a rung."""
-    return re.sub(r"\brung(s?)\b", r"integrator\1", text)
+    """A title or a column's name in the book's words."""
+    return re.sub(r"\w+", lambda word: WORDS.get(word[0], word[0]), text)
 
 
 def cell(value: object) -> str:
