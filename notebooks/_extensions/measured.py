@@ -26,7 +26,7 @@ from sphinx.util.docutils import SphinxDirective
 RESULTS = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
 
 
-# Words of the benchmarks, and the book's: a rung is an integrator from coarse settings to fine ones.
+# Words of the benchmarks and the book's: a rung is an integrator, from coarse settings to fine.
 WORDS = {"rung": "integrator", "rungs": "integrators", "told": "estimated"}
 
 
