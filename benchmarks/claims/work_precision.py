@@ -42,7 +42,10 @@ SUMMARY = {
     BATCH: "CPU time of a sample in a batch [ms for a simulated second] to 1 %",
 }
 # Titles of who reaches the accuracy: of scenes with clearance, and of those without.
-STANDING = {"clearance": "with clearance: answers to 1 %", "ideal": "ideal joints: answers to 1 %"}
+STANDING = {
+    "clearance": "Joints with clearance, answers to 1 %",
+    "ideal": "Ideal joints, answers to 1 %",
+}
 # Scenes are measured in several calls.
 COMMAND = {"command": "python -m benchmarks.claims.work_precision --scene NAME ..."}
 WHEN = "when each scene was measured"
