@@ -59,8 +59,8 @@ def origin(about: dict, title: str) -> str:
 
 
 class Measured(SphinxDirective):
-    """`{measured} NAME [TITLE]`: where the numbers come from, then the tables, or the one that
-    TITLE begins the title of.
+    """`{measured} NAME [TITLE]`: the tables, or the one that TITLE begins the title of, and below
+    them where the numbers come from.
     """
 
     required_arguments = 1
@@ -73,7 +73,7 @@ class Measured(SphinxDirective):
         self.env.note_dependency(str(path))
         document = json.loads(path.read_text())
         about = document.pop("about", {})
-        lines, said, columns = [], "", self.options.get("columns", [])
+        lines, last, columns = [], "", self.options.get("columns", [])
         wanted = self.arguments[1] if len(self.arguments) > 1 else ""
         chosen = {title: rows for title, rows in document.items() if title.startswith(wanted)}
         if not chosen:
@@ -82,9 +82,11 @@ class Measured(SphinxDirective):
             missing = [name for name in columns if name not in rows[0]]
             if missing:
                 raise self.error(f"{path.name}, {title!r}: no column is named {missing[0]!r}")
-            before, said = said, origin(about, title) if about else ""
-            lines += [said, ""] if said != before else []
+            said = origin(about, title) if about else ""
+            lines += [last, ""] if said != last else []
             lines += [f"*{in_words(title)}*", "", *table(rows, columns), ""]
+            last = said
+        lines.append(last)
         found = nodes.container(classes=["measured"])
         self.state.nested_parse(StringList(lines, str(path)), self.content_offset, found)
         return [found]
