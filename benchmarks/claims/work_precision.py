@@ -15,6 +15,7 @@ import argparse
 import fcntl
 import json
 import math
+import statistics
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -39,6 +40,11 @@ POINTS = "{scene}: every setting"
 SUMMARY = {
     ALONE: "CPU time alone [ms for a simulated second] to 1 %",
     BATCH: "CPU time of a sample in a batch [ms for a simulated second] to 1 %",
+}
+# Titles of who reaches the accuracy: of scenes with clearance, and of those without.
+STANDING = {
+    "clearance": "Joints with clearance, answers to 1 %",
+    "ideal": "Ideal joints, answers to 1 %",
 }
 # Scenes are measured in several calls.
 COMMAND = {"command": "python -m benchmarks.claims.work_precision --scene NAME ..."}
@@ -106,6 +112,34 @@ def summary(document: dict[str, Rows], cost: str) -> Rows:
     return table
 
 
+def standings(document: dict[str, Any], joints: str) -> Rows:
+    """A row for every integrator: in how many answers it reaches the accuracy, in how many at the
+    least cost, and what it takes beside the least; alone and in a batch."""
+    table: dict[str, dict[str, Any]] = {}
+    for how, title in zip(("alone", "in a batch"), SUMMARY.values(), strict=True):
+        answers = [list(row.items()) for row in document[title] if joints == _joints(row["scene"])]
+        costs = [{name: float(c) for name, c in row[3:] if _is_cost(c)} for row in answers]
+        for name, _ in answers[0][3:]:
+            asked = sum(dict(row).get(name) is not None for row in answers)
+            ratios = [own[name] / min(own.values()) for own in costs if name in own]
+            if ratios:
+                row = table.setdefault(name, {"integrator": name, "answers": asked})
+                row[f"within 1 %, {how}"] = len(ratios)
+                row[f"cheapest, {how}"] = ratios.count(1)
+                row[f"cost / least, {how}: median"] = statistics.median(ratios)
+                row[f"largest, {how}"] = max(ratios)
+    return list(table.values())
+
+
+def _joints(scene: str) -> str:
+    return "ideal" if "ideal" in scene else "clearance"
+
+
+def _is_cost(cell: str | None) -> bool:
+    """Whether a cell of the summary is a cost: not an error in brackets, nor a failure."""
+    return cell is not None and cell[0].isdigit()
+
+
 def draw(scene: str, rows: Rows, folder: Path) -> Path:
     """A picture of a scene: a panel for every response, a line for every rung; filled: alone,
     hollow: a sample in a batch."""
@@ -171,9 +205,12 @@ def _with(scene: str, rows: Rows, known: dict[str, Any]) -> dict[str, Any]:
     machine = known.get("about", {}).get("machine")
     told = about("benchmarks.claims.work_precision", None) | COMMAND
     told |= {} if machine is None else {"machine": machine}
+    summaries = {title: summary(points, cost) for cost, title in SUMMARY.items()}
+    some = dict.fromkeys(map(_joints, measured))
     return (
         {"about": told}
-        | {title: summary(points, cost) for cost, title in SUMMARY.items()}
+        | {STANDING[joints]: standings(summaries, joints) for joints in some}
+        | summaries
         | {WHEN: [{"scene": name, "measured": dates.get(name, before)} for name in measured]}
         | points
     )
