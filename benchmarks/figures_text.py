@@ -1,5 +1,5 @@
-"""Which texts of a figure lie upon each other or leave it: what a reader sees at once, and no number
-tells.
+"""Which texts of a figure lie upon each other or leave it: a reader sees it at once, a number does
+not.
 
 The figure is drawn as `savefig` draws it, by a renderer that notes every line of text where its ink
 is, turned as it is turned.
@@ -45,8 +45,8 @@ class Noting(RendererAgg):
 
 
 def colliding(figure: Figure) -> list[str]:
-    """A sentence for each pair of texts of a figure that lie upon each other, and for each text that
-    leaves it; none where all can be read. The figure keeps its layout."""
+    """A sentence for each pair of texts of a figure that lie upon each other, and for each one that
+    leaves it; none where all can be read."""
     figure.draw_without_rendering()
     width, height = figure.get_size_inches() * figure.dpi
     renderer = Noting(int(width), int(height), figure.dpi)
@@ -57,10 +57,11 @@ def colliding(figure: Figure) -> list[str]:
         for one, other in combinations(lines, 2)
         if _overlap(one.corners, other.corners)
     ]
-    for line in lines:
-        if line.corners.min() < -ROUNDING or np.any(line.corners > ends + ROUNDING):
-            found.append(f'"{line.text}" leaves the figure.')
-    return found
+    return found + [
+        f'"{line.text}" leaves the figure.'
+        for line in lines
+        if line.corners.min() < -ROUNDING or np.any(line.corners > ends + ROUNDING)
+    ]
 
 
 def _overlap(one: np.ndarray, other: np.ndarray) -> bool:
