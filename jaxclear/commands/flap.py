@@ -106,8 +106,8 @@ def forces_figure(run: Any) -> Figure:
     axes[0].set_ylim(bottom=0.0)
     axes[-1].set_xlabel("time [ms]")
     axes[0].set_title(
-        "Normal force of the joints (linear up to 100 N, logarithmic beyond), dotted the largest of "
-        "a contact in all steps"
+        "Normal force of the joints (linear up to 100 N, logarithmic beyond); dotted: the largest "
+        "of a contact in all steps"
     )
     return warned(figure, {"": run})
 

@@ -148,8 +148,7 @@ def fitted(figure: Figure) -> Figure:
     figure.get_layout_engine().execute(figure)
     before = {axis: axis.get_window_extent().height for axis in flat}
     folded = [_fold(figure._suptitle, figure.bbox.width)] if figure._suptitle else []
-    for axis in axes:
-        folded.append(_fold(axis.title, _room(axis, figure, bars)))
+    folded += [_fold(axis.title, _room(axis, figure, bars)) for axis in axes]
     for axis in (*flat, *bars):
         box = axis.get_window_extent()
         _without_offset(axis.xaxis)

@@ -85,16 +85,15 @@ def hysteresis(run: Trajectory, joint: str, *, since: float = 0.0, ax: Any = Non
     if gap is own and joint not in run.mechanism.topology.clearances:
         friction = _of_ideal(own, history, speed, slides)
     kept = reached(run, since)
-    rubbed, rub = readable(friction[kept], rub)
+    scale, rub = readable(friction[kept], rub)
+    rubbed, time = scale * friction[kept], np.asarray(run.time)[kept]
     sheet = panels("hysteresis", ax, 1, 2, (9.5, 4.2), sharey=True)
     labels = ("displacement", "sliding speed") if slides else ("turn", "angular velocity")
     for axis, values, label, per in zip(
         sheet.axes.flat, (way[kept], speed[kept]), labels, ("", "/s"), strict=True
     ):
         factor, shown = readable(values, unit)
-        lines = over_time(
-            axis, factor * values, rubbed * friction[kept], np.asarray(run.time)[kept]
-        )
+        lines = over_time(axis, factor * values, rubbed, time)
         axis.axhline(0.0, color="0.7", lw=0.6, zorder=0)
         axis.set_xlabel(f"{label} in {joint} [{shown}{per}]")
     what = "force" if slides else "torque"

@@ -9,9 +9,9 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import described, listed
 from jaxclear.plot.canvas import check_run, panels, readable, warned
-from jaxclear.plot.fitting import key
 from jaxclear.plot.cycles import settled, wear_lives
 from jaxclear.plot.design import design
+from jaxclear.plot.fitting import key
 from jaxclear.plot.life import wear_life
 from jaxclear.plot.pointing import pointing_budget
 from jaxclear.plot.shares import (

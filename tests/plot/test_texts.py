@@ -278,7 +278,11 @@ CASES = {
     "work_precision": [lambda: plot.work_precision(advised())],
     "worst_case": [lambda: plot.worst_case(jc.worst_case(problem(), samples=16))],
 }
-EACH = [pytest.param(case, id=f"{name} {k}") for name, own in CASES.items() for k, case in enumerate(own)]  # fmt: skip
+EACH = [
+    pytest.param(case, id=f"{name} {number}")
+    for name, own in CASES.items()
+    for number, case in enumerate(own)
+]
 
 
 def test_every_plot_has_its_cases():
