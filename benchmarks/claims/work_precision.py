@@ -22,18 +22,15 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
-
 from benchmarks.measure import about, date
 from benchmarks.trade.curves import Curves, curves
 from benchmarks.trade.questions import SCENES
+from jaxclear.plot.canvas import canvas, captioned
 
 FIGURES = Path(__file__).resolve().parents[2] / "notebooks" / "_figures"
 QUICK = ("slider-crank, ideal",)
-ACCURACY = 0.01
+# What is asked; and an error from which on no digit is right: axes end there.
+ACCURACY, LARGEST = 0.01, 1.0
 ALONE, BATCH = "alone [ms/s]", "in a batch [ms/s]"
 # Titles of the tables: of every setting of a scene, and of the summaries.
 POINTS = "{scene}: every setting"
@@ -142,38 +139,39 @@ def _is_cost(cell: str | None) -> bool:
 
 def draw(scene: str, rows: Rows, folder: Path) -> Path:
     """A picture of a scene: a panel for every response, a line for every rung; filled: alone,
-    hollow: a sample in a batch."""
+    hollow: a sample in a batch; triangles at the upper edge: no digit is right, or it diverged."""
     names = responses_of(rows)
     across = min(3, len(names))
     down = -(-len(names) // across)
-    figure, axes = plt.subplots(
-        down, across, figsize=(4.0 * across, 3.1 * down), squeeze=False, layout="constrained"
-    )
+    figure, axes = canvas(down, across, (4.0 * across, 3.1 * down), squeeze=False)
     rungs = list(dict.fromkeys(row["rung"] for row in rows[1:]))
     for axis, name in zip(axes.flat, names, strict=False):
+        axis.set(xscale="log", yscale="log")
         for number, rung in enumerate(rungs):
-            own = [row for row in rows if row["rung"] == rung and row[ERROR + name]]
+            own = [row for row in rows if row["rung"] == rung and row[ERROR + name] is not None]
             for cost, style in ((ALONE, "o-"), (BATCH, "o:")):
-                points = [(row[cost], row[ERROR + name]) for row in own if row[cost]]
+                known = [(row[cost], row[ERROR + name]) for row in own if row[cost]]
+                points = [(work, error) for work, error in known if 0 < error < LARGEST]
+                lost = [(work, LARGEST) for work, error in known if not error < LARGEST]
+                how = {"color": f"C{number}", "mfc": f"C{number}" if cost == ALONE else "none"}
+                label = rung if cost == ALONE else None
                 if points:
-                    fill = f"C{number}" if cost == ALONE else "none"
-                    label = rung if cost == ALONE else None
-                    axis.loglog(
-                        *zip(*points, strict=True), style, color=f"C{number}", mfc=fill, ms=4, lw=1,
-                        label=label,
-                    )  # fmt: skip
+                    axis.plot(*zip(*points, strict=True), style, ms=4, lw=1, label=label, **how)
+                if lost:
+                    axis.plot(*zip(*lost, strict=True), "^", ms=6, clip_on=False, **how)
         if not axis.has_data():
-            axis.set(xscale="log", yscale="log", ylim=(0.01 * ACCURACY, 10 * ACCURACY))
+            axis.set(ylim=(0.01 * ACCURACY, LARGEST), xlim=(1.0, 1e3))
             axis.text(0.5, 0.7, "no setting errs", ha="center", transform=axis.transAxes)
         axis.axhline(ACCURACY, color="k", lw=0.6)
         axis.set(title=name, xlabel="CPU time [ms for a simulated s]", ylabel="error [1]")
+        axis.set_ylim(top=LARGEST)
         axis.grid(alpha=0.3)
     for axis in axes.flat[len(names) :]:
-        axis.set_visible(False)
+        axis.remove()
     figure.legend(*axes.flat[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    captioned(figure)
     path = folder / f"work_precision_{slug(scene)}.png"
     figure.savefig(path, dpi=80)
-    plt.close(figure)
     return path
 
 

@@ -99,12 +99,16 @@ def forces_figure(run: Any) -> Figure:
     for axis, name in zip(axes, JOINTS, strict=True):
         force = np.asarray(run.contact(name).normal_force).sum(axis=1)
         axis.plot(MILLI * np.asarray(run.time), force, lw=0.5, color="C0")
+        axis.axhline(jc.response.PeakContactForce(name)(run), ls=":", lw=0.8, color="C0")
         axis.set_ylabel(f"{name} [N]")
     # Impacts are a hundred times what is carried between them.
     axes[0].set_yscale("symlog", linthresh=100.0)
     axes[0].set_ylim(bottom=0.0)
     axes[-1].set_xlabel("time [ms]")
-    axes[0].set_title("Normal force of the joints (linear up to 100 N, logarithmic beyond)")
+    axes[0].set_title(
+        "Normal force of the joints (linear up to 100 N, logarithmic beyond); dotted: the largest "
+        "of a contact in all steps"
+    )
     return warned(figure, {"": run})
 
 

@@ -16,6 +16,8 @@ from matplotlib.figure import Figure
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.plot.canvas import canvas, readable, warned
+from jaxclear.plot.fitting import key
+from jaxclear.plot.overview import draw_forces
 
 __all__ = ["joint_table", "keep", "keep_positions"]
 
@@ -121,7 +123,7 @@ def _motion(run: jc.Trajectory) -> Figure:
         axis.set_ylabel(f"{'xyz'[direction]} [{unit}]")
     axes[-1, 0].set_xlabel("time [s]")
     axes[0, 0].set_title("Centres of mass")
-    axes[0, 0].legend(fontsize=8, ncols=4)
+    key(axes[0, 0])
     return warned(figure, {"": run})
 
 
@@ -131,8 +133,8 @@ def _forces(run: jc.Trajectory, joints: Any) -> Figure:
         len(joints), 1, (8.0, 0.8 + 1.9 * len(joints)), sharex=True, squeeze=False
     )
     for axis, joint in zip(axes[:, 0], joints, strict=True):
-        axis.plot(run.time, np.asarray(run.contact(joint).normal_force).sum(axis=1), lw=0.8)
-        axis.set_ylabel(f"{joint} [N]")
+        draw_forces(axis, run, joint)
+        key(axis)
     axes[-1, 0].set_xlabel("time [s]")
     axes[0, 0].set_title("Normal force in the joints with clearance")
     return warned(figure, {"": run})
