@@ -8,12 +8,12 @@ call that is right.
 import functools
 import importlib.util
 import inspect
-import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
 
 import equinox as eqx
 
+from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, listed, meant, public_name
 
 if TYPE_CHECKING:
@@ -123,11 +123,10 @@ def formerly(old: str, new: str) -> property:
 
 
 def _warn_of_old_name(owner: Any, old: str, new: str) -> None:
-    warnings.warn(
+    warn(
         f'{public_name(owner)} has "{new}" in the place of "{old}", which goes with the next '
         "version.",
         DeprecationWarning,
-        stacklevel=4,
     )
 
 

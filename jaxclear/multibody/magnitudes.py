@@ -7,13 +7,12 @@ that nothing built is warned about. Numbers that are being traced are not looked
 """
 
 import math
-import warnings
 from collections.abc import Iterator
 from typing import Any
 
 from jaxclear.components.clearance import AbstractClearance
-from jaxclear.ground.arguments import level_of_caller
 from jaxclear.ground.quantity import concrete, numbers
+from jaxclear.ground.warning import warn
 from jaxclear.multibody.own_numbers import coordinate_units
 
 __all__ = ["UnusualMagnitude", "warn_of_magnitudes"]
@@ -39,7 +38,7 @@ def warn_of_magnitudes(mechanism: Any) -> None:
     parts = [(what, part, list(numbers(part))) for what, part in _parts(mechanism)]
     found = [*_unusual(parts), *_lengths(mechanism, parts), *_starts(mechanism)]
     if found:
-        warnings.warn(" ".join(found), UnusualMagnitude, stacklevel=level_of_caller())
+        warn(" ".join(found), UnusualMagnitude)
 
 
 def _parts(mechanism: Any) -> Iterator[tuple[str, Any]]:

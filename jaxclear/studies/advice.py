@@ -8,7 +8,6 @@ model leaves out is how far it is from the stated one, beside that one's referen
 
 import math
 import time
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -28,6 +27,7 @@ from jaxclear.ground.in_words import as_typed
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, count, inside, numbers
 from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.simulation.beginning import beginning
@@ -527,7 +527,7 @@ def _percent(share: float) -> str:
 
 def _warn_of(what: str, why: str) -> None:
     said = f"{what} counts for nothing and goes with the next version: {why}."
-    warnings.warn(said, DeprecationWarning, stacklevel=4)
+    warn(said, DeprecationWarning)
 
 
 def _why_nothing(copies: Copies, rungs: _Rungs) -> str:
