@@ -35,7 +35,7 @@ from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.simulate import How, check_run, repeated
 from jaxclear.studies.datasets import of_rows
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.responses import one_number
+from jaxclear.studies.responses import answer
 from jaxclear.studies.sampling import draw
 from jaxclear.studies.statistics.scrambled import student
 
@@ -115,7 +115,7 @@ class Copies:
         self._known: dict[tuple, Runs] = {}
 
     def _answers(self, run: Any) -> dict[str, Any]:
-        return {name: one_number(name, own(run)) for name, own in self.problem.response.items()}
+        return {name: answer(name, own, run) for name, own in self.problem.response.items()}
 
     def run(self, integrator: AbstractIntegrator, share: float = 1.0) -> Runs:
         """All copies over a share of the duration. What an integrator cannot do is a sentence."""

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from jaxclear.ground.arguments import check_known, check_number, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.warning import users_line
 from jaxclear.ground.wording import described, listed
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import (
@@ -31,6 +32,7 @@ from jaxclear.studies.base import (
 from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.distribution import AbstractDistribution
 from jaxclear.studies.inputs import correlation_matrix
+from jaxclear.studies.responses import IN_JAX, UNTRACEABLE
 
 __all__ = ["Dimension", "FunctionProblem"]
 
@@ -38,14 +40,6 @@ ALONE = "response"
 # Functions take few operations a sample; above about this many the numbers of a chunk leave the
 # cache (measured by benchmarks/claims/positions.py).
 LARGEST_CHUNK = 4096
-# What JAX raises where Python, or NumPy, wants the value of what is being traced.
-UNTRACEABLE = (
-    jax.errors.ConcretizationTypeError,
-    jax.errors.TracerArrayConversionError,
-    jax.errors.TracerBoolConversionError,
-    jax.errors.TracerIntegerConversionError,
-    jax.errors.NonConcreteBooleanIndexError,
-)
 
 
 class Dimension(AbstractVariable):
@@ -227,9 +221,8 @@ def _traced(function: Callable[..., Any], at: dict[str, Any]) -> dict[str, Any]:
         found = jax.eval_shape(in_order, at)
     except UNTRACEABLE as error:
         raise ValueError(
-            "JAX cannot trace the function of a FunctionProblem: somewhere Python or NumPy wants "
-            "the value of what is still a variable. Write jax.numpy.sqrt for math.sqrt or "
-            "numpy.sqrt (and so on), jax.numpy.where for `if`, and jax.lax.while_loop for `while`."
+            f"JAX cannot trace the function of a FunctionProblem: {users_line(error)} Python or "
+            f"NumPy wants the value of what is still a variable. {IN_JAX}"
         ) from error
     return {name: found[name] for name in order}
 
