@@ -3,6 +3,7 @@ the package its cause is found, and that of a function of the user's in which th
 """
 
 import sys
+import sysconfig
 import traceback
 import warnings
 from pathlib import Path
@@ -11,6 +12,8 @@ __all__ = ["users_line", "warn"]
 
 # Packages whose frames lie between a user's line and the cause of a warning.
 BETWEEN = ("jaxclear", "equinox", "jax", "jaxtyping", "contextlib", "functools")
+# Where libraries are, those of Python too.
+INSTALLED = (str(Path(sysconfig.get_path("stdlib"))), "site-packages")
 
 
 def warn(sentence: str, kind: type[Warning] = UserWarning) -> None:
@@ -27,10 +30,11 @@ def users_line(error: BaseException) -> str:
     found = ""
     for frame, number in traceback.walk_tb(error.__traceback__):
         code = frame.f_code
-        if not _is_between(frame.f_globals.get("__name__", "")):
+        installed = any(place in code.co_filename for place in INSTALLED)
+        if not installed and not _is_between(frame.f_globals.get("__name__", "")):
             [line] = traceback.StackSummary.extract([(frame, number)])
-            said = (line.line or "").rstrip(",")
-            found = f'in "{said}" ({Path(code.co_filename).name}, line {number})'
+            said = f'"{line.line.rstrip(",")}" ' if line.line else ""
+            found = f"in {said}({Path(code.co_filename).name}, line {number})"
     return found
 
 

@@ -16,23 +16,21 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.given_functions import asked, shape_of
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.ground.warning import users_line
+from jaxclear.ground.quantity import Scalar, is_one_number, quantity
 from jaxclear.ground.wording import described, listed
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import (
     AbstractProblem,
     AbstractVariable,
     SampleResult,
-    is_one_number,
     one_distribution,
     stacked,
 )
 from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.distribution import AbstractDistribution
 from jaxclear.studies.inputs import correlation_matrix
-from jaxclear.studies.responses import IN_JAX, UNTRACEABLE
 
 __all__ = ["Dimension", "FunctionProblem"]
 
@@ -213,17 +211,11 @@ def _traced(function: Callable[..., Any], at: dict[str, Any]) -> dict[str, Any]:
     order: list[str] = []
 
     def in_order(at):
-        found = _by_name(function(**at))
+        found = _by_name(asked("the function of a FunctionProblem", lambda: function(**at)))
         order.extend(found)
         return found
 
-    try:
-        found = jax.eval_shape(in_order, at)
-    except UNTRACEABLE as error:
-        raise ValueError(
-            f"JAX cannot trace the function of a FunctionProblem: {users_line(error)} Python or "
-            f"NumPy wants the value of what is still a variable. {IN_JAX}"
-        ) from error
+    found = shape_of(in_order, at)
     return {name: found[name] for name in order}
 
 

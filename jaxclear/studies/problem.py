@@ -42,7 +42,7 @@ from jaxclear.results.abstract_response import needs_of
 from jaxclear.results.response import concerned, unit_of
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.beginning import Past, past_of
+from jaxclear.simulation.beginning import Past, past_of, state_of
 from jaxclear.simulation.derivatives import refusal
 from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
 from jaxclear.simulation.loop import Extras, sketched
@@ -170,7 +170,7 @@ class Problem(AbstractProblem):
         self.correlation = correlation_matrix(correlation, self.names)
         check_run(mechanism, self.integrator)
         check_steps(integrator, times)
-        self.state = State() if state is None else state
+        self.state = state_of(state)
         seen = self.integrator.formulation.seen(mechanism)
         self.past = past_of(seen, self.integrator.formulation, self.state)
         self.updates = jnp.asarray(1)

@@ -4,38 +4,16 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxclear.errors.replicas import thinned
 from jaxclear.ground.arguments import expect
-from jaxclear.ground.warning import users_line
+from jaxclear.ground.given_functions import asked, shape_of
+from jaxclear.ground.quantity import is_one_number
 from jaxclear.ground.wording import described
-from jaxclear.studies.base import is_one_number
 
-__all__ = [
-    "IN_JAX",
-    "UNTRACEABLE",
-    "Thinned",
-    "answer",
-    "by_name",
-    "check_answers",
-    "check_responses",
-]
-
-# What JAX raises where Python, or NumPy, wants the value of what is being traced, and what to do.
-UNTRACEABLE = (
-    jax.errors.ConcretizationTypeError,
-    jax.errors.TracerArrayConversionError,
-    jax.errors.TracerBoolConversionError,
-    jax.errors.TracerIntegerConversionError,
-    jax.errors.NonConcreteBooleanIndexError,
-)
-IN_JAX = (
-    "Leave float() and int() out; write jax.numpy.sqrt for math.sqrt or numpy.sqrt (and so on), "
-    "jax.numpy.where for `if`, and jax.lax.while_loop for `while`."
-)
+__all__ = ["Thinned", "answer", "by_name", "check_answers", "check_responses"]
 
 
 class Thinned(eqx.Module):
@@ -65,17 +43,7 @@ def by_name(what: str, given: Any) -> dict[str, Any]:
 def answer(name: str, response: Callable, run: Any) -> Array:
     """A response of a run (of positions, a life) as one number. Raises `ValueError` with a sentence
     that names it where it fails, leaves JAX, or gives something else."""
-    try:
-        value = response(run)
-    except UNTRACEABLE as error:
-        raise ValueError(
-            f'response "{name}" leaves JAX {users_line(error)}: it is compiled before any number '
-            f"is known. {IN_JAX}"
-        ) from error
-    except Exception as error:
-        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
-        where = f'response "{name}" fails {users_line(error)}'.rstrip()
-        raise ValueError(f"{where}: {kind}{error}") from error
+    value = asked(f'response "{name}"', response, run)
     if not is_one_number(value):
         hint = " It returns nothing: is a `return` missing?" if value is None else ""
         raise ValueError(
@@ -85,15 +53,11 @@ def answer(name: str, response: Callable, run: Any) -> Array:
     return jnp.asarray(value, float)
 
 
-def check_answers(response: dict[str, Callable], asked: Callable[[], Any]) -> None:
-    """Raises `ValueError` with a sentence where a response does not give one number; `asked` makes
+def check_answers(response: dict[str, Callable], seen: Callable[[], Any]) -> None:
+    """Raises `ValueError` with a sentence where a response does not give one number; `seen` makes
     what it is asked of. Nothing is compiled."""
     for name, own in response.items():
-        try:
-            jax.eval_shape(lambda name=name, own=own: answer(name, own, asked()))
-        except ValueError as error:
-            # Without what JAX adds to an error that passes it.
-            raise ValueError(*error.args) from error.__cause__
+        shape_of(lambda name=name, own=own: answer(name, own, seen()))
 
 
 def check_responses(response: dict[str, Any], variables: dict[str, Any], of: str) -> None:

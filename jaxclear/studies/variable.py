@@ -9,10 +9,11 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.ground.arguments import check_number, expect
+from jaxclear.ground.quantity import is_one_number
 from jaxclear.ground.wording import described, meant
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.own_numbers import own_numbers
-from jaxclear.studies.base import AbstractVariable, is_one_number, one_distribution
+from jaxclear.studies.base import AbstractVariable, one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
 
 __all__ = [
