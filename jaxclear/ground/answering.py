@@ -8,13 +8,13 @@ call that is right.
 import functools
 import importlib.util
 import inspect
-import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
 
 import equinox as eqx
 
-from jaxclear.ground.wording import described, listed, meant, public_name
+from jaxclear.ground.warning import warn
+from jaxclear.ground.wording import described, final_members, listed, meant, public_name
 
 if TYPE_CHECKING:
     from equinox._module._module import _ModuleMeta as ModuleMeta
@@ -42,9 +42,10 @@ class AnsweringMeta(ModuleMeta):
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
         if cls.__name__.startswith("Abstract"):
+            known = [public_name(kind) for kind in final_members(cls)[:1]]
             raise TypeError(
                 f"{public_name(cls)} is what a family has in common and cannot be built; it needs "
-                f"a class of its own{_members(cls)}."
+                f"a class of its own{''.join(f', such as {one}' for one in known)}."
             )
         try:
             return ModuleMeta.__call__(cls, *args, **kwargs)
@@ -68,18 +69,6 @@ def _after_fields(own: Callable[[Any], None]) -> Callable[[Any], None]:
         own(self)
 
     return check
-
-
-def _members(family: type) -> str:
-    """Some final classes of a family, in words."""
-    found: list[str] = []
-    left: list[type] = list(family.__subclasses__())
-    while left:
-        kind = left.pop(0)
-        left += kind.__subclasses__()
-        if not kind.__name__.startswith("Abstract"):
-            found.append(public_name(kind))
-    return f", such as {found[0]}" if found else ""
 
 
 def answering(function: Callable[P, R]) -> Callable[P, R]:
@@ -123,11 +112,10 @@ def formerly(old: str, new: str) -> property:
 
 
 def _warn_of_old_name(owner: Any, old: str, new: str) -> None:
-    warnings.warn(
+    warn(
         f'{public_name(owner)} has "{new}" in the place of "{old}", which goes with the next '
         "version.",
         DeprecationWarning,
-        stacklevel=4,
     )
 
 

@@ -7,10 +7,10 @@ contacts. `MuntheKaas` is a solver for `Adaptive` that keeps rotations on their 
 your own derives from `AbstractIntegrator`.
 """
 
-import warnings
 from typing import Any
 
 from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.warning import warn
 from jaxclear.integrators import checks, figures
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import (
@@ -48,10 +48,9 @@ def __getattr__(name: str) -> Any:
     """What goes with the next version, and a sentence for all else that is not offered."""
     if name not in _GOES:
         return _refuse(name)
-    warnings.warn(
+    warn(
         f"jaxclear.integrator.{name} goes with the next version: run.warnings and run.estimate "
         "take the place of checks.",
         DeprecationWarning,
-        2,
     )
     return _GOES[name]

@@ -1,11 +1,11 @@
 """Touches and releases of a run as a table: when, in which joint, at what speed."""
 
-import warnings
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxclear.ground.warning import warn
 from jaxclear.integrators.events import Events
 from jaxclear.results.histories import check_contact_joint
 from jaxclear.results.state_history import StateHistory
@@ -33,7 +33,7 @@ def table(history: StateHistory, noted: Events | None, names: tuple[str, ...]) -
         for time, rate in zip(own.times[own.kept], own.rates[own.kept], strict=True):
             event = "touch" if rate > 0 else "release"
             rows.append((time, own.joint, own.contact, event, abs(rate)))
-    warn_of_lost(lost, noted, stacklevel=5)
+    warn_of_lost(lost, noted)
     return pandas.DataFrame(sorted(rows), columns=COLUMNS)
 
 
@@ -67,11 +67,10 @@ def of_contacts(history: StateHistory, noted: Events) -> Iterator[ContactEvents]
         yield ContactEvents(joint, contact, times[:, k], rates[:, k], counts[:, k])
 
 
-def warn_of_lost(lost: int, noted: Events, stacklevel: int) -> None:
+def warn_of_lost(lost: int, noted: Events) -> None:
     """Warns where some events were not kept."""
     if lost:
-        warnings.warn(
+        warn(
             f"{lost} touches and releases were not kept: more than {noted.times.shape[2]} of a "
             "contact fell between two saving times. Give Saving more events, or save more often.",
-            stacklevel=stacklevel,
         )

@@ -4,7 +4,6 @@ Everything is computed from the saved states when asked for, so a run pays for n
 """
 
 import dataclasses
-import warnings
 from typing import Any
 
 import equinox as eqx
@@ -16,6 +15,7 @@ from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import AbstractBodyCoupling
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
+from jaxclear.ground.warning import warn
 from jaxclear.multibody import constraints, dynamics, energy, kinematics, tree
 from jaxclear.multibody.tree import NOTHING
 from jaxclear.results.state_history import StateHistory, check_known, columns, over_time
@@ -188,10 +188,9 @@ def reaction(history: StateHistory, name: str) -> ReactionHistory:
             if name in history.mechanism.driven
             else ""
         )
-        warnings.warn(
+        warn(
             f'the reaction of joint "{name}" is not unique: the loops are {redundancy} A body that '
             f"gives, or a joint with clearance in place of one of them, would tell which.{given}",
-            stacklevel=4,
         )
     return dataclasses.replace(_reaction(history, name), unique=unique)
 

@@ -4,7 +4,6 @@ Poses, contacts, reactions and energies are computed from the saved states when 
 pays for none of them. The methods here are fronts of the functions that do it.
 """
 
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_count, check_known
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.warning import warn
 from jaxclear.integrators.events import Events
 from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.outcome import Outcome
@@ -143,11 +143,10 @@ class Trajectory(AbstractShown):
     @property
     def checks(self) -> Checks:
         """What are its `invariants` now; it goes with the next version."""
-        warnings.warn(
+        warn(
             "run.checks goes with the next version: run.warnings has its sentences, run.estimate "
             "and print(run) tell how far numbers are off.",
             DeprecationWarning,
-            2,
         )
         return self.invariants
 

@@ -8,7 +8,6 @@ model leaves out is how far it is from the stated one, beside that one's referen
 
 import math
 import time
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -28,6 +27,7 @@ from jaxclear.ground.in_words import as_typed
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, count, inside, numbers
 from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.simulation.beginning import beginning
@@ -35,7 +35,7 @@ from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.simulate import How, check_run, repeated
 from jaxclear.studies.datasets import of_rows
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.responses import one_number
+from jaxclear.studies.responses import answer
 from jaxclear.studies.sampling import draw
 from jaxclear.studies.statistics.scrambled import student
 
@@ -115,7 +115,7 @@ class Copies:
         self._known: dict[tuple, Runs] = {}
 
     def _answers(self, run: Any) -> dict[str, Any]:
-        return {name: one_number(name, own(run)) for name, own in self.problem.response.items()}
+        return {name: answer(name, own, run) for name, own in self.problem.response.items()}
 
     def run(self, integrator: AbstractIntegrator, share: float = 1.0) -> Runs:
         """All copies over a share of the duration. What an integrator cannot do is a sentence."""
@@ -527,7 +527,7 @@ def _percent(share: float) -> str:
 
 def _warn_of(what: str, why: str) -> None:
     said = f"{what} counts for nothing and goes with the next version: {why}."
-    warnings.warn(said, DeprecationWarning, stacklevel=4)
+    warn(said, DeprecationWarning)
 
 
 def _why_nothing(copies: Copies, rungs: _Rungs) -> str:

@@ -10,9 +10,7 @@ from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.in_words import in_a_line, number_in_words
@@ -26,7 +24,6 @@ __all__ = [
     "AbstractProblem",
     "AbstractVariable",
     "SampleResult",
-    "is_one_number",
     "one_distribution",
     "stacked",
 ]
@@ -204,12 +201,6 @@ class AbstractProblem(AbstractQuantified):
     def parts(self) -> dict[str, Any]:
         """All that tells this problem from another of its kind, by name, but for the
         distributions."""
-
-
-def is_one_number(value: Any) -> bool:
-    """Whether something is a real number, traced or not."""
-    number = isinstance(value, (int, float, np.number, np.ndarray, jax.Array))
-    return bool(number and jnp.shape(value) == () and jnp.isrealobj(value))
 
 
 def stacked(numbers: list[Any]) -> Float[Array, " numbers"]:

@@ -28,7 +28,7 @@ from jaxclear.studies.life.result import DEPTH, VOLUME, WearLife
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.wear_life import SETTLED, check_asked, lived
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.responses import by_name, check_responses, one_number
+from jaxclear.studies.responses import answer, by_name, check_responses
 from jaxclear.studies.variable import AbstractMechanismVariable
 
 __all__ = ["LifeProblem"]
@@ -146,9 +146,7 @@ class LifeProblem(AbstractProblem):
             return self._failed(Outcome.NOT_FINITE)
         except ValueError:
             return self._failed(self._impossible(values))
-        found = {
-            name: np.asarray(one_number(name, own(life))) for name, own in self.response.items()
-        }
+        found = {name: np.asarray(answer(name, own, life)) for name, own in self.response.items()}
         # One with a length asked for is of no use before its end to what is asked of that.
         whole = not life.ended or all(self._decides(name) for name in self.response_names)
         told = whole and bool(np.all(answered(self, found)))
