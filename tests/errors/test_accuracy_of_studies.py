@@ -96,11 +96,11 @@ def test_a_guess_that_takes_many_steps_is_replaced_by_a_choice(monkeypatch):
     [
         (lambda: jc.DesignSettings(accuracy=2.0), '"allowed_excess" in the place of "accuracy"'),
         (
-            lambda: jc.wear_life(problem(), 1e3, tolerance=-1.0),
+            lambda: jc.wear_life(problem(), cycles=1e3, tolerance=-1.0),
             'wear_life has "accuracy" in the place of "tolerance"',
         ),
         (
-            lambda: jc.wear_lives(problem(), 2, 1e3, tolerance=-1.0),
+            lambda: jc.wear_lives(problem(), 2, cycles=1e3, tolerance=-1.0),
             'wear_lives has "accuracy" in the place of "tolerance"',
         ),
         (

@@ -47,7 +47,7 @@ def rattling():
 
 
 def last_angle(run):
-    return run.coordinate("pivot")[-1, 0]
+    return run.coordinate("pivot")[-1]
 
 
 def swings(response=last_angle, variables=(), *, damping=0.1, duration=1.0):

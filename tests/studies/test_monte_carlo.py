@@ -24,7 +24,7 @@ def pendulum():
 
 def swing(run):
     """Angle after the run: A cos(omega t) for a small swing."""
-    return run.coordinate("pivot")[-1, 0] + jnp.pi / 2
+    return run.coordinate("pivot")[-1] + jnp.pi / 2
 
 
 def problem(**variables):

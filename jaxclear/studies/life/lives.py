@@ -100,8 +100,8 @@ class WearLives(AbstractShown):
 def wear_lives(
     problem: Problem,
     samples: int = 32,
-    cycles: float = 1e6,
     *,
+    cycles: float = 1e6,
     seed: int = 0,
     accuracy: float = 1e-2,
     most: int = 12,

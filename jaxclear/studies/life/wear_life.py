@@ -37,9 +37,9 @@ FIRST_DEPTH, FIRST_SHARE = 0.1, 0.25
 @renamed(tolerance="accuracy")
 def wear_life(
     asked: Mechanism | Problem,
-    cycles: float = 1e6,
-    *,
     period: float | None = None,
+    *,
+    cycles: float = 1e6,
     accuracy: float = 1e-2,
     jump: float | None = None,
     most: int = 12,
@@ -47,8 +47,8 @@ def wear_life(
     progress_bar: bool = False,
 ) -> WearLife:
     """The wear of a life of so many `cycles`, from few simulated ones: of a mechanism and its
-    `period` [s], or of a `Problem` whose duration is the period and whose responses are followed,
-    at its nominal numbers.
+    `period` [s], as in `settled`, or of a `Problem` whose duration is the period and whose
+    responses are followed, at its nominal numbers.
 
     Steps are as long as lets each be wrong by `accuracy` [1] of what it wears, and so the whole
     life (root mean square over the cells of a surface); `jump` [cycles] gives them a fixed length
