@@ -192,11 +192,12 @@ class EnergyHistory(eqx.Module):
 def body(history: StateHistory, name: str) -> BodyHistory:
     """Motion of a body."""
     check_known(name, history.mechanism.bodies, "body")
-    return BodyHistory(*_body(history, name), history=history, name=name)
+    com, rotation, velocity, spin, origin = _body(history, name)
+    return BodyHistory(com, rotation, velocity, spin, origin, history, name)
 
 
 @eqx.filter_jit
-def _body(history: StateHistory, name: str) -> Any:
+def _body(history, name):
     com = sp.vec3(history.mechanism.bodies[name].com)
 
     def one(now):
