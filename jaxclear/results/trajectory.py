@@ -4,7 +4,6 @@ Poses, contacts, reactions and energies are computed from the saved states when 
 pays for none of them. The methods here are fronts of the functions that do it.
 """
 
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -153,17 +152,6 @@ class Trajectory(AbstractShown):
         if not self.warnings:
             return sentence
         return f"{sentence.removesuffix('.')}, with warnings: {' '.join(self.warnings)}"
-
-    @property
-    def checks(self) -> Checks:
-        """What are its `invariants` now; it goes with the next version."""
-        warnings.warn(
-            "run.checks goes with the next version: run.warnings has its sentences, run.estimate "
-            "and print(run) tell how far numbers are off.",
-            DeprecationWarning,
-            2,
-        )
-        return self.invariants
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -82,7 +82,7 @@ def squeezed():
 @pytest.mark.parametrize(("what", "column"), [("position", "coordinate"), ("velocity", "speed")])
 def test_andrews_squeezer_ends_where_the_test_set_says(squeezed, what, column):
     trajectory, order = squeezed
-    found = np.array([getattr(trajectory, column)(name)[-1, 0] for name in order])
+    found = np.array([getattr(trajectory, column)(name)[-1] for name in order])
     np.testing.assert_allclose(found, SQUEEZER[what], rtol=SQUEEZER["tolerance"][what])
 
 

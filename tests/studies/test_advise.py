@@ -245,13 +245,6 @@ def test_the_figure_shows_every_method(advice):
     assert "accuracy asked, 0.1 %" in labels
 
 
-def test_what_goes_warns():
-    with pytest.warns(DeprecationWarning, match="batch of advise counts for nothing"):
-        jc.advise(swings(), 0.1, pilot=ALONE, batch=4)
-    with pytest.warns(DeprecationWarning, match="whole of PilotSettings counts for nothing"):
-        jc.PilotSettings(whole=False)
-
-
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [

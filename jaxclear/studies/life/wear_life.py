@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxclear.ground.answering import answering, renamed
+from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.simulation import progress
@@ -34,7 +34,6 @@ FIRST_DEPTH, FIRST_SHARE = 0.1, 0.25
 
 
 @answering
-@renamed(tolerance="accuracy")
 def wear_life(
     asked: Mechanism | Problem,
     period: float | None = None,
