@@ -5,6 +5,7 @@ Everything is computed from the saved states when asked for, so a run pays for n
 
 import dataclasses
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -111,9 +112,12 @@ def _as_array(marker: MarkerHistory) -> Array:
     return marker.position
 
 
-def marker(motion: Any, where: Marker) -> MarkerHistory:
-    """A marker on a body that moves so."""
-    turn, at = where.pose()
+def marker(read: Callable[[str], Any], body: str | Marker, at: Any) -> MarkerHistory:
+    """A marker, or a point `at` [m] of a body whose motion is `read` by its name."""
+    if isinstance(body, Marker) and at is not None:
+        raise ValueError(f'a marker on "{body.body}" has its place; leave `at` out beside it.')
+    where = body if isinstance(body, Marker) else Marker(body, at)
+    motion, (turn, at) = read(where.body), where.pose()
     return MarkerHistory(
         motion.origin + motion.rotation @ sp.stack(at),
         motion.rotation @ jnp.stack([sp.stack(row) for row in turn]),

@@ -125,8 +125,7 @@ class Positions(AbstractShown):
     def marker(self, body: str | Marker, at: Any = None) -> MarkerHistory:
         """`position` [m] and `rotation` in the ground frame of a point of a body, `at` in the body
         frame [m], or of a `Marker`."""
-        where = body if isinstance(body, Marker) else Marker(body, at)
-        return marker(self.body(where.body), where)
+        return marker(self.body, body, at)
 
     def coordinate(self, name: str) -> Float[Array, "positions ..."]:
         """Coordinate [rad, m] of a connection of the tree, of one that is held, or of a body that

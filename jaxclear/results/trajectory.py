@@ -227,8 +227,7 @@ class Trajectory(AbstractShown):
     def marker(self, body: str | Marker, at: Any = None) -> MarkerHistory:
         """Motion of a point of a body, `at` in the body frame [m], or of a `Marker`: position,
         velocity, acceleration, and what an accelerometer there reads."""
-        where = body if isinstance(body, Marker) else Marker(body, at)
-        return histories.marker(self.body(where.body), where)
+        return histories.marker(self.body, body, at)
 
     def contact(self, name: str) -> ContactHistory:
         """Forces and gaps of a clearance joint.

@@ -132,6 +132,13 @@ def test_the_position_of_a_marker_is_what_marker_was(swing):
             np.testing.assert_array_equal(read(marker), marker.position)
 
 
+def test_a_marker_is_placed_once(swing):
+    with pytest.raises(ValueError, match='a marker on "rod" has its place; leave `at` out'):
+        swing.marker(jc.Marker("rod", (0.1, 0.0)), (0.2, 0.0))
+    with pytest.raises(ValueError, match='no body "ground"'):
+        swing.marker("ground", (0.1, 0.0))
+
+
 def test_accelerations_differentiate():
     def pull(length):
         run = jc.simulate(pendulum(length), 0.1, save=3, throw=False)
