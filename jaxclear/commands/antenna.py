@@ -69,12 +69,12 @@ def motion_table(runs: dict[str, Any]) -> pandas.DataFrame:
 
 def friction_table(runs: dict[str, Any]) -> pandas.DataFrame:
     """One row a friction law: how slowly joint 1 slips while Coulomb's law makes it stick."""
-    first = BEARING_RADIUS * np.abs(np.asarray(runs[COULOMB].speed("J1"))[:, 0])
+    first = BEARING_RADIUS * np.abs(np.asarray(runs[COULOMB].speed("J1")))
     held = first < STUCK
     held[0] = False
     rows = []
     for label, found in runs.items():
-        slip = BEARING_RADIUS * np.abs(np.asarray(found.speed("J1"))[:, 0])
+        slip = BEARING_RADIUS * np.abs(np.asarray(found.speed("J1")))
         share = np.mean(slip[1:] < STUCK)
         row = {"friction": label, "share of time stuck [1]": share}
         row["largest slip while Coulomb sticks [m/s]"] = np.max(slip[held], initial=0.0)

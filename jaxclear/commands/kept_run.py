@@ -36,7 +36,7 @@ def keep(scene: jc.Scene, run: jc.Trajectory, folder: Path, name: str) -> pandas
         table.to_csv(folder / JOINTS, index=False)
     for title, figure in _figures(run).items():
         figure.savefig(folder / f"{title}.png", dpi=DOTS_PER_INCH)
-    data = run.to_dataset()
+    data = run.to_dataset(flat=True)
     data.to_netcdf(folder / DATA, engine="scipy")
     told = {"result": run.result, "warnings": list(run.warnings), "checks": str(run)}
     _tell(scene, folder, {"title": f"Run of {name}", **told})

@@ -81,7 +81,7 @@ def study(folder: Path, cycles: float = 1e6, tolerance: float = 1e-2, show: bool
     settled = jc.settled(problem)
     print(f"{settled}\n", flush=True)
     life = jc.wear_life(
-        problem, cycles, tolerance=tolerance, store=folder / "store", progress_bar=show
+        problem, cycles=cycles, accuracy=tolerance, store=folder / "store", progress_bar=show
     )
     print(life.sentence())
     report_warnings({"life": life})

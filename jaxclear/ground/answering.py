@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
 
 import equinox as eqx
 
-from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, final_members, listed, meant, public_name
 
 if TYPE_CHECKING:
@@ -21,10 +20,7 @@ if TYPE_CHECKING:
 else:
     ModuleMeta = type(eqx.Module)
 
-__all__ = ["AnsweringMeta", "answering", "formerly", "nothing_else", "refuse_misfit", "renamed"]
-
-# Where a function or class keeps the old names of its arguments.
-OLD_NAMES = "RENAMED"
+__all__ = ["AnsweringMeta", "answering", "nothing_else", "refuse_misfit"]
 
 P, R = ParamSpec("P"), TypeVar("R")
 KEYWORDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
@@ -50,9 +46,6 @@ class AnsweringMeta(ModuleMeta):
         try:
             return ModuleMeta.__call__(cls, *args, **kwargs)
         except TypeError:
-            known = _by_new_names(cls, kwargs)
-            if known is not None:
-                return ModuleMeta.__call__(cls, *args, **known)
             sentence = _misfit(cls, args, kwargs)
             if sentence:
                 raise TypeError(sentence) from None
@@ -79,55 +72,12 @@ def answering(function: Callable[P, R]) -> Callable[P, R]:
         try:
             return function(*args, **kwargs)
         except TypeError:
-            known: Any = _by_new_names(function, kwargs)
-            if known is not None:
-                return function(*args, **known)
             sentence = _misfit(function, args, kwargs)
             if sentence:
                 raise TypeError(sentence) from None
             raise
 
     return called
-
-
-def renamed(**names: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Of a function that is `answering`, or of a class as `RENAMED`: arguments that have another
-    name than in the version before, by the old one, which goes on for this version."""
-
-    def marked(function: Callable[P, R]) -> Callable[P, R]:
-        setattr(function, OLD_NAMES, names)
-        return function
-
-    return marked
-
-
-def formerly(old: str, new: str) -> property:
-    """A field by its name of the version before, which goes on for this version."""
-
-    def known(self: Any) -> Any:
-        _warn_of_old_name(type(self), old, new)
-        return getattr(self, new)
-
-    return property(known, doc=f"`{new}`, by its name of the version before.")
-
-
-def _warn_of_old_name(owner: Any, old: str, new: str) -> None:
-    warn(
-        f'{public_name(owner)} has "{new}" in the place of "{old}", which goes with the next '
-        "version.",
-        DeprecationWarning,
-    )
-
-
-def _by_new_names(called: Any, kwargs: dict) -> dict | None:
-    """What a function or class is given, by the names of its arguments as they are now, with a
-    warning; None where no name is old."""
-    names = {old: new for old, new in getattr(called, OLD_NAMES, {}).items() if old in kwargs}
-    if not names or set(names.values()) & set(kwargs):
-        return None
-    for old, new in names.items():
-        _warn_of_old_name(called, old, new)
-    return {names.get(name, name): value for name, value in kwargs.items()}
 
 
 def refuse_misfit(called: Callable, args: tuple, kwargs: dict) -> None:

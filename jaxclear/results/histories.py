@@ -4,6 +4,7 @@ Everything is computed from the saved states when asked for, so a run pays for n
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -11,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.components.body import Marker
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import AbstractBodyCoupling
 from jaxclear.ground import sparse as sp
@@ -28,18 +30,98 @@ OF_CONTACT = {"indentation": "m", "normal_force": "N", "slip_speed": "m/s", "tra
 class BodyHistory(eqx.Module):
     """Motion of a body in the ground frame: `com` place [m] and `velocity` [m/s] of its centre of
     mass, `rotation` its axes in the ground's (time, 3, 3), `spin` angular velocity [rad/s] in
-    ground axes, `origin` place of the body frame [m]."""
+    ground axes, `origin` place of the body frame [m].
+
+    Accelerations follow from the equations of motion at the saved states, and are computed when
+    asked for. Where contact forces are means over saving intervals (MoreauJean, joints that always
+    touch), what these add to an acceleration is such a mean too, impacts included.
+    """
 
     com: Float[Array, "time 3"]
     rotation: Float[Array, "time 3 3"]
     velocity: Float[Array, "time 3"]
     spin: Float[Array, "time 3"]
     origin: Float[Array, "time 3"]
+    history: StateHistory = eqx.field(repr=False)
+    name: str = eqx.field(static=True)
+
+    @property
+    def acceleration(self) -> Float[Array, "time 3"]:
+        """Of the centre of mass [m/s^2], ground axes."""
+        return _accelerations(self.history, self.name)[0]
+
+    @property
+    def angular_acceleration(self) -> Float[Array, "time 3"]:
+        """Rate of `spin` [rad/s^2], ground axes."""
+        return _accelerations(self.history, self.name)[1]
 
     @property
     def quaternion(self) -> np.ndarray:
         """Orientation as unit quaternions, scalar first."""
         return quaternion_from_rotation(np.asarray(self.rotation))
+
+
+class MarkerHistory(eqx.Module):
+    """Motion of a marker in the ground frame: `position` [m] and `rotation`, its axes in the
+    ground's; `body`: that of its body. Over the positions of a mechanism that does not move there
+    are these alone.
+    """
+
+    position: Float[Array, "time 3"]
+    rotation: Float[Array, "time 3 3"]
+    body: Any
+
+    @property
+    def velocity(self) -> Float[Array, "time 3"]:
+        """Of its origin [m/s], ground axes."""
+        return self.body.velocity + jnp.cross(self.body.spin, self.position - self.body.com)
+
+    @property
+    def acceleration(self) -> Float[Array, "time 3"]:
+        """Of its origin [m/s^2], ground axes: the rate of `velocity`, without gravity. From the
+        equations of motion, as of a `BodyHistory`."""
+        linear, angular = _accelerations(self.body.history, self.body.name)
+        spin, arm = self.body.spin, self.position - self.body.com
+        return linear + jnp.cross(angular, arm) + jnp.cross(spin, jnp.cross(spin, arm))
+
+    @property
+    def specific_force(self) -> Float[Array, "time 3"]:
+        """What an accelerometer on it reads [m/s^2], along its own axes: acceleration less that of
+        gravity, so that one at rest reads g upwards."""
+        gravity = sp.stack(self.body.history.model().system.gravity)
+        return jnp.einsum("tji,tj->ti", self.rotation, self.acceleration - gravity)
+
+    def __getitem__(self, index: Any) -> Any:
+        return _as_array(self)[index]
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        return np.array(_as_array(self), dtype)
+
+    def __jax_array__(self) -> Array:
+        return _as_array(self)
+
+
+def _as_array(marker: MarkerHistory) -> Array:
+    """The array that was returned in the version before, with a warning."""
+    warn(
+        "marker(...) has position, velocity and acceleration; the array that it was is its "
+        "position, and goes with the next version.",
+        DeprecationWarning,
+    )
+    return marker.position
+
+
+def marker(read: Callable[[str], Any], body: str | Marker, at: Any) -> MarkerHistory:
+    """A marker, or a point `at` [m] of a body whose motion is `read` by its name."""
+    if isinstance(body, Marker) and at is not None:
+        raise ValueError(f'a marker on "{body.body}" has its place; leave `at` out beside it.')
+    where = body if isinstance(body, Marker) else Marker(body, at)
+    motion, (turn, at) = read(where.body), where.pose()
+    return MarkerHistory(
+        motion.origin + motion.rotation @ sp.stack(at),
+        motion.rotation @ jnp.stack([sp.stack(row) for row in turn]),
+        motion,
+    )
 
 
 class ContactHistory(eqx.Module):
@@ -113,7 +195,8 @@ class EnergyHistory(eqx.Module):
 def body(history: StateHistory, name: str) -> BodyHistory:
     """Motion of a body."""
     check_known(name, history.mechanism.bodies, "body")
-    return _body(history, name)
+    com, rotation, velocity, spin, origin = _body(history, name)
+    return BodyHistory(com, rotation, velocity, spin, origin, history, name)
 
 
 @eqx.filter_jit
@@ -135,7 +218,29 @@ def _body(history, name):
             pose.translation,
         )
 
-    return BodyHistory(*map(columns, over_time(history, one)))
+    return tuple(map(columns, over_time(history, one)))
+
+
+@eqx.filter_jit
+def _accelerations(history, name):
+    """Of a body's centre of mass, and angular."""
+    com = sp.vec3(history.mechanism.bodies[name].com)
+
+    def one(now):
+        system = now.model.system
+        index = system.topology.index(name)
+        forces = history.formulation.forces(now)
+        solution = dynamics.forward_dynamics(system, forces, now.model.stabilisation)
+        every = kinematics.link_accelerations(system, now.motions, solution.accelerations)
+        own, twist = every[index], now.motions[index].twist
+        inner = system.links[index].frame.point(com)
+        velocity = sp.plus(twist.linear, sp.cross(twist.angular, inner))
+        felt = sp.plus(own.linear, sp.cross(own.angular, inner), sp.cross(twist.angular, velocity))
+        rotation = now.motions[index].pose.rotation
+        linear = sp.minus(sp.apply(rotation, felt), kinematics.upward(system))
+        return linear, sp.apply(rotation, own.angular)
+
+    return tuple(map(columns, over_time(history, one)))
 
 
 def contact(history: StateHistory, name: str) -> ContactHistory:

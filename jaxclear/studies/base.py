@@ -70,6 +70,10 @@ class AbstractProblem(AbstractQuantified):
     variable_units: eqx.AbstractVar[tuple[str, ...]]
     correlation: eqx.AbstractVar[Any]
 
+    def __hash__(self) -> int:
+        # By identity, not by its arrays: `jax.jit(problem.evaluate)` looks up its programs by it.
+        return id(self)
+
     def __str__(self) -> str:
         """How it is asked, the responses and the variables with their units."""
         units, nominal = self.units(), self.nominal()

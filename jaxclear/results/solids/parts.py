@@ -13,7 +13,7 @@ import numpy as np
 from jaxclear.components.body import GROUND, Connection
 from jaxclear.ground.arguments import check_known, expect
 from jaxclear.ground.wording import described
-from jaxclear.results.relative_motion import marker_frame, relative_motion
+from jaxclear.results.relative_motion import marker_frame, relative_motion, seen
 from jaxclear.results.solids import shapes
 from jaxclear.results.solids.shapes import Triangles
 
@@ -41,13 +41,7 @@ class Part(NamedTuple):
 def size_of(run: Any) -> float:
     """The longest side [m] of the box in which all joints and centres of mass move."""
     places = [np.asarray(run.body(name).com) for name in run.mechanism.bodies]
-    for connection in run.mechanism.connections.values():
-        at = marker_frame(connection.parent)[1]
-        places.append(
-            at[None]
-            if connection.parent.body == GROUND
-            else np.asarray(run.marker(connection.parent.body, tuple(at)))
-        )
+    places += [seen(run, own.parent).place for own in run.mechanism.connections.values()]
     every = np.concatenate(places)
     every = every[np.isfinite(every).all(axis=1)]
     return float(np.ptp(every, axis=0).max()) or 1.0

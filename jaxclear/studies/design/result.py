@@ -6,7 +6,6 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.answering import formerly
 from jaxclear.ground.shown import AbstractShown, as_written, in_digits
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_design
@@ -59,8 +58,6 @@ class Design(AbstractShown):
     endless: tuple[str, ...] = eqx.field(static=True, default=())
     # How many of all runs warn of what concerns the limited responses.
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
-
-    accuracy = formerly("accuracy", "allowed_excess")
 
     @property
     def limits(self) -> tuple[AbstractLimit, ...]:

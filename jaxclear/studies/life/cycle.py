@@ -197,7 +197,7 @@ def as_problem(owner: str, asked: Any, period: Any, state: State | None = None) 
         if period is not None or state is not None:
             raise ValueError(
                 f"{owner} is given a Problem, whose duration is the period and which has its own "
-                "state, and one of them besides: leave it out."
+                "state, and one of them besides: leave it out, and give cycles by name, cycles=..."
             )
         return asked
     expect(asked, Mechanism, f"the first argument of {owner}", "a Mechanism or a Problem")

@@ -5,7 +5,7 @@ is to last. A life chooses its own steps, so it is no compiled program; its cycl
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.answering import formerly
 from jaxclear.ground.arguments import check_count, check_number, expect
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.figures import Checks
@@ -59,15 +58,11 @@ class LifeProblem(AbstractProblem):
     variables: dict[str, AbstractMechanismVariable]
     correlation: Float[Array, "variables variables"] | None
     cycles: float | None = eqx.field(static=True)
-    # The name of version 0.29.
-    RENAMED: ClassVar = {"tolerance": "accuracy"}
     accuracy: float = eqx.field(static=True)
     most: int = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
     response_names: tuple[str, ...] = eqx.field(static=True)
     variable_units: tuple[str, ...] = eqx.field(static=True)
-
-    tolerance = formerly("tolerance", "accuracy")
 
     def __init__(
         self,

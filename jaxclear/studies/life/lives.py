@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.ground.answering import answering, renamed
+from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
 from jaxclear.ground.shown import AbstractShown
 from jaxclear.simulation import progress
@@ -96,12 +96,11 @@ class WearLives(AbstractShown):
 
 
 @answering
-@renamed(tolerance="accuracy")
 def wear_lives(
     problem: Problem,
     samples: int = 32,
-    cycles: float = 1e6,
     *,
+    cycles: float = 1e6,
     seed: int = 0,
     accuracy: float = 1e-2,
     most: int = 12,

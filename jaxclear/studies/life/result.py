@@ -11,7 +11,6 @@ import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from jaxclear.ground.answering import formerly
 from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.ground.datasets import provenance
 from jaxclear.ground.shown import AbstractShown
@@ -63,8 +62,6 @@ class WearLife(AbstractShown):
     ended: str = eqx.field(static=True)
     simulated: int = eqx.field(static=True)
     rejected: int = eqx.field(static=True)
-
-    tolerance = formerly("tolerance", "accuracy")
 
     @property
     def cycles(self) -> np.ndarray:

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from jaxclear.ground.answering import formerly
 from jaxclear.ground.shown import AbstractShown
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_reliability
@@ -42,8 +41,6 @@ class Reliability(AbstractShown):
     asked_variation: float = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
-
-    accuracy = formerly("accuracy", "asked_variation")
 
     @property
     def method(self) -> str:
