@@ -73,7 +73,7 @@ class AbstractProblem(AbstractQuantified):
     variable_units: eqx.AbstractVar[tuple[str, ...]]
     correlation: eqx.AbstractVar[Any]
 
-    def __str__(self) -> str:
+    def _shown(self):
         """How it is asked, the responses and the variables with their units."""
         units, nominal = self.units(), self.nominal()
         lines = [f"{public_name(type(self))} {self.asked_how()}".rstrip(), "responses"]

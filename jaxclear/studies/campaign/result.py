@@ -164,12 +164,10 @@ class Campaign:
 
     def summary(self, limits: Mapping[str, Limits] | None = None) -> Any:
         """The table of `MonteCarlo.summary`, one response at a time."""
-        import pandas
-
         names = self.problem.response_names
         limits = {} if limits is None else limits
         check_limits(limits, names)
-        return pandas.DataFrame([summary_row(self._reduced(n), n, limits) for n in names])
+        return summary_of([summary_row(self._reduced(n), n, limits) for n in names])
 
     def to_dataset(self) -> Any:
         """All samples as an xarray Dataset that is read when it is used: variables and responses by
@@ -183,7 +181,7 @@ class Campaign:
         first, *others = self.problem.response_names
         return self._reduced(first, *filter(self.problem.endless, others)).sentence()
 
-    def __str__(self) -> str:
+    def _shown(self):
         return self.sentence()
 
     def _unfinished(self) -> str:
