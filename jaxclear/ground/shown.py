@@ -42,8 +42,8 @@ class AbstractShown(eqx.Module):
 
 
 def shown_in_words(kind: Any) -> Any:
-    """Decorates a class of one sentence: whatever shows it, a list that it is in too, shows that
-    sentence (`__str__`)."""
+    """Decorates a class of few words (`__str__`): whatever shows it, a list that it is in too,
+    shows these."""
     kind.__repr__ = kind.__str__
     kind._repr_html_ = lambda self: _in_html(str(self))
     return kind
@@ -94,7 +94,8 @@ def with_error(value: float, error: float) -> str:
     size = max(abs(value), error)
     if not (math.isfinite(size) and error > GIVEN * size):
         known = error > 0 and math.isfinite(size)
-        return f"{in_few(value, GIVEN_DIGITS if known else 6)} ± {in_few(abs(error), 2)}"
+        digits = GIVEN_DIGITS if known else 4 if error else 6
+        return f"{in_few(value, digits)} ± {in_few(abs(error), 2)}"
     power = math.floor(math.log10(size))
     power = 0 if SMALL <= size < PLAIN else power
     places = power + 1 - math.floor(math.log10(error))

@@ -330,10 +330,11 @@ def _fitted(column: _Column, most: int, is_left: bool) -> _Fitted:
 
 
 def _best(cells: _Cells) -> _Cells:
-    """The way round that takes fewer lines."""
-    lines = _in_blocks(cells)
-    turns = "" in lines and len(cells.names[0].cells) <= WIDTH
-    return cells.swapped if turns and len(_in_blocks(cells.swapped)) <= len(lines) else cells
+    """The way round that is less broken, or takes fewer lines."""
+    if len(cells.names[0].cells) > WIDTH:
+        return cells
+    ways = [(lines.count(""), len(lines)) for lines in map(_in_blocks, (cells, cells.swapped))]
+    return cells.swapped if ways[0][0] and ways[1] <= ways[0] else cells
 
 
 def _in_lines(cells: _Cells) -> list[str]:
