@@ -35,7 +35,7 @@ FIRM = "\u00a0"
 # A unit behind a name.
 UNIT = re.compile(r"\[[^\[\]]*\]$")
 # Where a line may break.
-PIECE = re.compile(r"(?<=[ .])(?=[^ ])")
+PIECE = re.compile(r"(?<=[ .-])(?=[^ ])")
 
 
 def as_table(
@@ -107,7 +107,8 @@ class _Column(NamedTuple):
     @property
     def narrowest(self) -> int:
         """Its width where its head is broken and its cells are not."""
-        return max(_width(self.cells), _width(_broken(self.head, HEAD)))
+        head = min(max(HEAD, _width(PIECE.split(self.head))), LONG)
+        return max(_width(self.cells), _width(_broken(self.head, head)))
 
 
 class _Cells(NamedTuple):
@@ -217,10 +218,8 @@ def _column(
     columns = [_as_column(_floats(values))] * len(values)
     cells = [_cell(x, write) for x, write in zip(values, rows or columns, strict=True)]
     if errors is not None:
-        cells = [
-            with_error(x, error).replace(" ", FIRM) if _is_known(x, error) else cell
-            for cell, x, error in zip(cells, values, errors, strict=True)
-        ]
+        pairs = zip(cells, values, errors, strict=True)
+        cells = [_with_error(cell, x, error) for cell, x, error in pairs]
     return _Column(head, cells, any(isinstance(x, str) for x in values))
 
 
@@ -229,9 +228,12 @@ def _floats(values: Iterable) -> list[float]:
     return [x for x in values if isinstance(x, float) and math.isfinite(x) and x]
 
 
-def _is_known(value: Any, error: Any) -> bool:
-    numbers = isinstance(value, float) and isinstance(error, float)
-    return numbers and math.isfinite(value) and not math.isnan(error)
+def _with_error(cell: str, value: Any, error: Any) -> str:
+    """A cell, with the error of its value where there is one."""
+    if not (_floats([value]) or value == 0) or not isinstance(error, float) or math.isnan(error):
+        return cell
+    told = with_error(value, error) if _floats([error]) else f"{cell} ± {in_few(error, 2)}"
+    return told.replace(" ", FIRM)
 
 
 def _cell(value: Any, write: Callable[[float], str]) -> str:
@@ -263,8 +265,10 @@ def _digits(numbers: list[float], step: float = 0.0) -> int:
 
 def _in_row(numbers: list[float]) -> Callable[[float], str]:
     """How numbers of one unit beside each other are written."""
-    most = _digits(numbers) if numbers else DIGITS
-    return lambda x: in_few(x, most)
+    if not numbers:
+        return _alone
+    most, size = _digits(numbers), max(map(abs, numbers))
+    return lambda x: in_few(x, most if abs(x) >= ALIKE * size else DIGITS)
 
 
 def _as_column(numbers: list[float]) -> Callable[[float], str]:

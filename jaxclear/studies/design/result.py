@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.ground.answering import formerly
-from jaxclear.ground.shown import AbstractShown, as_written, in_digits
+from jaxclear.ground.shown import AbstractShown, as_written, in_digits, in_few
 from jaxclear.ground.table import as_table
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_design
@@ -185,7 +185,8 @@ class Design(AbstractShown):
             step = 0.01 * abs(float(limit.bound())) or 1.0
             named = f"{step:.3g} {self.unit(i)}".removesuffix(" 1")
         way = "more" if limit.upper() else "less"
-        return f"The limit on the {limit.words()} decides: {named} {way} saves {price * step:.3g}."
+        saved = in_few(price * step, 3)
+        return f"The limit on the {limit.words()} decides: {named} {way} saves {saved}."
 
     def table(self) -> Any:
         """A pandas table of all variables: nominal value, tolerance, whether each was chosen, and
@@ -228,7 +229,8 @@ class Design(AbstractShown):
                     "price": self.prices[i],
                 }
             )
-        return as_table(rows, errors={"number": "error"})
+        units = {"price": "cost a unit"}
+        return as_table(rows, units=units, errors={"number": "error"})
 
     def history(self) -> Any:
         """A pandas table, a row a round: cost, largest excess by new runs, runs so far, what the
