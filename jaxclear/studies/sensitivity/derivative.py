@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.shown import AbstractShown, shown_in_words, with_error
+from jaxclear.ground.table import as_table
 from jaxclear.studies.datasets import of_derivatives
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.scrambled import skewed_half
@@ -35,6 +36,7 @@ FEWEST = 8
 COMPARABLE = 2.0
 
 
+@shown_in_words
 class Estimate(NamedTuple):
     """A derivative by one method. `error` is half the width of its 95 % interval, bias included;
     `refusal` says why a method has no answer (then value and error are nan). `doubt` says what its
@@ -54,6 +56,9 @@ class Estimate(NamedTuple):
     bias: float = 0.0
     runs: int = 0
 
+    def __str__(self) -> str:
+        return f"no answer: {self.refusal}" if self.refusal else with_error(self.value, self.error)
+
 
 def from_parts(parts: np.ndarray, bias: float = 0.0) -> Estimate:
     """The mean of contributions (scramblings,), with their interval and a bias."""
@@ -68,7 +73,7 @@ def refused(why: str) -> Estimate:
     return Estimate(np.nan, np.nan, why)
 
 
-class Derivative(eqx.Module):
+class Derivative(AbstractShown):
     """Derivative of a statistic of a response over the tolerances (by default its mean) with
     respect to one variable or the width of its distribution, with its 95 % error.
 
@@ -85,6 +90,14 @@ class Derivative(eqx.Module):
     verdict: str = eqx.field(static=True)
     trustworthy: bool = eqx.field(static=True)
     estimates: dict[str, Estimate]
+
+    def _shown(self):
+        return self.sentence()
+
+    def sentence(self, unit: str = "") -> str:
+        """The derivative, in a `unit`, and its verdict."""
+        value = f"{with_error(self.value, self.error)} {unit}".rstrip()
+        return f"d({self.response})/d({self.variable}) = {value}. {self.verdict}"
 
 
 class Sensitivity(AbstractShown):
@@ -103,10 +116,9 @@ class Sensitivity(AbstractShown):
         above = self.units.get(response) or problem.units()[response]
         return f"({above})/({known[variable]})"
 
-    def __str__(self) -> str:
+    def _shown(self):
         lines = [
-            f"d({response})/d({variable}) = {found.value:.4g} ± {found.error:.2g} "
-            f"{self.unit(response, variable)}. {found.verdict}"
+            found.sentence(self.unit(response, variable))
             for (response, variable), found in self.derivatives.items()
         ]
         failed, count = len(self.sample.failed), self.sample.count
@@ -125,8 +137,6 @@ class Sensitivity(AbstractShown):
     def table(self) -> Any:
         """A pandas table: one row a derivative, by response and variable; first the answer, then
         the verdict and each method's own answer."""
-        import pandas
-
         rows = []
         for (response, variable), found in self.derivatives.items():
             row = {
@@ -145,7 +155,7 @@ class Sensitivity(AbstractShown):
                 row[f"{name} warnings"] = estimate.warnings
             rows.append(row)
         # As the index, the names leave the first columns, which print always shows, to the answer.
-        return pandas.DataFrame(rows).set_index(["response", "variable"])
+        return as_table(rows, index=["response", "variable"], errors={"derivative": "error (95 %)"})
 
 
 def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> Derivative:

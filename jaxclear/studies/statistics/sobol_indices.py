@@ -17,7 +17,8 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags
-from jaxclear.ground.shown import AbstractShown, in_rows, left_out
+from jaxclear.ground.shown import AbstractShown, left_out
+from jaxclear.ground.table import as_table
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
@@ -40,9 +41,9 @@ class SobolIndices(AbstractShown):
     failed: int = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
-    def __str__(self) -> str:
+    def _shown(self):
         said = [*left_out(self.failed, "base samples"), *self.warnings]
-        return "\n".join([in_rows(self.table()), *said])
+        return self.table(), *said
 
     def to_dataset(self) -> Any:
         """Both indices with their intervals as an xarray Dataset by response and variable, with
@@ -51,8 +52,6 @@ class SobolIndices(AbstractShown):
 
     def table(self) -> Any:
         """A pandas table by response and variable: both indices with their errors."""
-        import pandas
-
         rows = [
             {
                 "response": response,
@@ -64,7 +63,8 @@ class SobolIndices(AbstractShown):
             }
             for (response, variable), first in self.first.items()
         ]
-        return pandas.DataFrame(rows).set_index(["response", "variable"])
+        units = {"first order": "1", "total": "1"}
+        return as_table(rows, index=["response", "variable"], units=units)
 
 
 @answering
