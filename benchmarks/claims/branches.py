@@ -89,7 +89,7 @@ def puck(clearance, restitution, impulse):
         own = side * (clearance - speed * (INSTANTS - at))
         place = jnp.where((at <= INSTANTS) & (end > INSTANTS), own, place)
         at = end
-    return {f"after bounce {k + 1}": place[k] for k in range(BOUNCES)}
+    return {f"after bounce {k + 1}": place[..., k] for k in range(BOUNCES)}
 
 
 def of_functions(variables: int) -> tuple[jc.FunctionProblem, dict]:
