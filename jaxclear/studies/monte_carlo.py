@@ -267,7 +267,7 @@ def monte_carlo(
     """Responses over a random sample of the variables.
 
     `sampling`: "sobol" (scrambled, quasi-random) or "random". The sample consists of independent
-    `scramblings`, by default near its root and at most 16, whose differences tell the error of
+    `scramblings`, by default near its root and at most 8, whose differences tell the error of
     every statistic. `accuracy`: half of the 95 % interval of each mean, as a share of the
     response's root mean square [1], or by response in its unit; samples are then doubled until it
     is reached, and `samples` are the most. `chunk`: samples run together, by
