@@ -45,8 +45,8 @@ class Outer(NamedTuple):
         """The runs whose response is a number, and the response."""
         own = self.responses[response]
         good = np.isfinite(own)
-        kept = self.normal[good], self.values[good], {}, self.scrambling[good]
-        return Outer(*kept), own[good]
+        none: dict[str, np.ndarray] = {}
+        return Outer(self.normal[good], self.values[good], none, self.scrambling[good]), own[good]
 
 
 def runs_outside(
