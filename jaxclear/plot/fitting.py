@@ -51,13 +51,14 @@ class Roomy(Locator):
         self.whole = whole
 
     def __call__(self) -> Any:
-        return self.tick_values(*self.axis.get_view_interval())
+        axis: Any = self.axis
+        return self.tick_values(*axis.get_view_interval())
 
     def tick_values(self, vmin: float, vmax: float) -> Any:
         """The places; those outside are not drawn."""
         for most in range(MOST_TICKS, 0, -1):
             round_ones = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10], integer=self.whole)
-            found = round_ones.tick_values(vmin, vmax)
+            found = np.asarray(round_ones.tick_values(vmin, vmax))
             if _has_room(self.axis, found[(found >= vmin) & (found <= vmax)]):
                 break
         return found
@@ -68,7 +69,8 @@ class Decades(Locator):
     those, within one of them round places."""
 
     def __call__(self) -> Any:
-        return self.tick_values(*self.axis.get_view_interval())
+        axis: Any = self.axis
+        return self.tick_values(*axis.get_view_interval())
 
     def tick_values(self, vmin: float, vmax: float) -> Any:
         """The places."""
@@ -94,8 +96,9 @@ def _decimal(value: float, _: int = 0) -> str:
 
 def _has_room(axis: Any, found: np.ndarray) -> bool:
     """Whether the labels of places stand apart."""
-    usual = matplotlib.rcParams[f"{axis.axis_name}tick.labelsize"]
-    size = FontProperties(size=axis.get_tick_params().get("labelsize", usual)).get_size_in_points()
+    usual: Any = matplotlib.rcParams
+    own = axis.get_tick_params().get("labelsize", usual[f"{axis.axis_name}tick.labelsize"])
+    size = FontProperties(size=own).get_size_in_points()
     box, inch = axis.axes.get_window_extent(), axis.get_figure(root=True).dpi
     labels = axis.get_major_formatter().format_ticks(found)
     if axis.axis_name == "x":
@@ -136,8 +139,11 @@ def key(axis: Any, lines: Any = None, **kwargs: Any) -> None:
         axis.legend(handles, labels, fontsize=SMALL, ncols=columns, **kwargs)
 
 
-def fitted(figure: Figure) -> Figure:
-    """The figure with texts that can be read."""
+def fitted(figure: Figure) -> None:
+    """Makes the texts of a figure such as can be read."""
+    layout, title = figure.get_layout_engine(), getattr(figure, "_suptitle", None)
+    if layout is None:
+        return
     bars = [one for one in figure.axes if one.get_label() == "<colorbar>"]
     axes = [one for one in figure.axes if one not in bars]
     flat = [one for one in axes if one.name != "3d"]
@@ -145,9 +151,9 @@ def fitted(figure: Figure) -> Figure:
         places(axis)
         _fold_rows(axis)
     _widen(figure, flat)
-    figure.get_layout_engine().execute(figure)
+    layout.execute(figure)
     before = {axis: axis.get_window_extent().height for axis in flat}
-    folded = [_fold(figure._suptitle, figure.bbox.width)] if figure._suptitle else []
+    folded = [_fold(title, figure.bbox.width)] if title else []
     folded += [_fold(axis.title, _room(axis, figure, bars)) for axis in axes]
     for axis in (*flat, *bars):
         box = axis.get_window_extent()
@@ -157,14 +163,13 @@ def fitted(figure: Figure) -> Figure:
         folded.append(_fold(axis.yaxis.label, box.height, upright=True))
     needed = {axis: max(before[axis], _rows_need(axis)) for axis in flat}
     if any(folded) or needed != before:
-        figure.get_layout_engine().execute(figure)
+        layout.execute(figure)
         lost: dict[int, float] = defaultdict(float)
         for axis in flat:
             box = axis.get_window_extent()
             row = round(box.y1)
             lost[row] = max(lost[row], needed[axis] - box.height)
         figure.set_figheight(figure.get_figheight() + sum(lost.values()) / figure.dpi)
-    return figure
 
 
 def _widen(figure: Figure, axes: list) -> None:
