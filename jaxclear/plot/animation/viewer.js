@@ -59,8 +59,8 @@
     make('span', row, {}, `Contact forces, up to ${newton(run.largest)}.`);
   }
   const said = make('div', document.body, {
-    position: 'absolute', left: '10px', font: '11px sans-serif', color: '#b3261e',
-    maxHeight: '15%', overflowY: 'auto', zIndex: 20, background: 'rgba(255,255,255,0.8)',
+    left: '10px', bottom: `${LOW + 6}px`, font: '11px sans-serif', color: '#b3261e',
+    overflowY: 'auto', zIndex: 20, background: 'rgba(255,255,255,0.8)',
   });
   run.warnings.forEach((text) => make('div', said, {}, 'Warning: ' + text));
 
@@ -79,9 +79,10 @@
     Object.assign(side.style, {
       width: `${narrow ? broad : wide}px`, height: `${narrow ? tall - high : tall}px`,
     });
-    Object.assign(said.style, {
-      bottom: `${window.innerHeight - high + 6}px`, width: `${broad - 90}px`,
-    });
+    if (narrow) side.prepend(said); else document.body.append(said);
+    Object.assign(said.style, narrow
+      ? { position: 'static', width: 'auto', maxHeight: 'none', margin: '4px 10px' }
+      : { position: 'absolute', width: `${broad - 90}px`, maxHeight: '15%', margin: 0 });
     list.style.fontSize = narrow ? '11px' : '13px';
     pace.style.display = narrow ? 'none' : '';
   };
