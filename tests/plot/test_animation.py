@@ -171,7 +171,7 @@ def test_a_body_without_a_mesh_is_the_cuboid_with_its_inertia(moments):
 def test_a_body_is_no_larger_than_its_joints_are_apart():
     """Whatever its inertia; where they are in one place a tenth of the mechanism."""
     body = jc.Body(1.0, (10.0, 20.0, 25.0))
-    for joints, most in (([[0.0, 0.0, 0.0]], 0.1), ([[0.4, 0.0, 0.0], [-0.3, 0.0, 0.0]], 0.7)):
+    for joints, most in (([[0.0, 0.0, 0.0]], 0.1), ([[0.35, 0.0, 0.0], [-0.35, 0.0, 0.0]], 0.7)):
         solid = shapes.of_body(body, np.array(joints), 1.0)
         assert np.ptp(solid.points, axis=0).max() == pytest.approx(most, rel=1e-9)
 
