@@ -5,6 +5,7 @@ lose nothing by it.
 Where texts end is measured after matplotlib's own layout, so that no plot counts letters.
 """
 
+import re
 import textwrap
 from collections import defaultdict
 from collections.abc import Sequence
@@ -22,7 +23,6 @@ from matplotlib.ticker import (
     LogLocator,
     MaxNLocator,
     NullFormatter,
-    ScalarFormatter,
 )
 
 __all__ = ["RAISED", "Roomy", "columns_of", "fitted", "key", "places"]
@@ -40,6 +40,8 @@ MOST_COLUMNS, SMALL = 5, 7.0
 # What names of rows may take of the width of a figure [inch].
 NAMES = 0.9
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+# As matplotlib writes a power of ten, and what is taken off numbers.
+OFFSET = re.compile(r"(?:1e(-?\d+))?([+-][-\d.e]+)?")
 # Of the room for a text, what it may take.
 TAKEN = 0.96
 
@@ -197,16 +199,13 @@ def _room(axis: Any, figure: Figure, bars: list) -> float:
 
 def _without_offset(axis: Any) -> None:
     """Says in the label what is taken off the numbers of an axis, and their power of ten."""
-    formatter = axis.get_major_formatter()
-    if type(formatter) is not ScalarFormatter or not formatter.get_offset():
-        return
     label, offset = axis.get_label_text(), axis.get_offset_text()
-    if not label or not offset.get_visible():
+    said = OFFSET.fullmatch(axis.get_major_formatter().get_offset().replace("\N{MINUS SIGN}", "-"))
+    if said is None or not any(said.groups()) or not label or not offset.get_visible():
         return
     what, _, unit = label.rstrip("]").partition(" [")
-    taken = f" \N{MINUS SIGN} {formatter.offset:.12g}" if formatter.offset else ""
-    power = formatter.orderOfMagnitude
-    scale = f"10{str(power).translate(RAISED)} " if power else ""
+    taken = f" \N{MINUS SIGN} {float(said[2]):.12g}" if said[2] else ""
+    scale = f"10{said[1].translate(RAISED)} " if said[1] else ""
     unit = f"{scale}{unit}".removesuffix(" 1" if scale else "").rstrip()
     axis.set_label_text(f"{what}{taken} [{unit}]" if unit else f"{what}{taken}")
     offset.set_visible(False)
@@ -232,10 +231,11 @@ def _fold_rows(axis: Any) -> None:
     """Folds the names of rows."""
     if not _has_rows(axis):
         return
-    names = [one.get_text() for one in axis.get_yticklabels()]
-    if any(len(one) > ROW and "\n" not in one for one in names):
-        names = [one if "\n" in one else textwrap.fill(one, ROW) for one in names]
-        axis.set_yticks(axis.get_yticks(), names, fontsize=axis.get_yticklabels()[0].get_fontsize())
+    labels = axis.get_yticklabels()
+    lines = [one.get_text().split("\n") for one in labels]
+    if any(len(line) > ROW for own in lines for line in own):
+        names = ["\n".join(textwrap.fill(line, ROW) for line in own) for own in lines]
+        axis.set_yticks(axis.get_yticks(), names, fontsize=labels[0].get_fontsize())
 
 
 def _rows_need(axis: Any) -> float:
