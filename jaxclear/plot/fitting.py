@@ -223,8 +223,8 @@ def _fold(text: Any, room: float, upright: bool = False) -> bool:
 
 def _has_rows(axis: Any) -> bool:
     """Whether rows have names: they are 1 apart."""
-    locator = axis.yaxis.get_major_locator()
-    return isinstance(locator, FixedLocator) and np.allclose(np.abs(np.diff(locator.locs)), 1.0)
+    named = isinstance(axis.yaxis.get_major_locator(), FixedLocator)
+    return named and np.allclose(np.abs(np.diff(axis.get_yticks())), 1.0)
 
 
 def _fold_rows(axis: Any) -> None:
