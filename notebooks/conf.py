@@ -16,7 +16,16 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 project = "jaxclear"
 author = "the authors of jaxclear"
-extensions = ["myst_nb", "offline_math", "measured", "reference", "terms", "timed", "figures"]
+extensions = [
+    "myst_nb",
+    "fold",
+    "offline_math",
+    "measured",
+    "reference",
+    "terms",
+    "timed",
+    "figures",
+]
 exclude_patterns = ["_extensions", "**.ipynb_checkpoints"]
 master_doc = "index"
 
@@ -35,6 +44,8 @@ nb_execution_mode = "cache"
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
+# Sliders of a notebook need a kernel; their scripts would be fetched from a network.
+nb_ipywidgets_js = {}
 # Progress bars and compilers write there.
 nb_output_stderr = "remove"
 # What a cell prints in pieces is one block.
