@@ -16,7 +16,16 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
 project = "jaxclear"
 author = "the authors of jaxclear"
-extensions = ["myst_nb", "fold", "offline_math", "measured", "reference"]
+extensions = [
+    "myst_nb",
+    "fold",
+    "offline_math",
+    "measured",
+    "reference",
+    "terms",
+    "timed",
+    "figures",
+]
 exclude_patterns = ["_extensions", "**.ipynb_checkpoints"]
 master_doc = "index"
 
@@ -28,6 +37,9 @@ html_math_renderer = "mathml"
 
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
+# One argument a line, and types under the names by which one reaches them.
+python_maximum_signature_line_length = 60
+python_use_unqualified_type_names = True
 nb_execution_mode = "cache"
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True

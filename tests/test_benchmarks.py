@@ -151,6 +151,8 @@ def test_summary_of_work_and_precision_is_that_of_its_points():
     document = json.loads((RESULTS / "work_precision.json").read_text())
     for cost, title in work_precision.SUMMARY.items():
         assert document[title] == work_precision.summary(document, cost)
+    for joints, title in work_precision.STANDING.items():
+        assert document[title] == work_precision.standings(document, joints)
 
 
 def test_a_scene_that_is_measured_leaves_the_others_as_they_are(tmp_path):

@@ -1,7 +1,7 @@
 """What the book asks of the package by name is there: building it is slow, and seldom done."""
 
 import ast
-import importlib
+import importlib.util
 import re
 from pathlib import Path
 
@@ -38,3 +38,17 @@ def test_extensions_of_the_book_import_what_there_is(script):
             module = importlib.import_module(node.module)
             missing = [name.name for name in node.names if not hasattr(module, name.name)]
             assert not missing, f"{node.module} has no {', '.join(missing)}"
+
+
+def test_subscripts_of_letters_with_a_dot_stand_beside_them():
+    """docutils sets them under the letter, as limits under a sum."""
+    pytest.importorskip("sphinx")
+    where = importlib.util.spec_from_file_location(
+        "offline_math", BOOK / "_extensions" / "offline_math.py"
+    )
+    offline_math = importlib.util.module_from_spec(where)
+    where.loader.exec_module(offline_math)
+    for tex in (r"\dot\delta_0", r"{\dot\delta}_0"):
+        formula = "".join(offline_math.mathml(tex, False).split())
+        assert '<msub><moveraccent="true"><mi>δ</mi>' in formula and "<mn>0</mn></msub>" in formula
+    assert "munderover" in offline_math.mathml(r"\sum_{i=1}^n i", True)

@@ -91,7 +91,7 @@ def path(law: Any, integrator: Any, grid: float) -> Motion:
     )
     offset = np.asarray(run.contact("B").offset)[:, :2]
     return Motion(
-        np.asarray(run.time), np.asarray(run.coordinate("G"))[:, 0], np.hypot(*offset.T) / CLEARANCE
+        np.asarray(run.time), np.asarray(run.coordinate("G")), np.hypot(*offset.T) / CLEARANCE
     )
 
 

@@ -47,11 +47,11 @@ def closed_form_rows(laws: dict) -> list[dict[str, Any]]:
     for name, (hyperbolic, depth) in laws.items():
         asked = problem(wearing_ring(hyperbolic=hyperbolic))
         turns = ClosedForm(hyperbolic=hyperbolic).turns(depth)
-        jc.wear_life(asked, 1)
+        jc.wear_life(asked, cycles=1)
         schemes = [("3(2) pair", f"tolerance {x:g}", {"accuracy": x}) for x in TOLERANCES]
         schemes += [("fixed factor", f"{n} jumps", {"jump": turns / n}) for n in JUMPS]
         for scheme, setting, given in schemes:
-            life, spent = timed(asked, turns, **given)
+            life, spent = timed(asked, cycles=turns, **given)
             true = abs(float(life.over_life("depth")[-1]) / depth - 1)
             rows.append(
                 {
@@ -119,8 +119,8 @@ def parallel_rows() -> list[dict[str, Any]]:
 def _parallel_row(name: str, asked: jc.Problem, most: int) -> dict[str, Any]:
     jax.clear_caches()
     given = {"accuracy": 2e-2, "most": most}
-    _, first = timed(asked, MILLION, **given)
-    life, spent = timed(asked, MILLION, **given)
+    _, first = timed(asked, cycles=MILLION, **given)
+    life, spent = timed(asked, cycles=MILLION, **given)
     return {
         "motion": name,
         "period [s]": float(asked.duration),
@@ -138,13 +138,13 @@ def _parallel_row(name: str, asked: jc.Problem, most: int) -> dict[str, Any]:
 def million_rows() -> list[dict[str, Any]]:
     """Lives of a million cycles by tolerance, beside the tight one: all cells of the map."""
     asked = four_bar()
-    jc.wear_life(asked, 1)
-    tight, spent = timed(asked, MILLION, accuracy=TIGHT)
+    jc.wear_life(asked, cycles=1)
+    tight, spent = timed(asked, cycles=MILLION, accuracy=TIGHT)
     exact = np.asarray(tight.worn()["B"]["bearing"])
     once = MILLION * np.asarray(tight.stages[0].settled.wear["B"]["bearing"])
     rows = [_million("carried on from one cycle", 2, once, None, exact, 0.0)]
     for tolerance in FOUR_BAR_TOLERANCES:
-        life, took = timed(asked, MILLION, accuracy=tolerance)
+        life, took = timed(asked, cycles=MILLION, accuracy=tolerance)
         depth = np.asarray(life.worn()["B"]["bearing"])
         rows.append(
             _million(f"tolerance {tolerance:g}", life.simulated, depth, life.error, exact, took)
@@ -183,7 +183,7 @@ def _chaotic_row(most: int) -> dict[str, Any]:
             jc.Problem(
                 rig, {"force": jc.response.MeanContactForce("B")}, {}, duration=period, state=state
             ),
-            MILLION,
+            cycles=MILLION,
             accuracy=2e-2,
             most=most,
         )

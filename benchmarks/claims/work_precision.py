@@ -15,30 +15,33 @@ import argparse
 import fcntl
 import json
 import math
+import statistics
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import jax
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
-
 from benchmarks.measure import about, date
 from benchmarks.trade.curves import Curves, curves
 from benchmarks.trade.questions import SCENES
+from jaxclear.plot.canvas import canvas, captioned
 
 FIGURES = Path(__file__).resolve().parents[2] / "notebooks" / "_figures"
 QUICK = ("slider-crank, ideal",)
-ACCURACY = 0.01
+# What is asked; and an error from which on no digit is right: axes end there.
+ACCURACY, LARGEST = 0.01, 1.0
 ALONE, BATCH = "alone [ms/s]", "in a batch [ms/s]"
 # Titles of the tables: of every setting of a scene, and of the summaries.
 POINTS = "{scene}: every setting"
 SUMMARY = {
     ALONE: "CPU time alone [ms for a simulated second] to 1 %",
     BATCH: "CPU time of a sample in a batch [ms for a simulated second] to 1 %",
+}
+# Titles of who reaches the accuracy: of scenes with clearance, and of those without.
+STANDING = {
+    "clearance": "Joints with clearance, answers to 1 %",
+    "ideal": "Ideal joints, answers to 1 %",
 }
 # Scenes are measured in several calls.
 COMMAND = {"command": "python -m benchmarks.claims.work_precision --scene NAME ..."}
@@ -106,40 +109,69 @@ def summary(document: dict[str, Rows], cost: str) -> Rows:
     return table
 
 
+def standings(document: dict[str, Any], joints: str) -> Rows:
+    """A row for every integrator: in how many answers it reaches the accuracy, in how many at the
+    least cost, and what it takes beside the least; alone and in a batch."""
+    table: dict[str, dict[str, Any]] = {}
+    for how, title in zip(("alone", "in a batch"), SUMMARY.values(), strict=True):
+        answers = [list(row.items()) for row in document[title] if joints == _joints(row["scene"])]
+        costs = [{name: float(c) for name, c in row[3:] if _is_cost(c)} for row in answers]
+        for name, _ in answers[0][3:]:
+            asked = sum(dict(row).get(name) is not None for row in answers)
+            ratios = [own[name] / min(own.values()) for own in costs if name in own]
+            if ratios:
+                row = table.setdefault(name, {"integrator": name, "answers": asked})
+                row[f"within 1 %, {how}"] = len(ratios)
+                row[f"cheapest, {how}"] = ratios.count(1)
+                row[f"cost / least, {how}: median"] = statistics.median(ratios)
+                row[f"largest, {how}"] = max(ratios)
+    return list(table.values())
+
+
+def _joints(scene: str) -> str:
+    return "ideal" if "ideal" in scene else "clearance"
+
+
+def _is_cost(cell: str | None) -> bool:
+    """Whether a cell of the summary is a cost: not an error in brackets, nor a failure."""
+    return cell is not None and cell[0].isdigit()
+
+
 def draw(scene: str, rows: Rows, folder: Path) -> Path:
     """A picture of a scene: a panel for every response, a line for every rung; filled: alone,
-    hollow: a sample in a batch."""
+    hollow: a sample in a batch; triangles at the upper edge: no digit is right, or it diverged."""
     names = responses_of(rows)
     across = min(3, len(names))
     down = -(-len(names) // across)
-    figure, axes = plt.subplots(
-        down, across, figsize=(4.0 * across, 3.1 * down), squeeze=False, layout="constrained"
-    )
+    figure, axes = canvas(down, across, (4.0 * across, 3.1 * down), squeeze=False)
     rungs = list(dict.fromkeys(row["rung"] for row in rows[1:]))
     for axis, name in zip(axes.flat, names, strict=False):
+        axis.set(xscale="log", yscale="log")
         for number, rung in enumerate(rungs):
-            own = [row for row in rows if row["rung"] == rung and row[ERROR + name]]
+            own = [row for row in rows if row["rung"] == rung and row[ERROR + name] is not None]
             for cost, style in ((ALONE, "o-"), (BATCH, "o:")):
-                points = [(row[cost], row[ERROR + name]) for row in own if row[cost]]
+                known = [(row[cost], row[ERROR + name]) for row in own if row[cost]]
+                points = [(work, error) for work, error in known if 0 < error < LARGEST]
+                lost = [(work, LARGEST) for work, error in known if not error < LARGEST]
+                how = {"color": f"C{number}", "mfc": f"C{number}" if cost == ALONE else "none"}
+                label = rung if cost == ALONE else None
                 if points:
-                    fill = f"C{number}" if cost == ALONE else "none"
-                    label = rung if cost == ALONE else None
-                    axis.loglog(
-                        *zip(*points, strict=True), style, color=f"C{number}", mfc=fill, ms=4, lw=1,
-                        label=label,
-                    )  # fmt: skip
+                    axis.plot(*zip(*points, strict=True), style, ms=4, lw=1, label=label, **how)
+                if lost:
+                    axis.plot(*zip(*lost, strict=True), "^", ms=6, clip_on=False, **how)
         if not axis.has_data():
-            axis.set(xscale="log", yscale="log", ylim=(0.01 * ACCURACY, 10 * ACCURACY))
+            axis.set(ylim=(0.01 * ACCURACY, LARGEST), xlim=(1.0, 1e3))
             axis.text(0.5, 0.7, "no setting errs", ha="center", transform=axis.transAxes)
         axis.axhline(ACCURACY, color="k", lw=0.6)
         axis.set(title=name, xlabel="CPU time [ms for a simulated s]", ylabel="error [1]")
+        axis.set_ylim(top=LARGEST)
         axis.grid(alpha=0.3)
     for axis in axes.flat[len(names) :]:
-        axis.set_visible(False)
+        axis.remove()
     figure.legend(*axes.flat[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    captioned(figure)
     path = folder / f"work_precision_{slug(scene)}.png"
     figure.savefig(path, dpi=80)
-    plt.close(figure)
     return path
 
 
@@ -171,9 +203,12 @@ def _with(scene: str, rows: Rows, known: dict[str, Any]) -> dict[str, Any]:
     machine = known.get("about", {}).get("machine")
     told = about("benchmarks.claims.work_precision", None) | COMMAND
     told |= {} if machine is None else {"machine": machine}
+    summaries = {title: summary(points, cost) for cost, title in SUMMARY.items()}
+    some = dict.fromkeys(map(_joints, measured))
     return (
         {"about": told}
-        | {title: summary(points, cost) for cost, title in SUMMARY.items()}
+        | {STANDING[joints]: standings(summaries, joints) for joints in some}
+        | summaries
         | {WHEN: [{"scene": name, "measured": dates.get(name, before)} for name in measured]}
         | points
     )

@@ -105,6 +105,7 @@ MISTAKES: list[tuple[str, Callable[[], Any]]] = [
     ("stiffness", lambda: jc.contact.Hertz(1e9)),
     ("stiffness", lambda: jc.contact.Hertz(stiffness=-1e9)),
     ("exponent", lambda: jc.contact.Hertz(exponent=0.5)),
+    ("contact.elastic", lambda: jc.contact.ContactForce(jc.contact.Linear(stiffness=1e6))),
     ("restitution", lambda: jc.contact.Flores(restitution=1.5)),
     ("restitution", lambda: jc.contact.Flores(restitution=0.0)),
     ("damping", lambda: jc.contact.Hertz(damping=3.0)),

@@ -59,7 +59,7 @@ PEAK = jc.response.PeakContactForce("B")
 @eqx.filter_jit
 def _run(mechanism, coordinates, speeds, times, integrator):
     found = run(mechanism, coordinates, speeds, times, integrator)
-    places = found.coordinate("G")[1:, 0]
+    places = found.coordinate("G")[1:]
     return places, PEAK(found), found.accepted_steps + found.rejected_steps
 
 

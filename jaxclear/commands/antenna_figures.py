@@ -30,10 +30,10 @@ def motion(runs: Mapping[str, Trajectory]) -> Figure:
     figure = Figure(figsize=(10.0, 8.0), layout="constrained")
     axes = figure.subplots(3, 2, sharex=True)
     for column, joint in enumerate(JOINTS):
-        ideal = np.asarray(runs["ideal"].coordinate(joint))[:, 0]
+        ideal = np.asarray(runs["ideal"].coordinate(joint))
         for kind, run in runs.items():
             colour, line = STYLES[kind]
-            angle, speed = (np.asarray(read(joint))[:, 0] for read in (run.coordinate, run.speed))
+            angle, speed = (np.asarray(read(joint)) for read in (run.coordinate, run.speed))
             axes[0][column].plot(
                 run.time, angle, color=colour, ls=line, lw=1.3, label=f"{kind} joints"
             )
@@ -59,7 +59,7 @@ def stick_slip(
     figure = Figure(figsize=(11.0, 8.5), layout="constrained")
     axes = figure.subplots(3, 2, sharex="col")
     for number, (label, run) in enumerate(runs.items()):
-        time, speed = np.asarray(run.time), np.asarray(run.speed(joint))[:, 0]
+        time, speed = np.asarray(run.time), np.asarray(run.speed(joint))
         acceleration = np.diff(speed) / np.diff(time)
         friction = np.asarray(run.contact(joint).traction).sum(1)[1:]
         style = {"color": f"C{number}", "lw": 1.6 if number == 0 else 1.0, "zorder": 3 - number}
@@ -68,7 +68,7 @@ def stick_slip(
             axes[1][column].plot(time[1:], acceleration, **style)
             axes[2][column].plot(time[1:], friction, **style)
     first = next(iter(runs.values()))
-    time, speed = np.asarray(first.time), np.asarray(first.speed(joint))[:, 0]
+    time, speed = np.asarray(first.time), np.asarray(first.speed(joint))
     held = np.abs(speed) * radius < STUCK
     held[0] = False
     for axis in axes.flat:
@@ -137,7 +137,7 @@ def tip_paths(run: Trajectory, error: PointingError) -> tuple[np.ndarray, np.nda
     coordinates, and as the journals lean."""
     base, link = run.body(BASE), run.body(TIP.body)
     turned = np.asarray(base.rotation)
-    place = np.asarray(run.marker(TIP.body, TIP.at)) - np.asarray(base.origin)
+    place = np.asarray(run.marker(TIP).position) - np.asarray(base.origin)
     ideal = np.einsum("tji,tj->ti", turned, place)
     frame = np.asarray(link.rotation) @ np.array(
         [[float(x) for x in row] for row in TIP.pose().rotation]
@@ -154,7 +154,7 @@ def tip_path(run: Trajectory, error: PointingError, nominal: Trajectory, scale: 
     figure = Figure(figsize=(9.0, 7.5), layout="constrained")
     axis = figure.add_subplot(projection="3d")
     base = nominal.body(BASE)
-    away = np.asarray(nominal.marker(TIP.body, TIP.at)) - np.asarray(base.origin)
+    away = np.asarray(nominal.marker(TIP).position) - np.asarray(base.origin)
     frictionless = np.einsum("tji,tj->ti", np.asarray(base.rotation), away)
     ideal, actual = tip_paths(run, error)
     exaggerated = (ideal + scale * (actual - ideal))[1:]

@@ -15,7 +15,10 @@ from matplotlib.figure import Figure
 
 import jaxclear as jc
 from jaxclear import plot
+from jaxclear.ground.table import as_table
 from jaxclear.plot.canvas import canvas, readable, warned
+from jaxclear.plot.fitting import key
+from jaxclear.plot.overview import draw_forces
 
 __all__ = ["joint_table", "keep", "keep_positions"]
 
@@ -34,7 +37,7 @@ def keep(scene: jc.Scene, run: jc.Trajectory, folder: Path, name: str) -> pandas
         table.to_csv(folder / JOINTS, index=False)
     for title, figure in _figures(run).items():
         figure.savefig(folder / f"{title}.png", dpi=DOTS_PER_INCH)
-    data = run.to_dataset()
+    data = run.to_dataset(flat=True)
     data.to_netcdf(folder / DATA, engine="scipy")
     told = {"result": run.result, "warnings": list(run.warnings), "checks": str(run)}
     _tell(scene, folder, {"title": f"Run of {name}", **told})
@@ -54,7 +57,7 @@ def keep_positions(scene: jc.Scene, found: Any, folder: Path, name: str) -> pand
             columns |= {
                 f"{what} {axis} [{own.units}]": own.values[:, i] for i, axis in enumerate("xyz")
             }
-    table = pandas.DataFrame(columns)
+    table = as_table(columns)
     table.to_csv(folder / PLACES, index=False)
     plot.positions(found).savefig(folder / "positions.png", dpi=DOTS_PER_INCH)
     data.to_netcdf(folder / STANDING, engine="scipy")
@@ -89,7 +92,7 @@ def joint_table(run: jc.Trajectory) -> pandas.DataFrame:
                 np.asarray(run.worn_depth(name, surface)).max()
             )
         rows.append(row)
-    return pandas.DataFrame(rows)
+    return as_table(rows)
 
 
 def _figures(run: jc.Trajectory) -> dict[str, Figure]:
@@ -121,7 +124,7 @@ def _motion(run: jc.Trajectory) -> Figure:
         axis.set_ylabel(f"{'xyz'[direction]} [{unit}]")
     axes[-1, 0].set_xlabel("time [s]")
     axes[0, 0].set_title("Centres of mass")
-    axes[0, 0].legend(fontsize=8, ncols=4)
+    key(axes[0, 0])
     return warned(figure, {"": run})
 
 
@@ -131,8 +134,8 @@ def _forces(run: jc.Trajectory, joints: Any) -> Figure:
         len(joints), 1, (8.0, 0.8 + 1.9 * len(joints)), sharex=True, squeeze=False
     )
     for axis, joint in zip(axes[:, 0], joints, strict=True):
-        axis.plot(run.time, np.asarray(run.contact(joint).normal_force).sum(axis=1), lw=0.8)
-        axis.set_ylabel(f"{joint} [N]")
+        draw_forces(axis, run, joint)
+        key(axis)
     axes[-1, 0].set_xlabel("time [s]")
     axes[0, 0].set_title("Normal force in the joints with clearance")
     return warned(figure, {"": run})

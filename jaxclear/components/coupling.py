@@ -311,6 +311,10 @@ class Rack(AbstractBodyCoupling):
         return jnp.where(jnp.asarray(self._place(drawn)[1], float) < 0, -1.0, 1.0)
 
 
+# Ten times that of the coarsest ball screws.
+USUAL_LEAD = (-1.0, 1.0, "is it in mm? A lead is in m for one turn.")
+
+
 class Screw(AbstractBodyCoupling):
     r"""The two parts of a joint on one thread: for one turn of the child about z it advances by the
     `lead` along z; a negative lead is a left-hand thread.
@@ -320,7 +324,7 @@ class Screw(AbstractBodyCoupling):
     """
 
     joint: str = eqx.field(static=True)
-    lead: Scalar = quantity(unit="m", meaning="advance for one turn")
+    lead: Scalar = quantity(unit="m", meaning="advance for one turn", usual=USUAL_LEAD)
 
     def __check_init__(self):
         if concrete(self.lead) == 0:

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.ground.given_functions import asked, shape_of
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, as_vector
 from jaxclear.ground.wording import described, public_name
 
@@ -47,22 +48,19 @@ def check_function_of_time(part: Any, field: str, counts: tuple[int, ...] = (1,)
     if not callable(function):
         return
     number = " or ".join(map(str, counts))
-    wanted = f"it must take a time [s] and return {number} number{'s' if counts != (1,) else ''}"
+    wanted = f"must take a time [s] and return {number} number{'s' if counts != (1,) else ''}"
     owner = f"{public_name(type(part))} has {field} = {described(function)}"
-    time = jax.ShapeDtypeStruct((), jnp.float64)
-    try:
-        found = jax.eval_shape(lambda at: jax.tree.map(jnp.asarray, function(at)), time)
-    except jax.errors.TracerArrayConversionError:
-        raise ValueError(f"{owner}, which leaves JAX; write it with jax.numpy.") from None
-    except (TypeError, ValueError, AttributeError, IndexError) as error:
-        first = str(error).partition("\n")[0].rstrip(".")
-        raise ValueError(f"{owner}, which fails at a time ({first}); {wanted}.") from None
+    answers = lambda at: jax.tree.map(jnp.asarray, function(at))
+    found = shape_of(
+        lambda at: asked(f"{owner}, which", answers, at, wanted=f"It {wanted}."),
+        jax.ShapeDtypeStruct((), jnp.float64),
+    )
     shapes = [leaf.shape for leaf in jax.tree.leaves(found)]
     plain = all(shape == () for shape in shapes) or (len(shapes) == 1 and len(shapes[0]) == 1)
     alone = counts == (1,) and shapes != [()]
     if not plain or alone or sum(map(math.prod, shapes)) not in counts:
         returned = f"{len(shapes)} numbers" if plain and len(shapes) > 1 else str(shapes)
-        raise ValueError(f"{owner}, which returns {returned}; {wanted}.")
+        raise ValueError(f"{owner}, which returns {returned}; it {wanted}.")
 
 
 def vector_or_function(value: Any) -> Any:

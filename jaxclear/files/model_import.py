@@ -3,7 +3,6 @@ what acts on joints is in `model_loads`. What is not taken over is named in a wa
 """
 
 import dataclasses
-import warnings
 from collections.abc import Iterable
 from typing import Any
 
@@ -18,6 +17,7 @@ from jaxclear.files.model_tree import Tree
 from jaxclear.files.mujoco_model import Compiled, compiled, names_of, not_taken_over
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_known
+from jaxclear.ground.warning import warn
 from jaxclear.multibody.exchange import without_loads_on
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.topology import grow
@@ -113,4 +113,4 @@ def _held(connections: dict[str, Connection], places: dict[str, float]) -> dict[
 def _warn(read: Compiled, what: str, said: Iterable[str], kind: type[Warning]) -> None:
     found = "; ".join(said)
     if found:
-        warnings.warn(f"{read.name}: {what}: {found}.", kind, stacklevel=5)
+        warn(f"{read.name}: {what}: {found}.", kind)

@@ -8,23 +8,19 @@ call that is right.
 import functools
 import importlib.util
 import inspect
-import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
 
 import equinox as eqx
 
-from jaxclear.ground.wording import described, listed, meant, public_name
+from jaxclear.ground.wording import described, final_members, listed, meant, public_name
 
 if TYPE_CHECKING:
     from equinox._module._module import _ModuleMeta as ModuleMeta
 else:
     ModuleMeta = type(eqx.Module)
 
-__all__ = ["AnsweringMeta", "answering", "formerly", "nothing_else", "refuse_misfit", "renamed"]
-
-# Where a function or class keeps the old names of its arguments.
-OLD_NAMES = "RENAMED"
+__all__ = ["AnsweringMeta", "answering", "nothing_else", "refuse_misfit"]
 
 P, R = ParamSpec("P"), TypeVar("R")
 KEYWORDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
@@ -42,16 +38,14 @@ class AnsweringMeta(ModuleMeta):
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
         if cls.__name__.startswith("Abstract"):
+            known = [public_name(kind) for kind in final_members(cls)[:1]]
             raise TypeError(
                 f"{public_name(cls)} is what a family has in common and cannot be built; it needs "
-                f"a class of its own{_members(cls)}."
+                f"a class of its own{''.join(f', such as {one}' for one in known)}."
             )
         try:
             return ModuleMeta.__call__(cls, *args, **kwargs)
         except TypeError:
-            known = _by_new_names(cls, kwargs)
-            if known is not None:
-                return ModuleMeta.__call__(cls, *args, **known)
             sentence = _misfit(cls, args, kwargs)
             if sentence:
                 raise TypeError(sentence) from None
@@ -70,18 +64,6 @@ def _after_fields(own: Callable[[Any], None]) -> Callable[[Any], None]:
     return check
 
 
-def _members(family: type) -> str:
-    """Some final classes of a family, in words."""
-    found: list[str] = []
-    left: list[type] = list(family.__subclasses__())
-    while left:
-        kind = left.pop(0)
-        left += kind.__subclasses__()
-        if not kind.__name__.startswith("Abstract"):
-            found.append(public_name(kind))
-    return f", such as {found[0]}" if found else ""
-
-
 def answering(function: Callable[P, R]) -> Callable[P, R]:
     """The function, which answers wrong arguments with a sentence."""
 
@@ -90,56 +72,12 @@ def answering(function: Callable[P, R]) -> Callable[P, R]:
         try:
             return function(*args, **kwargs)
         except TypeError:
-            known: Any = _by_new_names(function, kwargs)
-            if known is not None:
-                return function(*args, **known)
             sentence = _misfit(function, args, kwargs)
             if sentence:
                 raise TypeError(sentence) from None
             raise
 
     return called
-
-
-def renamed(**names: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Of a function that is `answering`, or of a class as `RENAMED`: arguments that have another
-    name than in the version before, by the old one, which goes on for this version."""
-
-    def marked(function: Callable[P, R]) -> Callable[P, R]:
-        setattr(function, OLD_NAMES, names)
-        return function
-
-    return marked
-
-
-def formerly(old: str, new: str) -> property:
-    """A field by its name of the version before, which goes on for this version."""
-
-    def known(self: Any) -> Any:
-        _warn_of_old_name(type(self), old, new)
-        return getattr(self, new)
-
-    return property(known, doc=f"`{new}`, by its name of the version before.")
-
-
-def _warn_of_old_name(owner: Any, old: str, new: str) -> None:
-    warnings.warn(
-        f'{public_name(owner)} has "{new}" in the place of "{old}", which goes with the next '
-        "version.",
-        DeprecationWarning,
-        stacklevel=4,
-    )
-
-
-def _by_new_names(called: Any, kwargs: dict) -> dict | None:
-    """What a function or class is given, by the names of its arguments as they are now, with a
-    warning; None where no name is old."""
-    names = {old: new for old, new in getattr(called, OLD_NAMES, {}).items() if old in kwargs}
-    if not names or set(names.values()) & set(kwargs):
-        return None
-    for old, new in names.items():
-        _warn_of_old_name(called, old, new)
-    return {names.get(name, name): value for name, value in kwargs.items()}
 
 
 def refuse_misfit(called: Callable, args: tuple, kwargs: dict) -> None:

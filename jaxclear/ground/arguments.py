@@ -4,7 +4,6 @@ of a few, a thing of a kind. What is being traced was checked before.
 Each raises `ValueError` with a sentence that says what was given and what would be right.
 """
 
-import sys
 from collections.abc import Iterable
 from typing import Any
 
@@ -22,7 +21,6 @@ __all__ = [
     "check_methods",
     "check_number",
     "expect",
-    "level_of_caller",
 ]
 
 
@@ -83,16 +81,3 @@ def check_methods(owner: str, methods: Any, known: Iterable[str]) -> None:
         raise ValueError(f"methods of {owner} is empty; it must hold some of {listed(known)}.")
     for method in methods:
         check_known(f"method of {owner}", method, known)
-
-
-def level_of_caller() -> int:
-    """How many frames up the user's code stands that built or called something: the `stacklevel` of
-    a warning."""
-    level, frame = 1, sys._getframe(1)
-    while frame.f_back is not None and _is_ours(frame.f_globals.get("__name__", "")):
-        level, frame = level + 1, frame.f_back
-    return level
-
-
-def _is_ours(module: str) -> bool:
-    return module.partition(".")[0] in ("jaxclear", "equinox", "jax")

@@ -16,7 +16,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxclear.ground.wording import described, offered_like, public_name
+from jaxclear.ground.wording import described, final_members, offered_like, public_name
 
 __all__ = [
     "FieldRule",
@@ -163,7 +163,11 @@ def _family(kind: type) -> str:
         return f"one of {kind.__module__.partition('.')[0]}"
     if not kind.__name__.startswith("Abstract"):
         return f"a jaxclear.{path}"
-    return f"one of jaxclear.{place}" if place else f"a {name.removeprefix('Abstract')}"
+    places = dict.fromkeys(public_name(own).rpartition(".")[0] for own in final_members(kind))
+    found = [place] if place in places or not any(places) else [each for each in places if each]
+    if not any(found):
+        return f"a {name.removeprefix('Abstract')}"
+    return f"one of {' or '.join(f'jaxclear.{each}' for each in found)}"
 
 
 def range_in_words(metadata: Any) -> str:
@@ -195,6 +199,10 @@ def _remedy(rule: FieldRule, value: Any) -> str:
             close = offered_like(value, path) if "." in path else ""
             if close:
                 return f", such as {close}(...)"
+    fields = dataclasses.fields(value) if isinstance(value, eqx.Module) else ()
+    for inner in (getattr(value, field.name) for field in fields):
+        if isinstance(inner, rule.allowed):
+            return f": what it holds is one, {public_name(type(inner))}(...)"
     if rule.allowed and not rule.function and callable(value) and value.__class__ is type(_rule):
         return f": call it, {value.__name__}(...)"
     return ""

@@ -16,6 +16,7 @@ from jaxclear.ground.answering import nothing_else
 
 __all__ = [
     "AXES",
+    "FLIP",
     "REST",
     "STILL",
     "Pose",

@@ -38,6 +38,7 @@ __all__ = [
     "concrete",
     "count",
     "inside",
+    "is_one_number",
     "numbers",
     "public_name",
     "quantity",
@@ -83,6 +84,12 @@ def as_number(value: Any) -> Any:
     if number.ndim != 0:
         raise ValueError(f"expected one number, got an array of shape {jnp.shape(number)}.")
     return number
+
+
+def is_one_number(value: Any) -> bool:
+    """Whether something is a real number, traced or not."""
+    number = isinstance(value, (int, float, np.number, np.ndarray, jax.Array))
+    return bool(number and jnp.shape(value) == () and jnp.isrealobj(value))
 
 
 def as_vector(value: Any) -> Any:
@@ -184,7 +191,7 @@ class AbstractQuantified(AbstractShown, metaclass=AnsweringMeta):
     that. `print` shows its numbers with their units.
     """
 
-    def __str__(self) -> str:
+    def _shown(self):
         return part_in_words(self)
 
     def __check_init__(self):

@@ -8,7 +8,16 @@ from collections.abc import Iterable
 from types import ModuleType
 from typing import Any
 
-__all__ = ["described", "listed", "meant", "nearest", "offered_like", "public_name", "unknown"]
+__all__ = [
+    "described",
+    "final_members",
+    "listed",
+    "meant",
+    "nearest",
+    "offered_like",
+    "public_name",
+    "unknown",
+]
 
 # Longest text of a value in a sentence, and the most names that one lists.
 LONGEST, MOST_NAMES = 60, 16
@@ -80,6 +89,17 @@ def public_name(kind: Any) -> str:
     own name where it is not of this package.
     """
     return _offered(sys.modules[__name__.partition(".")[0]], kind) or kind.__qualname__
+
+
+def final_members(family: type) -> list[type]:
+    """Final classes of a family, in the order in which they were defined."""
+    found: list[type] = []
+    left: list[type] = list(family.__subclasses__())
+    while left:
+        kind = left.pop(0)
+        left += kind.__subclasses__()
+        found += [] if kind.__name__.startswith("Abstract") else [kind]
+    return found
 
 
 def offered_like(name: str, path: str) -> str:

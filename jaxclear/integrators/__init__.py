@@ -7,11 +7,7 @@ contacts. `MuntheKaas` is a solver for `Adaptive` that keeps rotations on their 
 your own derives from `AbstractIntegrator`.
 """
 
-import warnings
-from typing import Any
-
 from jaxclear.ground.answering import nothing_else
-from jaxclear.integrators import checks, figures
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import (
     AbstractIntegrator,
@@ -40,18 +36,4 @@ __all__ = [
     "NonColliding",
     "Outcome",
 ]
-_GOES = {"Check": checks.Check, "Checks": figures.Checks, "Figure": figures.Figure}
-_refuse, __dir__ = nothing_else("jaxclear.integrator", __all__)
-
-
-def __getattr__(name: str) -> Any:
-    """What goes with the next version, and a sentence for all else that is not offered."""
-    if name not in _GOES:
-        return _refuse(name)
-    warnings.warn(
-        f"jaxclear.integrator.{name} goes with the next version: run.warnings and run.estimate "
-        "take the place of checks.",
-        DeprecationWarning,
-        2,
-    )
-    return _GOES[name]
+__getattr__, __dir__ = nothing_else("jaxclear.integrator", __all__)

@@ -59,17 +59,22 @@ class Adaptive(AbstractIntegrator):
     narrowest gap beside the longest arm, where that is less): impacts make errors grow, and looser
     runs save next to no time. A step in which a contact closes or parts is repeated to end there;
     steps end at saving times too, so saving more often than steps are long costs as many more, and
-    none is so long that it would pass over what a load or drive does. Solvers that are no explicit
-    tableau run in diffrax's loop, and hand on the mean of their steps. In a batch all samples wait
-    for the slowest. First derivatives through contacts are those of the motion (within 1.2 % at the
-    usual tolerance, measured through up to seven impacts; 3 % in a slider-crank at 5000 rpm): steps
-    end at touches and releases, and know how these move (`saltation`). Their error is not
-    controlled: tighten `rtol` to see it. Where impacts have made them grow so much that the
-    tolerance no longer determines them they are nan, and where steps do not resolve them (at rest
-    in a contact, or on a stiff spring, they grow: hold `largest_step`); a tighter `rtol` goes
-    further. Not with implicit solvers and `MuntheKaas` (it keeps rotations on their group), where
-    `jaxclear.sensitivity` is the way. Stiff scenes (large friction over tiny transition speeds) may
-    prefer diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)).
+    none is so long that it would pass over what a load or drive does.
+
+    Solvers that are no explicit tableau run in diffrax's loop, and hand on the mean of their steps.
+    In a batch all samples wait for the slowest.
+
+    First derivatives through contacts are those of the motion (within 1.2 % at the usual tolerance,
+    measured through up to seven impacts; 3 % in a slider-crank at 5000 rpm): steps end at touches
+    and releases, and know how these move (`saltation`). Their error is not controlled: tighten
+    `rtol` to see it. Where impacts have made them grow so much that the tolerance no longer
+    determines them they are nan, and where steps do not resolve them (at rest in a contact, or on a
+    stiff spring, they grow: hold `largest_step`); a tighter `rtol` goes further. Not with implicit
+    solvers and `MuntheKaas` (it keeps rotations on their group), where `jaxclear.sensitivity` is
+    the way.
+
+    Stiff scenes (large friction over tiny transition speeds) may prefer
+    diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)).
     """
 
     pathwise: ClassVar = False

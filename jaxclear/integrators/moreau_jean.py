@@ -29,15 +29,18 @@ class MoreauJean(AbstractIntegrator):
     its coefficient of restitution is taken (`contact.Rigid` has nothing else), and where surfaces
     wear how wide it lets the mean force of a step press, of a regularised friction law its
     coefficients; a run says how much of friction's loss is another by that
-    (`Check.COULOMB_FRICTION`). Newton's law of impact applies to a contact whose gap closes
-    within `gamma` of a step; impacts are not located, so their instants have an error of a step,
-    and order is 1. Of contacts of one joint that strike within a step the first to touch does, the
-    others in the next ones: struck at once they would share an impact that they do not. Mean speeds
-    weigh the end of the step by `theta`; 1/2 conserves the energy of smooth motion. Loads are taken
-    at the middle (explicitly): step < 2 / omega of springs. `project` moves apart what overlaps by
-    more than it would part or fall in a step, so a contact that strikes overlaps by at most a step
-    of its speed, one at rest by a step's fall; without it, as in the scheme's sources, resting
-    contacts creep inwards.
+    (`Check.COULOMB_FRICTION`).
+
+    Newton's law of impact applies to a contact whose gap closes within `gamma` of a step; impacts
+    are not located, so their instants have an error of a step, and order is 1. Of contacts of one
+    joint that strike within a step the first to touch does, the others in the next ones: struck at
+    once they would share an impact that they do not.
+
+    Mean speeds weigh the end of the step by `theta`; 1/2 conserves the energy of smooth motion.
+    Loads are taken at the middle (explicitly): step < 2 / omega of springs. `project` moves apart
+    what overlaps by more than it would part or fall in a step, so a contact that strikes overlaps
+    by at most a step of its speed, one at rest by a step's fall; without it, as in the scheme's
+    sources, resting contacts creep inwards.
 
     Steps must be short: no body may cross its clearance within one (step^2 x acceleration <
     clearance, for light bodies above all), and with a restitution near 1 turning bodies gain energy

@@ -6,7 +6,6 @@ equations of `start_equations`, metres measured by the longest arm. What cannot 
 name (`start_check`). Where the guess is not met other beginnings are tried (`assembly_modes`).
 """
 
-import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -22,6 +21,7 @@ from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.warning import warn
 from jaxclear.multibody import (
     assembly_modes,
     contact_point,
@@ -349,7 +349,7 @@ def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = N
         return Nearest(*first[:3])
     doubt = assembly_modes.doubt(first.mechanism, first.tree, found)
     if doubt:
-        warnings.warn(doubt, stacklevel=4)
+        warn(doubt)
     start = found[0].start
     elsewhere = not np.array_equal(start.coordinates, first.start.coordinates)
     return Nearest(first.mechanism, start, True, doubt, elsewhere)
@@ -402,11 +402,10 @@ def _known(
         if closed:
             return far, other, closed
     if sound and redundancy.depend(start):
-        warnings.warn(
+        warn(
             "the mechanism stands at a position in which the rows of its loops depend on each "
             "other (links in one line, say): it can leave it in more than one way, and a run from "
             "there fails. Start it beside this position.",
-            stacklevel=4,
         )
     # Rows that nearly depend on each other lead a search astray: what is missed is told from where
     # it is least.

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from jaxclear.components.load import Action, MarkerMotion
+from jaxclear.components.load import AbstractBodyLoad, Action, Effect, MarkerMotion
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import map_alike
 from jaxclear.ground.pose import Pose
@@ -72,9 +72,10 @@ def applied_forces(
     stored, damping, external = 0, 0, 0
     with jax.named_scope("loads"):
         for name, load in body_loads(system):
-            markers = system.load_markers[name]
-            seen = tuple(_marker_motion(link, marker, motions) for link, marker in markers)
-            effect = load.effect(time, seen)
+            effect, markers = (
+                effect_of(system, name, load, motions, time),
+                system.load_markers[name],
+            )
             for action, (link, marker) in zip(effect.actions, markers, strict=True):
                 if link is not None:
                     _add(wrenches, link, _in_link(action, motions[link], marker))
@@ -99,6 +100,15 @@ def applied_forces(
         external = sp.add(external, power)
     links = (tuple(wrenches), tuple(forces))
     return Forces(motions, reports, *links, stored, damping, external, on_joints, angles)
+
+
+def effect_of(
+    system: System, name: str, load: AbstractBodyLoad, motions: tuple[Motion, ...], time: Any
+) -> Effect:
+    """What a load does on its markers."""
+    places = system.load_markers[name]
+    seen = tuple(_marker_motion(link, marker, motions) for link, marker in places)
+    return load.effect(time, seen)
 
 
 def add_action_and_reaction(

@@ -7,14 +7,14 @@ that nothing built is warned about. Numbers that are being traced are not looked
 """
 
 import math
-import warnings
 from collections.abc import Iterator
 from typing import Any
 
-from jaxclear.components.clearance import AbstractClearance
-from jaxclear.ground.arguments import level_of_caller
+from jaxclear.components.body import Body
 from jaxclear.ground.quantity import concrete, numbers
+from jaxclear.ground.warning import warn
 from jaxclear.multibody.own_numbers import coordinate_units
+from jaxclear.multibody.plane import across_the_plane
 
 __all__ = ["UnusualMagnitude", "warn_of_magnitudes"]
 
@@ -27,19 +27,25 @@ FAR_PLACE = 300.0
 MOST_TURNS = 4 * math.pi
 # Of loose joints in textbooks the clearance is a twentieth of the radius.
 WIDE_CLEARANCE = 0.5
+# A body this long [m] whose mass is less than a thousandth of so much air [kg/m3] is given in mm;
+# one of five times osmium's density within the length between its joints, in grams. What extends
+# beyond the joints is seen by so many radii of gyration.
+LONG, THINNEST, DENSEST, WHOLE = 10.0, 1e-3, 1e5, 3.0
 IN_MM = "is it in mm? Lengths are in m"
 
 
 class UnusualMagnitude(UserWarning):
-    """A number that no mechanism has; probably a slip of unit."""
+    """A number that no mechanism has, probably a slip of unit; or one that moves nothing, as it
+    points out of the plane in which all bodies move."""
 
 
 def warn_of_magnitudes(mechanism: Any) -> None:
     """One warning with a sentence for each number that is beyond what mechanisms have."""
     parts = [(what, part, list(numbers(part))) for what, part in _parts(mechanism)]
-    found = [*_unusual(parts), *_lengths(mechanism, parts), *_starts(mechanism)]
+    found = [*_unusual(parts), *_lengths(mechanism, parts), *_masses(mechanism)]
+    found += [*_starts(mechanism), *across_the_plane(mechanism)]
     if found:
-        warnings.warn(" ".join(found), UnusualMagnitude, stacklevel=level_of_caller())
+        warn(" ".join(found), UnusualMagnitude)
 
 
 def _parts(mechanism: Any) -> Iterator[tuple[str, Any]]:
@@ -92,19 +98,39 @@ def _lengths(mechanism: Any, parts: list) -> Iterator[str]:
                 f"m away, where no joint is beyond {size:g} m: is it in kg mm^2?"
             )
     for what, part, found in parts:
-        if isinstance(part, AbstractClearance):
-            yield from _of_joint(what, part, found, size)
+        if not isinstance(part, Body):
+            yield from _of_part(what, part, found, size)
 
 
-def _of_joint(what: str, joint: AbstractClearance, found: list, size: float) -> Iterator[str]:
+def _masses(mechanism: Any) -> Iterator[str]:
+    """Bodies that are lighter than any gas, or heavier than any metal, within their own length."""
+    for name, body in mechanism.bodies.items():
+        ends = [end for own in mechanism.connections.values() for end in (own.parent, own.child)]
+        places = [body.com, *(end.at for end in ends if end.body == name)]
+        length = max((_norm(place) for place in places if place is not None), default=0.0)
+        mass, inertia = concrete(body.mass), [concrete(x) for x in body.inertia[:3]]
+        if not length or mass is None or None in inertia:
+            continue
+        # What stands out beyond the joints shows in the inertia.
+        size = max(length, WHOLE * math.sqrt(max(x or 0.0 for x in inertia) / mass))
+        if length >= LONG and mass < THINNEST * length**3:
+            yield f'body "{name}" is {length:g} m long and has {mass:g} kg: {IN_MM}.'
+        elif mass > DENSEST * size**3:
+            yield (
+                f'body "{name}" has {mass:g} kg within {length:g} m, more than any metal: is it in '
+                "g? Masses are in kg."
+            )
+
+
+def _of_part(what: str, part: Any, found: list, size: float) -> Iterator[str]:
     for path, leaf, metadata in found:
         if metadata.get("unit") != "m" or "." in path:
             continue
-        value = concrete(leaf) or 0.0
+        value = abs(concrete(leaf) or 0.0)
         if value > LARGE_PART * size:
             yield f"{what} has {path} = {value:g} m beside links of {size:g} m: {IN_MM}."
-        elif path == "clearance" and value > WIDE_CLEARANCE * _radius(joint):
-            yield f"{what} has clearance = {value:g} m in a part of {_radius(joint):g} m: {IN_MM}."
+        elif path == "clearance" and value > WIDE_CLEARANCE * _radius(part):
+            yield f"{what} has clearance = {value:g} m in a part of {_radius(part):g} m: {IN_MM}."
 
 
 def _radius(joint: Any) -> float:

@@ -11,6 +11,7 @@ from typing import Any
 
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.load import AbstractBodyLoad, Gravity, MarkerMotion
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import concrete
@@ -35,6 +36,41 @@ def check_plane(topology: Topology, bodies: dict, connections: dict, loads: dict
             )
     for name, connection in connections.items():
         _check_joint(name, connection, bodies)
+
+
+def across_the_plane(mechanism: Any) -> Iterator[str]:
+    """Of a mechanism all of whose bodies move in the ground's xy plane, sentences for what moves
+    nothing: gravity along z, and a centre of mass beside the plane of all joints."""
+    bodies, connections, loads = mechanism.bodies, mechanism.connections, mechanism.loads
+    flat = all(len(body.inertia) == 1 for body in bodies.values())
+    if not flat or not all(map(_keeps_z, connections.values())):
+        return
+    markers = [marker for each in connections.values() for marker in (each.parent, each.child)]
+    beside = any(_off(sp.vec3(marker.at)[2]) for marker in markers if marker.at is not None)
+    for name, body in bodies.items():
+        if body.com is not None and _off(sp.vec3(body.com)[2]) and not beside:
+            yield (
+                f'body "{name}" moves in the xy plane and has its com beside it, at '
+                f"z = {concrete(body.com[2]):g} m: in the plane that moves nothing."
+            )
+    for label, load in loads.items():
+        pull = sp.vec3(load.acceleration) if isinstance(load, Gravity) else None
+        if pull is not None and _off(pull[2]) and not (_off(pull[0]) or _off(pull[1])):
+            yield (
+                f'load "{label}" pulls along z, across the xy plane in which all bodies move, and '
+                "moves nothing: is it to be Gravity((0, -9.81))?"
+            )
+
+
+def _keeps_z(connection: Connection) -> bool:
+    """Whether the z axes of both bodies point one way, or opposite ways, at home, and the joint
+    slides across them."""
+    parent, child = (end.pose().rotation for end in (connection.parent, connection.child))
+    along = [sp.mul(a, b) for a, b in zip(parent[2], child[2], strict=True)]
+    joint = connection.joint
+    columns = joint.columns(joint.home) if isinstance(joint, AbstractJoint) else ()
+    slides = any(_off(sp.dot(child[2], column.linear)) for column in columns)
+    return not slides and not _off(abs(sum(concrete(x) or 0.0 for x in along)) - 1)
 
 
 def _check_joint(name: str, connection: Connection, bodies: dict) -> None:

@@ -24,6 +24,7 @@ from jaxclear.ground.kinds import check_kinds
 from jaxclear.ground.quantity import check_range, numbers
 from jaxclear.ground.wording import listed, meant
 from jaxclear.laws.stiffness import fitted
+from jaxclear.multibody.own_parts import check_own_drive, check_own_load
 from jaxclear.multibody.pose_rows import check_rows
 from jaxclear.multibody.topology import Topology, coordinate_joint
 from jaxclear.multibody.worn_laws import check_followed
@@ -69,6 +70,7 @@ def _check_connection(name: str, connection: Any, bodies: dict) -> None:
         raise ValueError(
             f'joint "{name}" joins "{connection.parent.body}" to itself; it needs two bodies.'
         )
+    check_own_drive(name, drive_of(joint))
     if isinstance(joint, AbstractJoint):
         check_rows(name, joint)
     if isinstance(joint, AbstractClearance):
@@ -92,9 +94,16 @@ def _check_load(name: str, load: Any, bodies: dict, connections: dict) -> None:
     expect(load, AbstractLoad, f'load "{name}"', "a jaxclear.load")
     _check_slots(f'load "{name}"', load)
     check_values(f'load "{name}"', load)
+    check_own_load(name, load)
     if isinstance(load, AbstractBodyLoad):
-        for marker in load.markers():
+        markers = load.markers()
+        for marker in markers:
             _check_body(f'load "{name}" acts on', marker.body, bodies)
+        if markers and all(marker.body == GROUND for marker in markers):
+            raise ValueError(
+                f'load "{name}" acts on "{GROUND}" alone, which nothing moves; put a marker of it '
+                f"on one of the bodies {listed(bodies)}."
+            )
     if isinstance(load, AbstractCoordinateLoad):
         check_known(f'joint for load "{name}" to act on', load.connection, connections)
         joint = one_coordinate(
@@ -219,7 +228,8 @@ def check_start(bodies: dict, connections: dict, places: dict, speeds: dict) -> 
         joint = _with_coordinates("speeds", name, bodies, connections)
         width = len(joint.columns(joint.home))
         if len(values) != width:
-            raise ValueError(f'speeds of "{name}" need {width} numbers, not {len(values)}.')
+            many = f"{width} number{'s' * (width != 1)}"
+            raise ValueError(f'speeds of "{name}" need {many}, not {len(values)}.')
 
 
 def _with_coordinates(what: str, name: str, bodies: dict, connections: dict) -> AbstractJoint:

@@ -8,7 +8,6 @@ loop. JAXCLEAR_PLAIN_LOOPS=1 switches the kernel off.
 import functools
 import logging
 import os
-import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -18,6 +17,7 @@ import numpy as np
 from jax.extend.core import Primitive, jaxpr_as_fun
 from jax.interpreters import batching, mlir
 
+from jaxclear.ground.warning import warn
 from jaxclear.native import dispatch
 from jaxclear.native import kernel as kernels
 from jaxclear.native.machine import widest
@@ -270,11 +270,10 @@ def _warn_once(reason: str) -> None:
     if reason in _WARNED:
         return
     _WARNED.add(reason)
-    warnings.warn(
+    warn(
         f"jaxclear runs a time loop through XLA, which takes some ten times as long to run and "
         f"longer to compile: {reason}.",
         RuntimeWarning,
-        2,
     )
 
 

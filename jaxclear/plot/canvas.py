@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import described
+from jaxclear.plot.fitting import RAISED, columns_of, fitted, key, places
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = [
@@ -27,20 +28,28 @@ __all__ = [
     "canvas",
     "captioned",
     "check_run",
+    "length",
     "over_time",
     "panels",
     "readable",
     "setting",
     "shades",
+    "volume",
     "warned",
 ]
 
 MILLI, MICRO = 1e3, 1e6
-# A caption is one line in letters of this size [pt]; so many of them fill an inch, and
-# a line is so high [inch].
-LETTERS, PER_INCH, LINE = 7, 18, 0.13
+# A caption is written in letters of this size [pt]; so many of them fill an inch, and a line is so
+# high [inch]; and so many lines are shown at the most.
+LETTERS, PER_INCH, LINE, MOST_LINES = 7, 18, 0.13, 6
 # Letters in a line of sentences within a panel.
 IN_PANEL = 70
+# Powers of ten of the prefixes of units; and units that take them all, beside "m" and "rad", which
+# take those that make them small.
+PREFIXES = {3 * k: prefix for k, prefix in zip(range(-6, 4), "afpnµm kMG", strict=True)} | {0: ""}
+PREFIXED = {"N", "N m", "J", "W", "Pa", "s", "m/s", "rad/s", "Hz"}
+# Numbers within these stand as they are.
+LEAST, LARGEST = 1e-3, 1e5
 
 
 def canvas(rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0, 4.5), **kwargs: Any):
@@ -66,29 +75,32 @@ class Panels(NamedTuple):
         """The figure in which the panels stand."""
         return self.one.get_figure()
 
-    def title(self, text: str, **kwargs: Any) -> None:
+    def title(self, text: str) -> None:
         """What stands above all panels."""
         if self.figure is None or self.axes.size == 1:
-            self.one.set_title(text, **kwargs)
+            self.one.set_title(text, fontsize=10)
         else:
-            self.figure.suptitle(text, **kwargs)
+            self.figure.suptitle(text, fontsize=10)
 
     def legend(self, *lines: Any, **kwargs: Any) -> None:
         """What all panels share; handles and labels, by default the first panel's."""
         handles, labels = lines or self.one.get_legend_handles_labels()
         if self.figure is None:
-            self.one.legend(handles, labels, fontsize=7)
+            key(self.one, (handles, labels))
         else:
-            settled: Any = {"fontsize": 8, "loc": "outside lower center", "ncols": 5} | kwargs
-            self.figure.legend(handles, labels, **settled)
+            columns = columns_of(labels, 72 * self.figure.get_figwidth(), 8)
+            how: Any = {"fontsize": 8, "loc": "outside lower center", "ncols": columns}
+            self.figure.legend(handles, labels, **how, **kwargs)
 
     def done(self, sentences: Sequence[str] = ()) -> Any:
         """What the function returns, with sentences below it (in the last panel where the axes are
         the user's)."""
         if self.figure is not None:
             return captioned(self.figure, sentences)
+        for axis in self.axes.flat:
+            places(axis)
         if sentences:
-            text = _one_line(sentences, IN_PANEL)
+            text = "\n".join(_lines(sentences, IN_PANEL))
             last = self.axes.flat[-1]
             place = {"transform": last.transAxes, "va": "bottom", "fontsize": 0.8 * LETTERS}
             # A panel in space has a depth besides.
@@ -152,16 +164,17 @@ def check_run(run: Any) -> None:
 def setting(run: Trajectory, joint: str) -> str:
     """The joint's clearance and the duration of the run, for a title."""
     own: Any = run.mechanism.connections[joint].joint
-    clearance = float(getattr(own, "gap", own).clearance)
-    return f" (clearance {MILLI * clearance:g} mm, {float(run.time[-1]):g} s)"
+    clearance = length(float(getattr(own, "gap", own).clearance))
+    return f" (clearance {clearance}, {float(run.time[-1]):g} s)"
 
 
-def captioned(figure: Figure, sentences: Sequence[str]) -> Figure:
-    """The figure, made higher by one line below it; as it is without any."""
+def captioned(figure: Figure, sentences: Sequence[str] = ()) -> Figure:
+    """The figure with texts that can be read, made higher by the sentences below it."""
+    fitted(figure)
     if not sentences:
         return figure
-    text = _one_line(sentences, int(PER_INCH * figure.get_figwidth()))
-    below = 2 * LINE
+    lines = _lines(sentences, int(PER_INCH * figure.get_figwidth()))
+    below = (len(lines) + 1) * LINE
     whole = figure.get_figheight() + below
     figure.set_figheight(whole)
     # The layout would set a legend outside the axes and a label of the figure upon each other.
@@ -170,15 +183,22 @@ def captioned(figure: Figure, sentences: Sequence[str]) -> Figure:
         below += legend.get_window_extent().height / figure.dpi + LINE
     room = (0.0, below / whole, 1.0, 1.0 - below / whole)
     figure.set_layout_engine("constrained", rect=room)
+    text = "\n".join(lines)
     figure.text(0.01, 0.5 * LINE / whole, text, fontsize=LETTERS, color="C3", va="bottom")
     return figure
 
 
-def _one_line(sentences: Sequence[str], width: int) -> str:
-    """The first of the sentences, as far as there is room in so many letters, and how many more
-    there are."""
-    more = f" (+{len(sentences) - 1} more)" if len(sentences) > 1 else ""
-    return textwrap.shorten(sentences[0], width - len(more), placeholder=" …") + more
+def _lines(sentences: Sequence[str], width: int) -> list[str]:
+    """The first of the sentences, as far as there is room in lines of so many letters, and how many
+    more there are."""
+    lines: list[str] = []
+    for number, sentence in enumerate(sentences):
+        more = f" (+{len(sentences) - number} more)"
+        folded = textwrap.wrap(sentence, width - len(more))
+        if lines and len(lines) + len(folded) > MOST_LINES:
+            return [*lines[:-1], lines[-1] + more]
+        lines += folded if len(folded) <= MOST_LINES else [*folded[: MOST_LINES - 1], " …"]
+    return lines
 
 
 def warned(figure: Figure | Panels, runs: Mapping[str, Trajectory]) -> Any:
@@ -192,12 +212,28 @@ def warned(figure: Figure | Panels, runs: Mapping[str, Trajectory]) -> Any:
     return figure.done(sentences) if isinstance(figure, Panels) else captioned(figure, sentences)
 
 
-def readable(values: np.ndarray, unit: str) -> tuple[float, str]:
-    """Factor and unit in which values in metres or radians are readable; other units stay."""
-    if unit not in ("m", "rad") or not len(values):
+def readable(values: Any, unit: str) -> tuple[float, str]:
+    """Factor and unit in which values are readable: with the prefix of their size, or, of a unit
+    that takes none, with the power of ten."""
+    sizes = np.abs(np.asarray(values, float))
+    size = float(np.max(sizes[np.isfinite(sizes)], initial=0.0))
+    small = unit in ("m", "rad")
+    if size == 0.0 or (size >= 1.0 and small) or (LEAST <= size < LARGEST and not small):
         return 1.0, unit
-    size = np.abs(values).max()
-    return next(
-        ((f, p + unit) for f, p in ((1.0, ""), (1e3, "m"), (1e6, "µ")) if size * f >= 1.0),
-        (1e9, f"n{unit}"),
-    )
+    power = int(3 * np.floor(np.log10(size * (1 + 1e-12)) / 3))
+    if not small and unit not in PREFIXED:
+        return 10.0**-power, f"10{str(power).translate(RAISED)} {unit}".removesuffix(" 1")
+    power = min(max(power, min(PREFIXES)), max(PREFIXES))
+    return 10.0**-power, PREFIXES[power] + unit
+
+
+def length(metres: float) -> str:
+    """A length as a text."""
+    factor, unit = readable([metres], "m")
+    return f"{factor * metres:.4g} {unit}"
+
+
+def volume(values: np.ndarray) -> tuple[float, str]:
+    """Factor and unit in which volumes in cubic metres are readable."""
+    factor, unit = readable(1e9 * values, "mm³")
+    return 1e9 * factor, unit

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxclear.ground.arguments import expect
 from jaxclear.plot.canvas import panels, readable
+from jaxclear.plot.fitting import key
 from jaxclear.studies.design.result import Design
 
 __all__ = ["design", "design_front"]
@@ -23,7 +24,7 @@ def design(found: Design, *, ax: Any = None) -> Any:
     sheet = panels("design", ax, 1, 3, (13.0, height), width_ratios=(1.2, 1.2, 0.9))
     for draw, axis in zip((_widths, _limits, _history), sheet.axes.flat, strict=True):
         draw(axis, found)
-    sheet.title(found.sentence().partition(". ")[0] + ".", fontsize=10)
+    sheet.title(found.sentence().partition(". ")[0] + ".")
     return sheet.done([] if found.holds else [found.sentence()])
 
 
@@ -44,7 +45,7 @@ def _widths(axis: Any, found: Design) -> None:
     axis.set_yticks(places, labels, fontsize=8)
     axis.invert_yaxis()
     axis.set_xlabel(f"tolerance ± [{unit}]")
-    axis.legend(fontsize=7)
+    key(axis)
 
 
 def _limits(axis: Any, found: Design) -> None:
@@ -79,7 +80,7 @@ def _history(axis: Any, found: Design) -> None:
     axis.set_xlabel("runs")
     axis.set_ylabel("cost")
     if kept.any():
-        axis.legend(fontsize=7)
+        key(axis)
 
 
 def _folded(text: str, width: int = 26) -> str:
@@ -108,5 +109,5 @@ def design_front(found: Sequence[Design], limit: int = 0, *, ax: Any = None) -> 
         axis.plot(factor * bounds[lost], costs[lost], "o", mfc="none", color="C3", label="does not")
     axis.set_xlabel(f"{found[0].limits[limit].words()} [{unit}]", fontsize=8)
     axis.set_ylabel("cost")
-    axis.legend(fontsize=8)
+    key(axis)
     return sheet.done()

@@ -8,7 +8,8 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_known, check_number
-from jaxclear.plot.canvas import MICRO, check_run, over_time, panels, readable, setting, warned
+from jaxclear.plot.canvas import check_run, over_time, panels, readable, setting, warned
+from jaxclear.plot.fitting import key
 from jaxclear.plot.signal import reached
 from jaxclear.results.relative_motion import relative_motion
 from jaxclear.results.trajectory import Trajectory
@@ -38,8 +39,9 @@ def journal_orbit(
             f'the joint "{joint}" is a {type(gap).__name__}, which has no radial clearance; take '
             "plot.phase_portrait."
         )
-    clearance, kept = MICRO * float(gap.clearance), reached(run, since)
-    path = MICRO * np.asarray(history.offset)[kept][:, PLANES[plane]]
+    factor, unit = readable([float(gap.clearance)], "m")
+    clearance, kept = factor * float(gap.clearance), reached(run, since)
+    path = factor * np.asarray(history.offset)[kept][:, PLANES[plane]]
     sheet = panels("journal_orbit", ax, size=(5.8, 5.0))
     axis, turn = sheet.one, np.linspace(0, 2 * np.pi, 400)
     axis.plot(clearance * np.cos(turn), clearance * np.sin(turn), "r-", lw=0.8,
@@ -49,10 +51,10 @@ def journal_orbit(
     axis.set_xlim(-1.15 * clearance, 1.15 * clearance)
     axis.set_ylim(-1.15 * clearance, 1.15 * clearance)
     sheet.whole.colorbar(lines, ax=axis, label="time [s]")
-    axis.set_xlabel(f"{plane[0]} of the centre [µm]")
-    axis.set_ylabel(f"{plane[1]} of the centre [µm]")
-    axis.legend(loc="upper right", fontsize=7)
-    sheet.title(f"Orbit in {joint}{setting(run, joint)}", fontsize=10)
+    axis.set_xlabel(f"{plane[0]} of the centre [{unit}]")
+    axis.set_ylabel(f"{plane[1]} of the centre [{unit}]")
+    key(axis, loc="upper right")
+    sheet.title(f"Orbit in {joint}{setting(run, joint)}")
     return warned(sheet, {"": run})
 
 
@@ -83,19 +85,21 @@ def hysteresis(run: Trajectory, joint: str, *, since: float = 0.0, ax: Any = Non
     if gap is own and joint not in run.mechanism.topology.clearances:
         friction = _of_ideal(own, history, speed, slides)
     kept = reached(run, since)
+    scale, rub = readable(friction[kept], rub)
+    rubbed, time = scale * friction[kept], np.asarray(run.time)[kept]
     sheet = panels("hysteresis", ax, 1, 2, (9.5, 4.2), sharey=True)
     labels = ("displacement", "sliding speed") if slides else ("turn", "angular velocity")
     for axis, values, label, per in zip(
         sheet.axes.flat, (way[kept], speed[kept]), labels, ("", "/s"), strict=True
     ):
         factor, shown = readable(values, unit)
-        lines = over_time(axis, factor * values, friction[kept], np.asarray(run.time)[kept])
+        lines = over_time(axis, factor * values, rubbed, time)
         axis.axhline(0.0, color="0.7", lw=0.6, zorder=0)
         axis.set_xlabel(f"{label} in {joint} [{shown}{per}]")
     what = "force" if slides else "torque"
     sheet.one.set_ylabel(f"friction {what} on the child [{rub}]")
     sheet.whole.colorbar(lines, ax=sheet.axes.flat[-1], label="time [s]")
-    sheet.title(f"Friction of {joint}", fontsize=10)
+    sheet.title(f"Friction of {joint}")
     return warned(sheet, {"": run})
 
 

@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 
 from jaxclear.ground.arguments import expect
-from jaxclear.plot.canvas import panels, readable
+from jaxclear.plot.canvas import panels, readable, volume
+from jaxclear.plot.fitting import key
 from jaxclear.studies.life.result import CONFIDENCE, DEPTH, VOLUME, WearLife
 
 __all__ = ["wear_life"]
 
 # Points of a curve.
 POINTS = 200
-CUBIC_MILLI = 1e9
 # Panels side by side at the most.
 MOST_BESIDE = 3
 # Of a share: below this it is rounding.
@@ -44,7 +44,7 @@ def wear_life(life: WearLife, *, ax: Any = None) -> Any:
         axes.flat[last].tick_params(labelbottom=True)
         axes.flat[last].ticklabel_format(axis="x", scilimits=(0, 0))
     short = f"{life.cycles[-1]:.4g} cycles of machine life from {life.simulated} simulated ones"
-    sheet.title(short, fontsize=10)
+    sheet.title(short)
     said = [f"Ended early: {life.ended}"] if life.ended else []
     return sheet.done([*said, *(f"Warning: {one}" for one in life.warnings)])
 
@@ -55,7 +55,7 @@ def _worn(axis: Any, life: WearLife, kind: str) -> None:
     places = np.linspace(0.0, life.cycles[-1], POINTS)
     band = np.interp(places, life.cycles, errors)
     whole = life.over_life(kind)
-    factor, unit = readable(whole, "m") if kind == DEPTH else (CUBIC_MILLI, "mm³")
+    factor, unit = readable(whole, "m") if kind == DEPTH else volume(whole)
     for number, (joint, surface) in enumerate(life.surfaces):
         name, colour = f"{kind} {joint} {surface}", f"C{number}"
         curve = factor * life.over_life(name, places)
@@ -68,7 +68,7 @@ def _worn(axis: Any, life: WearLife, kind: str) -> None:
     axis.set_ylabel(f"{'largest depth' if kind == DEPTH else 'volume lost'} [{unit}]")
     axis.set_title(f"known to {100 * max(errors[-1], LEAST_SHARE):.2g} %", fontsize=8)
     if len(life.surfaces) > 1:
-        axis.legend(fontsize=8)
+        key(axis)
 
 
 def _response(axis: Any, life: WearLife, name: str) -> None:

@@ -41,7 +41,7 @@ def modes(run: Trajectory, *joints: str, ax: Any = None) -> Any:
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlim(MILLI * float(run.time[0]), MILLI * float(run.time[-1]))
     axes.set_xlabel("time [ms]")
-    axes.set_title("Modes of motion of the journals")
+    sheet.title("Modes of motion of the journals")
     patches = [Patch(color=colour) for colour in COLOURS.values()]
-    sheet.legend(patches, [mode.label for mode in COLOURS], ncols=len(COLOURS))
+    sheet.legend(patches, [mode.label for mode in COLOURS])
     return warned(sheet, {"": run})

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from jaxclear.ground.arguments import expect
-from jaxclear.plot.canvas import MICRO, MILLI, check_run, panels, setting, shades, warned
+from jaxclear.plot.canvas import MILLI, check_run, panels, readable, setting, shades, warned
+from jaxclear.plot.fitting import key
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = ["angular_velocity", "displacement", "end_centres", "journal_ends"]
@@ -35,16 +36,18 @@ def displacement(
                 label=label,
             )
         axis.set_ylabel(f"{body} {letter} [mm]")
-    for (label, run), shade in zip(runs.items(), shades(len(runs)), strict=True):
-        away = np.asarray(run.body(body).com)[:, :2] - reference[:, :2]
-        axes[2].plot(
-            run.time, MICRO * np.linalg.norm(away, axis=1), color=shade, lw=0.8, label=label
-        )
-    axes[2].set_ylabel("distance from ideal [µm]")
+    away = [
+        np.linalg.norm(np.asarray(run.body(body).com)[:, :2] - reference[:, :2], axis=1)
+        for run in runs.values()
+    ]
+    factor, unit = readable(np.concatenate([*away, [0.0]]), "m")
+    for run, way, shade in zip(runs.values(), away, shades(len(runs)), strict=True):
+        axes[2].plot(run.time, factor * way, color=shade, lw=0.8)
+    axes[2].set_ylabel(f"distance from ideal [{unit}]")
     axes[2].set_xlabel("time [s]")
     axes[2].set_ylim(bottom=0)
     sheet.legend(title="radial clearance")
-    axes[0].set_title(f"Centre of mass of the {body}")
+    sheet.title(f"Centre of mass of the {body}")
     return warned(sheet, {**runs, "ideal": ideal})
 
 
@@ -67,7 +70,7 @@ def angular_velocity(
     axes[0].plot(ideal.time, other, "k--", lw=0.9, label="ideal")
     axes[0].set_ylabel("angular velocity [rad/s]")
     sheet.legend()
-    axes[0].set_title(f"Angular velocity of the {body} about the z axis")
+    sheet.title(f"Angular velocity of the {body} about the z axis")
     axes[1].plot(run.time, own - other, color="C0", lw=0.7)
     axes[1].axhline(0.0, color="k", lw=0.6)
     axes[1].set_ylabel("difference from ideal [rad/s]")
@@ -86,32 +89,19 @@ def journal_ends(run: Trajectory, joint: str, *, ax: Any = None) -> Any:
     sheet = panels("journal_ends", ax, 1, 2, (9.0, 4.8), sharex=True, sharey=True)
     axes = sheet.axes.flat
     turn = np.linspace(0, 2 * np.pi, 400)
-    for axis, end, label in zip(
-        axes, ends, ("lower end (z = -L/2)", "upper end (z = L/2)"), strict=True
-    ):
-        axis.plot(
-            MICRO * clearance * np.cos(turn),
-            MICRO * clearance * np.sin(turn),
-            "r-",
-            lw=0.7,
-            label="clearance circle",
-        )
-        axis.set_xlim(-1.15 * MICRO * clearance, 1.15 * MICRO * clearance)
-        axis.plot(
-            MICRO * end[:, 0],
-            MICRO * end[:, 1],
-            ".",
-            ms=3.0,
-            alpha=0.4,
-            color="C0",
-            label="journal centre",
-        )
+    factor, unit = readable([clearance], "m")
+    circle = factor * clearance * np.stack([np.cos(turn), np.sin(turn)])
+    labels = ("lower end (z = -L/2)", "upper end (z = L/2)")
+    for axis, end, label in zip(axes, ends, labels, strict=True):
+        axis.plot(*circle, "r-", lw=0.7, label="clearance circle")
+        axis.set_xlim(-1.15 * factor * clearance, 1.15 * factor * clearance)
+        axis.plot(*(factor * end.T), ".", ms=3.0, alpha=0.4, color="C0", label="journal centre")
         axis.set_aspect("equal")
         axis.set_title(label)
-        axis.set_xlabel("x in the bearing [µm]")
-    axes[0].set_ylabel("y in the bearing [µm]")
+        axis.set_xlabel(f"x in the bearing [{unit}]")
+    axes[0].set_ylabel(f"y in the bearing [{unit}]")
     sheet.title(f"Ends of the journal of {joint}{setting(run, joint)}")
-    axes[1].legend(loc="upper right", fontsize=8)
+    key(axes[1], loc="upper right")
     return warned(sheet, {"": run})
 
 

@@ -11,6 +11,7 @@ from jaxclear.ground.wording import described, listed
 from jaxclear.plot.canvas import check_run, panels, readable, warned
 from jaxclear.plot.cycles import settled, wear_lives
 from jaxclear.plot.design import design
+from jaxclear.plot.fitting import key
 from jaxclear.plot.life import wear_life
 from jaxclear.plot.pointing import pointing_budget
 from jaxclear.plot.shares import (
@@ -26,6 +27,7 @@ from jaxclear.plot.signal import reached
 from jaxclear.plot.studies import monte_carlo, sensitivity, work_precision
 from jaxclear.results.pointing_error import PointingError
 from jaxclear.results.positions import Positions
+from jaxclear.results.response import PeakContactForce
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.studies.advice import Advice
 from jaxclear.studies.campaign.result import Campaign
@@ -66,16 +68,28 @@ def overview(run: Trajectory, *, ax: Any = None) -> Any:
         places.plot(time, factor * way, lw=1.0, label=name)
     places.set_ylabel(f"way from the start [{unit}]")
     turns.set_ylabel("angular velocity [rad/s]")
-    for name in run.formulation.contact_joints(run.mechanism):
-        force = np.asarray(run.contact(name).normal_force)[kept].sum(axis=1)
-        forces.plot(time, force, lw=0.8, label=name)
-    forces.set_ylabel("normal force [N]")
+    draw_forces(forces, run, *run.formulation.contact_joints(run.mechanism))
     forces.set_xlabel("time [s]")
-    places.legend(fontsize=7, ncols=4)
+    key(places)
     if forces.lines:
-        forces.legend(fontsize=7, ncols=4)
-    sheet.title(run.result.partition(",")[0].rstrip(".") + ".", fontsize=9)
+        key(forces)
+    sheet.title(run.result.partition(",")[0].rstrip(".") + ".")
     return warned(sheet, {"": run})
+
+
+def draw_forces(axis: Any, run: Trajectory, *joints: str) -> None:
+    """Normal forces of joints at the saved instants, summed over their contacts, and as a dotted
+    line the largest of a contact in all steps."""
+    kept = reached(run, -np.inf)
+    saved = [np.asarray(run.contact(name).normal_force)[kept].sum(axis=1) for name in joints]
+    peaks = [float(PeakContactForce(name)(run)) for name in joints]
+    factor, unit = readable([*peaks, *(own.max() for own in saved)], "N")
+    for number, (name, force, peak) in enumerate(zip(joints, saved, peaks, strict=True)):
+        how: dict[str, Any] = {"color": f"C{number}", "lw": 0.8}
+        axis.plot(np.asarray(run.time)[kept], factor * force, label=name, **how)
+        label = f"largest of a contact in all steps, {factor * peak:.4g} {unit}"
+        axis.axhline(factor * peak, ls=":", label=label, **how)
+    axis.set_ylabel(f"normal force [{unit}]")
 
 
 @answering
@@ -92,7 +106,7 @@ def positions(found: Positions, *, ax: Any = None) -> Any:
     left.set_aspect("equal", adjustable="datalim")
     left.set_xlabel(f"x [{unit}]")
     left.set_ylabel(f"y [{unit}]")
-    left.legend(fontsize=7)
+    key(left)
     seats = {name: np.asarray(found.offset(name)) for name in found.seats}
     every = np.concatenate(list(seats.values())) if seats else np.zeros((0, 3))
     factor, unit = readable(every, "m")
@@ -104,13 +118,13 @@ def positions(found: Positions, *, ax: Any = None) -> Any:
         half = max(0.55 * (high - low)[:2].max(), 1e-3 * np.abs(factor * every).max()) or 1.0
         right.set_xlim(0.5 * (low + high)[0] - half, 0.5 * (low + high)[0] + half)
         right.set_ylim(0.5 * (low + high)[1] - half, 0.5 * (low + high)[1] + half)
-    right.set_aspect("equal", adjustable="datalim")
+    right.set_aspect("equal")
     right.set_xlabel(f"x of the journal in its bearing [{unit}]")
     right.set_ylabel(f"y [{unit}]")
     if seats:
-        right.legend(fontsize=7)
+        key(right)
     lost = int(np.sum(~np.asarray(found.found)))
-    sheet.title(f"{len(found.found)} positions, {lost} not found", fontsize=10)
+    sheet.title(f"{len(found.found)} positions, {lost} not found")
     return sheet.done()
 
 

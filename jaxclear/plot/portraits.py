@@ -43,7 +43,7 @@ def phase_portrait(
     sheet.whole.colorbar(lines, ax=sheet.one, label="time [s]")
     sheet.one.set_xlabel(across)
     sheet.one.set_ylabel(up)
-    sheet.title(f"Phase portrait of {of}", fontsize=10)
+    sheet.title(f"Phase portrait of {of}")
     return warned(sheet, {"": run})
 
 
@@ -94,7 +94,7 @@ def poincare_section(
     sheet.whole.colorbar(points, ax=sheet.one, label="period [1]")
     sheet.one.set_xlabel(across)
     sheet.one.set_ylabel(up)
-    sheet.title(f"Poincaré section of {of}, every {period:.4g} s", fontsize=10)
+    sheet.title(f"Poincaré section of {of}, every {period:.4g} s")
     return warned(sheet, {"": run})
 
 
@@ -132,5 +132,5 @@ def bifurcation(
     sheet.one.plot(factor * numbers, values, ".", ms=3, color=matplotlib.colormaps["viridis"](0.25))
     sheet.one.set_xlabel(f"{what} [{shown}]" if what else over)
     sheet.one.set_ylabel(f"{up}")
-    sheet.title(f"Once every {period:.4g} s", fontsize=10)
+    sheet.title(f"Once every {period:.4g} s")
     return warned(sheet, {f"{factor * n:.4g} {shown}": run for n, run in runs.items()})

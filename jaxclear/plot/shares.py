@@ -62,7 +62,7 @@ def worst_case(study: WorstCase, *, ax: Any = None) -> Any:
         axis.axvline(factor * study.nominal[name], color="k", lw=0.8, label="nominal")
         _rows(axis, ["found", "first order"])
         axis.set_xlabel(f"{name} [{unit}]")
-    sheet.legend(ncols=3)
+    sheet.legend()
     sheet.title(f"Worst case, {study.runs} runs")
     return sheet.done()
 
@@ -77,7 +77,7 @@ def error_budget(study: MonteCarlo, *responses: str, ax: Any = None) -> Any:
         check_known("response", name, study.responses, " in this study")
     rows = len(study.problem.names) + 1
     size = (WIDE * len(names), 1.4 + 0.35 * rows)
-    sheet = panels("error_budget", ax, 1, len(names), size)
+    sheet = panels("error_budget", ax, 1, len(names), size, sharey=True)
     for axis, name in zip(sheet.axes.flat, names, strict=True):
         parts = study.error_budget(name)
         whole = sum(part.value for part in parts.values()) or 1.0
@@ -88,7 +88,7 @@ def error_budget(study: MonteCarlo, *responses: str, ax: Any = None) -> Any:
         _rows(axis, list(parts))
         axis.axvline(0.0, color="k", lw=0.6)
         axis.set_xlabel(f"share of the variance of {name} [%]")
-    sheet.title("Error budget", fontsize=10)
+    sheet.title("Error budget")
     return sheet.done()
 
 
@@ -97,7 +97,7 @@ def _by_variable(kind: str, told: Mapping[tuple[str, str], Any], ax: Any) -> Any
     names = list(dict.fromkeys(response for response, _ in told))
     variables = list(dict.fromkeys(variable for _, variable in told))
     size = (WIDE * len(names), 1.4 + 0.4 * len(variables))
-    return panels(kind, ax, 1, len(names), size), names, variables
+    return panels(kind, ax, 1, len(names), size, sharey=True), names, variables
 
 
 @answering
@@ -117,8 +117,8 @@ def sobol_indices(study: SobolIndices, *, ax: Any = None) -> Any:
         _rows(axis, variables)
         axis.axvline(0.0, color="0.7", lw=0.8)
         axis.set_xlabel(f"index of {name} [1]")
-    sheet.legend(ncols=2)
-    sheet.title(f"Sobol' indices, {study.runs} runs", fontsize=10)
+    sheet.legend()
+    sheet.title(f"Sobol' indices, {study.runs} runs")
     return sheet.done()
 
 
@@ -133,7 +133,7 @@ def shapley_effects(study: ShapleyEffects, *, ax: Any = None) -> Any:
         _rows(axis, variables)
         axis.axvline(0.0, color="0.7", lw=0.8)
         axis.set_xlabel(f"Shapley effect on {name} [1]")
-    sheet.title(f"Shapley effects, {study.runs} runs", fontsize=10)
+    sheet.title(f"Shapley effects, {study.runs} runs")
     return sheet.done([study.remark] if study.remark else [])
 
 
@@ -174,7 +174,7 @@ def _means(what: str, study: Any, problem: Any, rows: dict, ax: Any, title: str)
             _interval(axis, 1, end, end - off, end + off, color="C1")
         _rows(axis, ["mean", "mean ± deviation"])
         axis.set_xlabel(f"{name} [{unit}]")
-    sheet.title(title, fontsize=10)
+    sheet.title(title)
     return sheet.done()
 
 
@@ -225,5 +225,5 @@ def reliability(study: Reliability, *, ax: Any = None) -> Any:
     right.barh(range(len(shares)), [100 * x for x in shares.values()], 0.6, color="C0")
     _rows(right, list(shares))
     right.set_xlabel("importance at the likeliest design point [%]")
-    sheet.title(f"P({study.limit.words()}), {study.runs} runs", fontsize=10)
+    sheet.title(f"P({study.limit.words()}), {study.runs} runs")
     return sheet.done(study.notes)

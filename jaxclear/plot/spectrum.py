@@ -71,5 +71,5 @@ def spectrum(
     sheet.one.set_xlabel("frequency [Hz]")
     sheet.one.set_ylabel(rf"root of spectral density [{unit}/$\sqrt{{\mathrm{{Hz}}}}$]")
     marked = "" if period is None else f", harmonics of {1 / period:.4g} Hz in grey"
-    sheet.title(f"Spectrum of the {own.label}{marked}", fontsize=10)
+    sheet.title(f"Spectrum of the {own.label}{marked}")
     return warned(sheet, {"": run})

@@ -1,24 +1,26 @@
 """Figures of studies: spread of responses, derivatives with errors, work against precision."""
 
-import textwrap
+import re
 from typing import Any
 
-import matplotlib.ticker
 import numpy as np
 
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.in_words import as_typed
 from jaxclear.plot.canvas import panels, readable
+from jaxclear.plot.fitting import Roomy
 from jaxclear.studies.advice import PRESENT, Advice
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.sensitivity.derivative import Sensitivity
 
 __all__ = ["monte_carlo", "sensitivity", "work_precision"]
 
-# An error of ten times the response is drawn no higher, a hundredth of the accuracy no lower.
-LARGEST_ERROR, LEAST_ERROR = 10.0, 0.01
-# Letters in a line of a verdict above an axis.
-VERDICT_WIDTH = 70
+# An error as large as the response is drawn no higher, a hundredth of the accuracy no lower.
+LARGEST_ERROR, LEAST_ERROR = 1.0, 0.01
+DIVERGED = "failed, or no digit right"
+EDGE = {"color": "k", "mfc": "none", "ms": 7, "clip_on": False, "zorder": 4}
+# Where a sentence ends.
+SENTENCES = re.compile(r"(?<=[.!?]) +(?=[A-Z0-9])")
 
 
 def monte_carlo(study: MonteCarlo, *, ax: Any = None) -> Any:
@@ -41,7 +43,8 @@ def monte_carlo(study: MonteCarlo, *, ax: Any = None) -> Any:
             low, high = np.percentile(factor * values, [5, 95])
             axis.axvspan(low, high, color="C1", alpha=0.25, label="5 to 95 %", zorder=0)
         axis.set_ylabel("samples")
-    sheet.legend(ncols=2)
+        axis.yaxis.set_major_locator(Roomy(whole=True))
+    sheet.legend()
     sheet.title(f"Monte Carlo, {study.count} samples, {len(study.failed)} failed")
     return sheet.done(_warned_samples(study))
 
@@ -71,49 +74,51 @@ def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
     """
     expect(study, Sensitivity, "the study", "what jaxclear.sensitivity returns")
     entries = list(study.derivatives.items())
-    sheet = panels("sensitivity", ax, 1, len(entries), (4.6 * len(entries), 3.6))
+    alike = len({tuple(found.estimates) for _, found in entries}) == 1
+    sheet = panels("sensitivity", ax, 1, len(entries), (4.6 * len(entries), 3.6), sharey=alike)
+    rest: dict[str, list[str]] = {}
     for axis, ((response, variable), derivative) in zip(sheet.axes.flat, entries, strict=True):
-        labels = [*derivative.estimates, "answer"]
-        answers: list[Any] = [*derivative.estimates.values(), derivative]
-        for row, answer in enumerate(answers):
-            if np.isfinite(answer.value):
-                colour = "k" if row == len(answers) - 1 else "C0"
+        answers = {**derivative.estimates, "answer": derivative}
+        ends = [abs(one.value) + one.error for one in answers.values()]
+        factor, unit = readable(ends, study.unit(response, variable))
+        for row, (name, one) in enumerate(answers.items()):
+            if np.isfinite(one.value):
+                colour = "k" if name == "answer" else "C0"
+                error = factor * one.error
                 axis.errorbar(
-                    answer.value, -row, xerr=answer.error, fmt="o", color=colour, capsize=4
+                    factor * one.value, -row, xerr=error, fmt="o", color=colour, capsize=4
                 )
             else:
-                axis.text(
-                    0.5,
-                    -row,
-                    "refused",
-                    transform=axis.get_yaxis_transform(),
-                    ha="center",
-                    va="center",
-                    color="C3",
-                )
-        axis.set_yticks([-row for row in range(len(labels))], labels)
-        axis.set_ylim(-len(labels) + 0.4, 0.6)
+                place: dict[str, Any] = {"transform": axis.get_yaxis_transform(), "color": "C3"}
+                axis.text(0.5, -row, "refused", ha="center", va="center", **place)
+        axis.set_yticks([-row for row in range(len(answers))], list(answers))
+        axis.set_ylim(-len(answers) + 0.4, 0.6)
         axis.axvline(0.0, color="0.7", lw=0.8)
-        axis.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
-        axis.set_xlabel(f"d({response}) / d({variable}) [{study.unit(response, variable)}]")
-        axis.set_title(textwrap.fill(derivative.verdict, VERDICT_WIDTH), fontsize=8)
-    return sheet.done()
+        axis.set_xlabel(f"d({response}) / d({variable}) [{unit}]")
+        first, *others = SENTENCES.split(derivative.verdict)
+        axis.set_title(first, fontsize=8)
+        for sentence in others:
+            rest.setdefault(sentence, []).append(f"{response} by {variable}")
+    whose = lambda names: "" if len(names) == len(entries) else f"{', '.join(names)}: "
+    return sheet.done([whose(names) + sentence for sentence, names in rest.items()])
 
 
 def work_precision(advice: Advice, *, ax: Any = None) -> Any:
     """Error of every setting against its work, one line a method, with the accuracy asked and the
     recommended setting.
 
-    Hollow marks: other models of contact, off by what they leave out. Settings that failed are not
-    drawn; errors outside are drawn at the edge, LARGEST_ERROR or LEAST_ERROR of the accuracy. `ax`:
-    axes to draw in.
+    Hollow marks: other models of contact, off by what they leave out. Triangles at the upper edge:
+    settings that err by LARGEST_ERROR or more, or failed; errors of less than LEAST_ERROR of the
+    accuracy are drawn there. `ax`: axes to draw in.
     """
     expect(advice, Advice, "the advice", "what jaxclear.advise returns")
     sheet = panels("work_precision", ax, size=(8.0, 5.4))
     axis, asked = sheet.one, advice.accuracy
     table = advice.table()
-    table = table[np.isfinite(table["error"])]
-    table = table.assign(error=table["error"].clip(LEAST_ERROR * asked, LARGEST_ERROR))
+    table = table[table["work"] > 0]
+    table = table.assign(error=table["error"].clip(LEAST_ERROR * asked))
+    lost = table[~(table["error"] < LARGEST_ERROR)]
+    table = table[table["error"] < LARGEST_ERROR]
     for name, rows in table.groupby("method", sort=False):
         style: dict[str, Any] = {"ms": 4}
         if rows["left out by the model"].notna().any():
@@ -123,6 +128,8 @@ def work_precision(advice: Advice, *, ax: Any = None) -> Any:
         axis.plot(
             rows["work"], rows["error"], **({"marker": "o", "lw": 1.2, "label": name} | style)
         )
+    if len(lost):
+        axis.plot(lost["work"], LARGEST_ERROR + 0 * lost["work"], "^", label=DIVERGED, **EDGE)
     best = table[table["recommended"]]
     ring: dict[str, Any] = {"ms": 14, "mfc": "none", "mec": "k", "mew": 1.6}
     axis.plot(best["work"], best["error"], "o", label="recommended", **ring)
@@ -130,9 +137,10 @@ def work_precision(advice: Advice, *, ax: Any = None) -> Any:
     axis.axhline(asked, color="C3", ls="--", lw=1.0, label=told)
     axis.set_xscale("log")
     axis.set_yscale("log")
+    axis.set_ylim(top=LARGEST_ERROR)
     axis.set_xlabel("evaluations of forces in a run [1]")
     over = ", means over the copies" if advice.wanted.means else ""
     axis.set_ylabel(f"largest error told of a response [1]{over}")
-    axis.set_title(f"Recommended: {as_typed(advice.recommended)}", fontsize=10)
-    sheet.legend(ncols=3)
+    sheet.title(f"Recommended: {as_typed(advice.recommended)}")
+    sheet.legend()
     return sheet.done(advice.warnings())

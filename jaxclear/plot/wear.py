@@ -6,13 +6,16 @@ from typing import Any, NamedTuple
 import matplotlib
 import numpy as np
 
-from jaxclear.plot.canvas import MICRO, MILLI, check_run, panels, readable, setting, warned
+from jaxclear.plot.canvas import MILLI, check_run, length, panels, readable, setting, warned
+from jaxclear.plot.fitting import key
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = ["wear_surface", "wear_unrolled"]
 
 # A hollow of a sphere is looked at from somewhat above it, and rather from the side [deg].
 ABOVE, STEEPEST = 12.0, 40.0
+# What the deepest place is drawn as, as a share of the radius; and what colours say.
+SHOWN, COLOUR = 0.2, "worn depth [{}] (colour ~ square root)"
 
 
 class Wall(NamedTuple):
@@ -84,17 +87,18 @@ def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing", *, ax: 
     sheet = panels("wear_unrolled", ax, 1, 2, (9.5, 4.2), width_ratios=(3.2, 1.0), sharey=True)
     axes = sheet.axes.flat
     around = np.linspace(0, 360, depth.shape[0] + 1)
+    factor, unit = readable(depth, "m")
     mesh = axes[0].pcolormesh(
-        around, wall.edges, MICRO * depth.T, cmap="inferno", norm=_stretched(MICRO * depth)
+        around, wall.edges, factor * depth.T, cmap="inferno", norm=_stretched(factor * depth)
     )
-    sheet.whole.colorbar(mesh, ax=axes[0], label="worn depth [µm] (colour ~ square root)")
+    sheet.whole.colorbar(mesh, ax=axes[0], label=COLOUR.format(unit))
     axes[0].set_xlabel(wall.round_about.format(surface))
     axes[0].set_ylabel(wall.along)
-    axes[0].set_title(f"Worn depth of the {surface} of {joint}, unrolled{setting(run, joint)}")
+    sheet.title(f"Worn depth of the {surface} of {joint}, unrolled{setting(run, joint)}")
     axes[0].set_xticks(range(0, 361, 60))
     middles, widths = 0.5 * (wall.edges[1:] + wall.edges[:-1]), np.diff(wall.edges)
-    axes[1].barh(middles, MICRO * depth.max(axis=0), height=widths, color="C1")
-    axes[1].set_xlabel("deepest in row [µm]")
+    axes[1].barh(middles, factor * depth.max(axis=0), height=widths, color="C1")
+    axes[1].set_xlabel(f"deepest in row [{unit}]")
     return warned(sheet, {"": run})
 
 
@@ -113,9 +117,9 @@ def _along_walls(
         axes[0].stairs(factor * depth[k], edges, color=f"C{k}", lw=1.4, label=name)
     axes[0].set_xlabel(f"position along the {surface} [mm]")
     axes[0].set_ylabel(f"worn depth [{unit}]")
-    axes[0].set_title(f"Worn depth of the {surface} of {joint}{setting(run, joint)}")
+    sheet.title(f"Worn depth of the {surface} of {joint}{setting(run, joint)}")
     axes[0].margins(x=0.0)
-    axes[0].legend(fontsize=8)
+    key(axes[0])
     axes[1].bar(names, factor * depth.max(axis=1), color=("C0", "C1"), width=0.6)
     axes[1].set_xlabel("deepest")
     axes[0].set_ylim(axes[0].get_ylim()[::-1])
@@ -123,7 +127,7 @@ def _along_walls(
 
 
 def _stretched(values):
-    return matplotlib.colors.PowerNorm(0.5, vmin=0.0, vmax=max(float(values.max()), 1e-12))
+    return matplotlib.colors.PowerNorm(0.5, vmin=0.0, vmax=float(values.max()) or 1.0)
 
 
 def wear_surface(
@@ -145,32 +149,34 @@ def wear_surface(
         )
     wall = _wall(wear_map, surface)
     radius = float(wear_map.radius)
-    factor = 0.2 * radius / max(depth.max(), 1e-15) if exaggeration is None else exaggeration
+    deepest = float(depth.max())
+    drawn = SHOWN * radius / (deepest or 1.0) if exaggeration is None else exaggeration
     ringed = np.vstack([depth[-1:], depth, depth[:1]])
     padded = np.pad(ringed, ((0, 0), (1, 1)), mode="edge")
     corners = 0.25 * (padded[:-1, :-1] + padded[1:, :-1] + padded[:-1, 1:] + padded[1:, 1:])
-    across, upward, heights = wall.places(MILLI * (radius + factor * corners))
+    across, upward, heights = wall.places(MILLI * (radius + drawn * corners))
     sheet = panels("wear_surface", ax, size=(7.5, 6.0), space=True)
     axis = sheet.one
-    norm = _stretched(MICRO * depth)
-    colours = matplotlib.colormaps["YlOrRd"](norm(MICRO * depth))
+    factor, unit = readable(depth, "m")
+    norm = _stretched(factor * depth)
+    colours = matplotlib.colormaps["YlOrRd"](norm(factor * depth))
     grid = {"edgecolor": (0, 0, 0, 0.06), "linewidth": 0.2, "rstride": 1, "cstride": 1}
     axis.plot_surface(across, upward, heights, facecolors=colours, shade=False, **grid)
     scale = matplotlib.cm.ScalarMappable(norm, "YlOrRd")
-    sheet.whole.colorbar(
-        scale, ax=axis, label="worn depth [µm] (colour ~ square root)", shrink=0.7, pad=0.12
-    )
+    sheet.whole.colorbar(scale, ax=axis, label=COLOUR.format(unit), shrink=0.7, pad=0.12)
     axis.set_xlabel("x [mm]")
     axis.set_ylabel("y [mm]")
     # Matplotlib stands it on its head where the view rises from behind.
     axis.zaxis.set_rotate_label(False)
     axis.set_zlabel("z [mm]", rotation=90)
     axis.locator_params(nbins=5)
-    title = f"Worn {surface} of {joint} seen from outside, depth × {factor:.0f}"
-    axis.set_title(title + setting(run, joint), fontsize=10)
-    axis.set_box_aspect((1, 1, wall.height))
+    title = f"Worn {surface} of {joint} seen from outside{setting(run, joint)}"
+    sheet.title(f"{title}: {length(deepest)} is drawn as {length(drawn * deepest)}")
+    axis.set_box_aspect((1, 1, wall.height), zoom=0.9)
     column, row = map(int, np.unravel_index(int(np.argmax(depth)), depth.shape))
-    deepest = np.degrees(float(wear_map.angles()[column]))
+    side = np.degrees(float(wear_map.angles()[column]))
     rise = wall.rise(0.5 * (wall.edges[row] + wall.edges[row + 1]))
-    axis.view_init(elev=rise, azim=deepest + 25.0)
+    # Not along an axis, whose numbers would lie in one place.
+    turned = (side + 25.0) % 90.0
+    axis.view_init(elev=rise, azim=side + 25.0 + np.clip(turned, 20.0, 70.0) - turned)
     return warned(sheet, {"": run})

@@ -53,7 +53,7 @@ def contact_path(history: StateHistory, name: str, noted: Events | None) -> tupl
         first = changes[0].time if changes else time[-1]
         return path, _spells_of(time, changes, bool(path(0.5 * (time[0] + first)) > 0))
     own = [each for each in of_contacts(history, noted) if each.joint == name]
-    warn_of_lost(sum(each.lost for each in own), noted, stacklevel=7)
+    warn_of_lost(sum(each.lost for each in own), noted)
     paths = [_with_events(time, depths[:, k], rates[:, k], each) for k, each in enumerate(own)]
     knots = np.unique(np.concatenate([path.x for path in paths]))
     at = lambda order: np.stack([path(knots, order) for path in paths], axis=1)

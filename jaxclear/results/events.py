@@ -1,11 +1,12 @@
 """Touches and releases of a run as a table: when, in which joint, at what speed."""
 
-import warnings
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxclear.ground.table import as_table
+from jaxclear.ground.warning import warn
 from jaxclear.integrators.events import Events
 from jaxclear.results.histories import check_contact_joint
 from jaxclear.results.state_history import StateHistory
@@ -16,8 +17,6 @@ COLUMNS = ["time [s]", "joint", "contact", "event", "speed [m/s]"]
 def table(history: StateHistory, noted: Events | None, names: tuple[str, ...]) -> Any:
     """The events of joints in the order of time. Raises `ValueError` for a run that kept none, or
     an unknown joint; warns where some were not kept."""
-    import pandas
-
     if noted is None:
         raise ValueError(
             "this run kept no touches and releases; simulate(..., save=Saving(events=10)) keeps 10 "
@@ -33,8 +32,8 @@ def table(history: StateHistory, noted: Events | None, names: tuple[str, ...]) -
         for time, rate in zip(own.times[own.kept], own.rates[own.kept], strict=True):
             event = "touch" if rate > 0 else "release"
             rows.append((time, own.joint, own.contact, event, abs(rate)))
-    warn_of_lost(lost, noted, stacklevel=5)
-    return pandas.DataFrame(sorted(rows), columns=COLUMNS)
+    warn_of_lost(lost, noted)
+    return as_table(sorted(rows), columns=COLUMNS)
 
 
 class ContactEvents(NamedTuple):
@@ -67,11 +66,10 @@ def of_contacts(history: StateHistory, noted: Events) -> Iterator[ContactEvents]
         yield ContactEvents(joint, contact, times[:, k], rates[:, k], counts[:, k])
 
 
-def warn_of_lost(lost: int, noted: Events, stacklevel: int) -> None:
+def warn_of_lost(lost: int, noted: Events) -> None:
     """Warns where some events were not kept."""
     if lost:
-        warnings.warn(
+        warn(
             f"{lost} touches and releases were not kept: more than {noted.times.shape[2]} of a "
             "contact fell between two saving times. Give Saving more events, or save more often.",
-            stacklevel=stacklevel,
         )

@@ -24,6 +24,8 @@ from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.given import source
 from jaxclear.multibody.kinematics import relative_motion
+from jaxclear.results.histories import AbstractHistory, MarkerHistory, marker, measured
+from jaxclear.results.state_history import single
 
 # Share of a free motion from which on a freedom takes part in it [1].
 LOOSE = 1e-3
@@ -31,13 +33,13 @@ LOOSE = 1e-3
 __all__ = ["Positions"]
 
 
-class BodyPoses(eqx.Module):
+class BodyPoses(AbstractHistory):
     """Bodies in the ground frame at each position: `com` place [m] of the centre of mass,
     `rotation` the body's axes in the ground's, `origin` place of the body frame [m]."""
 
-    com: Float[Array, "positions 3"]
-    rotation: Float[Array, "positions 3 3"]
-    origin: Float[Array, "positions 3"]
+    com: Float[Array, "positions 3"] = measured("m")
+    rotation: Float[Array, "positions 3 3"] = measured("1")
+    origin: Float[Array, "positions 3"] = measured("m")
 
 
 class Positions(AbstractShown):
@@ -87,7 +89,7 @@ class Positions(AbstractShown):
             )
         return tuple(said)
 
-    def __str__(self) -> str:
+    def _shown(self):
         places = ", ".join(
             f"{name} from {own.min():.4g} to {own.max():.4g} {self._unit(name)}"
             for name, own in zip(self.scene.held, np.asarray(self.position).T, strict=True)
@@ -120,30 +122,30 @@ class Positions(AbstractShown):
 
         return BodyPoses(*self._over(one))
 
-    def marker(self, body: str, at: Any) -> Float[Array, "positions 3"]:
-        """Place of a point of a body, given in the body frame [m], in the ground frame."""
-        motion = self.body(body)
-        place = sp.stack(Marker(body, at).pose().translation)
-        return motion.origin + jnp.einsum("tij,j->ti", motion.rotation, place)
+    def marker(self, body: str | Marker, at: Any = None) -> MarkerHistory:
+        """`position` [m] and `rotation` in the ground frame of a point of a body, `at` in the body
+        frame [m], or of a `Marker`."""
+        return marker(self.body, body, at)
 
-    def coordinate(self, name: str) -> Float[Array, "positions q"]:
-        """Coordinates of a connection of the tree, of one that is held, or of a body that only
-        joints with clearance hold [rad, m]; where energy says where it rests, of any joint."""
+    def coordinate(self, name: str) -> Float[Array, "positions ..."]:
+        """Coordinate [rad, m] of a connection of the tree, of one that is held, or of a body that
+        only joints with clearance hold; where energy says where it rests, of any joint. Over the
+        positions; with several coordinates an array (positions, coordinates)."""
         scene = self.scene
         branches = {own.name: own for own in scene.mechanism.topology.branches}
         names = [*scene.mechanism.connections, *branches]
         check_known("joint or floating body", name, dict.fromkeys(names), " in this mechanism")
         if name in scene.held:
-            return self.position[:, [scene.held.index(name)]]
+            return self.position[:, scene.held.index(name)]
         branch = branches.get(name)
         if branch is None and scene.loose:
-            return self._over(lambda now: sp.stack(_read(scene.mechanism, now, name)))
+            return single(self._over(lambda now: sp.stack(_read(scene.mechanism, now, name))))
         if branch is None:
             raise ValueError(
                 f'joint "{name}" closes a loop and has no coordinates of its own; those with are '
                 f"{listed(list(branches))}."
             )
-        return self.coordinates[:, branch.coordinates]
+        return single(self.coordinates[:, branch.coordinates])
 
     def offset(self, joint: str) -> Float[Array, "positions 3"]:
         """Where a journal lies in its gap [m], in the bearing's axes."""
@@ -162,8 +164,9 @@ class Positions(AbstractShown):
         scene, columns = self.scene, {}
         over, axis = ("position",), ("position", "axis")
         for name in scene.held:
-            values = self.coordinate(name)[:, 0]
-            columns[name] = Column(over, values, self._unit(name), "coordinate of a drive")
+            columns[name] = Column(
+                over, self.coordinate(name), self._unit(name), "coordinate of a drive"
+            )
         for name in scene.mechanism.bodies:
             pose = self.body(name)
             columns[f"{name}.com"] = Column(axis, pose.com, "m", f"centre of mass of {name}")

@@ -42,15 +42,12 @@ def marker_frame(marker: Marker) -> tuple[np.ndarray, np.ndarray]:
 
 def seen(run: Any, marker: Marker) -> Seen:
     """A marker in the ground frame over a run."""
-    turn, at = marker_frame(marker)
     if marker.body == GROUND:
+        turn, at = marker_frame(marker)
         rest = np.zeros((len(run.time), 3))
         return Seen(np.broadcast_to(turn, (len(rest), 3, 3)), rest + at, rest, rest)
-    body = run.body(marker.body)
-    rotation, spin = np.asarray(body.rotation), np.asarray(body.spin)
-    place = np.asarray(body.origin) + rotation @ at
-    velocity = np.asarray(body.velocity) + np.cross(spin, place - np.asarray(body.com))
-    return Seen(rotation @ turn, place, velocity, spin)
+    own = run.marker(marker)
+    return Seen(*map(np.asarray, (own.rotation, own.position, own.velocity, own.body.spin)))
 
 
 def relative_motion(run: Any, name: str) -> RelativeMotion:

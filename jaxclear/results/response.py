@@ -244,7 +244,8 @@ class FinalCoordinate(AbstractResponse):
         return "motion"
 
     def __call__(self, run):
-        coordinates = run.coordinate(self.connection)
+        found = run.coordinate(self.connection)
+        coordinates = found[:, None] if found.ndim == 1 else found
         if self.index >= coordinates.shape[1]:
             raise ValueError(
                 f'"{self.connection}" has {coordinates.shape[1]} coordinates; the index of '

@@ -5,10 +5,12 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.components.body import GROUND
+from jaxclear.components.joint.base import drive_of
 from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
@@ -35,34 +37,51 @@ class StateHistory(eqx.Module):
     read: dict[str, dict[str, Any]]
     balanced: bool = eqx.field(static=True)
 
+    def check_single(self) -> None:
+        """Raises `ValueError` for the runs of a batch, whose numbers have one axis more."""
+        if len(self.time.shape) > 1:
+            count = self.time.shape[0]
+            raise ValueError(
+                f"this is a batch of {count} runs: take one of them, run[i] with i up to "
+                f"{count - 1}, or map what is read from it: jax.vmap(response)(run)."
+            )
+
     def model(self) -> Model:
         """The model that the states belong to, its surfaces new."""
+        self.check_single()
         return model_of(self.mechanism, self.formulation, self.balanced)
 
     def layout(self) -> Layout:
         """Where everything sits in a state."""
         return self.model().layout
 
-    def branch_columns(self, name: str, speeds: bool) -> Float[Array, "time k"]:
-        """Coordinates or speeds of a connection (or floating body) of the tree."""
+    def coordinate(self, name: str, speeds: bool) -> Float[Array, "time ..."]:
+        """Coordinates or speeds of a connection (or floating body) of the tree, or of a drive: over
+        time alone where it has a single one."""
+        self.check_single()
         topology = self.mechanism.topology
         floating = [b.body for b in topology.branches if b.connection is None]
         check_known(name, [*self.mechanism.connections, *floating], "joint or floating body")
+        connection = self.mechanism.connections.get(name)
+        drive = None if connection is None else drive_of(connection.joint)
+        if drive is not None:
+            motion = lambda time: jnp.asarray(drive.motion(time)[speeds], float)
+            return jax.vmap(motion)(self.time)
         start = topology.coordinate_count
-        for branch in topology.branches:
-            if name == (branch.body if branch.connection is None else branch.connection):
-                last = start + branch.speeds.stop
-                found = (
-                    self.states[:, branch.coordinates],
-                    self.states[:, start + branch.speeds.start : last],
-                )
-                joint = joint_of(branch, self.mechanism.bodies, self.mechanism.connections)
-                if goes_backwards(branch, joint):
-                    found = rows_turned_round(joint, *found)
-                return found[speeds]
-        raise ValueError(
-            f'"{name}" carries no coordinates: it is driven, has clearance, or closes a loop.'
+        branch = next((own for own in topology.branches if own.name == name), None)
+        if branch is None or not branch.speed_count:
+            raise ValueError(
+                f'"{name}" carries no coordinates: it has clearance, closes a loop, or is welded.'
+            )
+        last = start + branch.speeds.stop
+        found = (
+            self.states[:, branch.coordinates],
+            self.states[:, start + branch.speeds.start : last],
         )
+        joint = joint_of(branch, self.mechanism.bodies, self.mechanism.connections)
+        if goes_backwards(branch, joint):
+            found = rows_turned_round(joint, *found)
+        return single(found[speeds])
 
     def mean_forces(self, layout: Layout) -> Float[Array, "time components"]:
         """Impulses gained over each saving interval, divided by its length; at the start those of
@@ -71,6 +90,12 @@ class StateHistory(eqx.Module):
         impulses = self.states[:, layout.impulse_start : layout.energy_start]
         means = jnp.diff(impulses, axis=0) / jnp.diff(self.time)[:, None]
         return jnp.concatenate([means[:1], means])
+
+
+def single(values: Float[Array, "time k"]) -> Float[Array, "time ..."]:
+    """Coordinates over time, without the axis of a single one: beside an array over time it would
+    make a square of both."""
+    return values[:, 0] if values.shape[1] == 1 else values
 
 
 def check_known(name: str, names: Any, kind: str) -> None:

@@ -4,22 +4,21 @@ Poses, contacts, reactions and energies are computed from the saved states when 
 pays for none of them. The methods here are fronts of the functions that do it.
 """
 
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
-from jaxclear.ground import sparse as sp
-from jaxclear.ground.arguments import check_count, check_known
+from jaxclear.ground.arguments import check_count, check_flags, check_known
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
 from jaxclear.integrators.events import Events
 from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.outcome import Outcome
@@ -31,6 +30,7 @@ from jaxclear.results.histories import (
     BodyHistory,
     ContactHistory,
     EnergyHistory,
+    MarkerHistory,
     ReactionHistory,
 )
 from jaxclear.results.saved_state import SavedMotion, State
@@ -44,7 +44,7 @@ from jaxclear.results.verification import (
 )
 
 
-class RunStats(eqx.Module):
+class RunStats(AbstractShown):
     """What a run took: steps accepted and rejected; `verdict` on its time loops is a number,
     `loops` its sentence.
     """
@@ -53,13 +53,19 @@ class RunStats(eqx.Module):
     rejected_steps: Int[Array, ""]
     verdict: Int[Array, ""]
 
+    def _shown(self):
+        if is_traced(self) or np.ndim(self.verdict):
+            return "what traced runs, or several, took"
+        taken, tried = int(self.accepted_steps), int(self.rejected_steps)
+        return f"{taken} steps, {tried} more taken back. {self.loops}"
+
     @property
     def loops(self) -> str:
         """Whether the time loops ran as machine code, or why not."""
         return explain(np.max(self.verdict))
 
 
-class Extremes(eqx.Module):
+class Extremes(AbstractShown):
     """The largest of all steps, whatever the saving times: `indentation` [m] of every possible
     contact and normal `force` [N] (None: no contact damps, so that it follows from the
     indentation); `contacts`: their joints."""
@@ -67,6 +73,13 @@ class Extremes(eqx.Module):
     indentation: Float[Array, "*batch contacts"]
     force: Float[Array, "*batch contacts"] | None
     contacts: tuple[str, ...] = eqx.field(static=True)
+
+    def _shown(self):
+        if is_traced(self) or np.ndim(self.indentation) != 1:
+            return "the largest of traced runs, or of several"
+        columns = {"contact in": self.contacts, "indentation": np.asarray(self.indentation)}
+        columns |= {} if self.force is None else {"normal force": np.asarray(self.force)}
+        return (as_table(columns, units={"indentation": "m", "normal force": "N"}),)
 
 
 class Trajectory(AbstractShown):
@@ -89,6 +102,19 @@ class Trajectory(AbstractShown):
     verification: AbstractVerification = eqx.field(default_factory=Unverified)
     doubts: tuple[str, ...] = eqx.field(static=True, default=())
     singular_positions: tuple[SingularPosition, ...] = ()
+
+    def __getitem__(self, index: int) -> "Trajectory":
+        """One run of a batch, as `jax.vmap` makes it of a function that simulates."""
+        count = 0 if np.ndim(self.outcome) == 0 else len(self.outcome)
+        if not count:
+            raise ValueError(
+                "this is one run, not a batch of them; saved instants are rows of what is read "
+                "from it, such as run.body(name).com[index]."
+            )
+        check_count("index of a run", index, at_least=-count)
+        if index >= count:
+            raise IndexError(f"run {index} was asked for; the batch has {count}.")
+        return jax.tree.map(lambda own: own[index] if eqx.is_array(own) else own, self)
 
     @property
     def mechanism(self) -> Mechanism:
@@ -129,6 +155,7 @@ class Trajectory(AbstractShown):
     def result(self) -> str:
         """A sentence: that the run reached its end, or when and why it did not; and what it warns
         of."""
+        self.history.check_single()
         sentence = Outcome(int(self.outcome)).sentence
         if not self.succeeded:
             told = f"The run ended early, after {float(self.ended):.6g} s. {sentence}"
@@ -141,22 +168,12 @@ class Trajectory(AbstractShown):
         return f"{sentence.removesuffix('.')}, with warnings: {' '.join(self.warnings)}"
 
     @property
-    def checks(self) -> Checks:
-        """What are its `invariants` now; it goes with the next version."""
-        warnings.warn(
-            "run.checks goes with the next version: run.warnings has its sentences, run.estimate "
-            "and print(run) tell how far numbers are off.",
-            DeprecationWarning,
-            2,
-        )
-        return self.invariants
-
-    @property
     def warnings(self) -> tuple[str, ...]:
         """Its `doubts`, a sentence for each of its `invariants` beyond its limit, one for answers
         whose numerical error is beyond what the integrator promises, and one where a loop left a
         singular position by another way than its inertia's; empty for a clean run. Of one that
         ended early, those of boundless figures only where there is no other."""
+        self.history.check_single()
         if self.succeeded:
             turned = in_sentences(tuple(one for one in self.singular_positions if not one.passed))
             return self.doubts + self.invariants.warnings + turned + self.verification.warnings
@@ -169,18 +186,21 @@ class Trajectory(AbstractShown):
 
         Source: Richardson 1911, doi:10.1098/rsta.1911.0009; Roache 1994, J. Fluids Eng. 116, 405.
         """
-        return self.verification.estimate(self, checked(response))
+        return self.verification.estimate(self, checked(response)).of(response, self.mechanism)
 
-    def __str__(self) -> str:
-        if np.ndim(self.outcome) or is_traced(self.outcome):
+    def _shown(self):
+        if is_traced(self.outcome):
             return repr(self)
+        if np.ndim(self.outcome):
+            many, ended = np.size(self.outcome), int(np.sum(self.succeeded))
+            return f"A batch of {many} runs, of which {ended} reached their end; run[i] is one."
         steps = f"{int(self.accepted_steps)} steps, {len(self.time)} saved instants"
-        lines = [self.result, f"{float(self.ended):.6g} s in {steps}.", str(self.verification)]
+        lines = [self.result, f"{float(self.ended):.6g} s in {steps}."]
         topology = self.mechanism.topology
         known = [f"The loops are {topology.redundancy}"] if topology.overconstrained else []
         if self.succeeded:
             known += in_sentences(tuple(one for one in self.singular_positions if one.passed))
-        return "\n".join([*lines, *known])
+        return *lines, *self.verification._parts(), *known
 
     def state_names(self) -> list[str]:
         """Names of the columns of `states`."""
@@ -192,6 +212,7 @@ class Trajectory(AbstractShown):
         `simulate(..., state=run.state())`. Raises `ValueError` for a time that the run did not
         reach, and before its end where surfaces wear: their depths are known there only.
         """
+        self.history.check_single()
         count = len(self.time)
         check_count("index of a saving time", index, at_least=-count)
         if index >= count:
@@ -217,12 +238,10 @@ class Trajectory(AbstractShown):
         """Motion of a body."""
         return histories.body(self.history, name)
 
-    def marker(self, body: str, at: Any) -> Float[Array, "time 3"]:
-        """Place of a point of a body, given in the body frame [m], in the ground frame over
-        time."""
-        motion = self.body(body)
-        place = sp.stack(Marker(body, at).pose().translation)
-        return motion.origin + jnp.einsum("tij,j->ti", motion.rotation, place)
+    def marker(self, body: str | Marker, at: Any = None) -> MarkerHistory:
+        """Motion of a point of a body, `at` in the body frame [m], or of a `Marker`: position,
+        velocity, acceleration, and what an accelerometer there reads."""
+        return histories.marker(self.body, body, at)
 
     def contact(self, name: str) -> ContactHistory:
         """Forces and gaps of a clearance joint.
@@ -287,13 +306,15 @@ class Trajectory(AbstractShown):
         bearing taken off. Unique by power where reactions are not."""
         return histories.transmitted(self.history, name)
 
-    def coordinate(self, name: str) -> Float[Array, "time q"]:
-        """Coordinates of a connection (or floating body) of the tree."""
-        return self.history.branch_columns(name, speeds=False)
+    def coordinate(self, name: str) -> Float[Array, "time ..."]:
+        """Coordinate [rad, m] of a connection of the tree or of a driven joint, over time; of one
+        with several (or a floating body) an array (time, coordinates)."""
+        return self.history.coordinate(name, speeds=False)
 
-    def speed(self, name: str) -> Float[Array, "time v"]:
-        """Speeds of a connection (or floating body) of the tree."""
-        return self.history.branch_columns(name, speeds=True)
+    def speed(self, name: str) -> Float[Array, "time ..."]:
+        """Speed [rad/s, m/s] of a connection of the tree or of a driven joint, over time; of one
+        with several (or a floating body) an array (time, speeds)."""
+        return self.history.coordinate(name, speeds=True)
 
     def worn_volume(self, joint: str, surface: str) -> Float[Array, " time"]:
         """Volume lost by a surface of a joint over time [m3]."""
@@ -306,6 +327,7 @@ class Trajectory(AbstractShown):
         return self.worn[joint][surface]
 
     def _check_wears(self, joint, surface):
+        self.history.check_single()
         check_known("joint", joint, self.mechanism.connections, " in this mechanism")
         if not isinstance(surface, str) or surface not in self.worn.get(joint, {}):
             wearing = ", ".join(f'"{j}" {s}' for j, surfaces in self.worn.items() for s in surfaces)
@@ -324,12 +346,15 @@ class Trajectory(AbstractShown):
         """Energies over time; needs a run with `balance=True`."""
         return histories.energies(self.history)
 
-    def to_dataset(self) -> Any:
-        """Everything as an xarray Dataset with units."""
+    def to_dataset(self, *, flat: bool = False) -> Any:
+        """Everything as an xarray DataTree by body and joint, with units: `tree["crank"].com`,
+        `tree["B/bearing"].worn_depth`. `flat`: as one Dataset with names such as "crank.com", which
+        NetCDF 3 holds; the tree answers to these names too, with a warning, for this version."""
+        check_flags("to_dataset", flat=flat)
         said = {"result": self.result, "warnings": " ".join(self.warnings)}
         attributes = {**said, "accepted_steps": int(self.accepted_steps)}
         attributes.update(self.invariants.attributes() | self.verification.attributes())
-        return dataset.to_dataset(self.history, self.worn, attributes)
+        return dataset.of_run(self.history, self.worn, attributes, flat)
 
     def to_vtk(self, folder: Any, *, frames: int = 200, meshes: Any = None) -> Path:
         """Writes a time series for ParaView into a folder: `run.pvd` names a file for each of at

@@ -72,7 +72,7 @@ def _bodies(run: Any, meshes: Any) -> list[_Solid]:
     solids = parts.parts(run, parts.checked_meshes(run, meshes), parts.size_of(run))
     return [
         _Solid(name, own.points, "triangle", own.corners, np.zeros(len(own.corners)))
-        for name, own in solids.items()
+        for name, own in ((name, part.whole) for name, part in solids.items())
         if len(own.points)
     ]
 

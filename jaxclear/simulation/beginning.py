@@ -1,6 +1,6 @@
 """Where a run begins, and what it takes over from one before."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,33 +26,35 @@ class Past(eqx.Module):
 
 
 class Beginning(NamedTuple):
-    """A mechanism that knows its redundant rows, its consistent start, its time [s], what is taken
-    over, and a sentence where another way to assemble is about as near to what is guessed."""
+    """A mechanism that knows its redundant rows, its consistent start, what is taken over, and a
+    sentence where another way to assemble is about as near to what is guessed."""
 
     mechanism: Mechanism
     start: Start
-    time: Any
     past: Past
     doubt: str = ""
 
 
-def beginning(
-    mechanism: Mechanism, formulation: AbstractFormulation, state: State | None
-) -> Beginning:
-    """Where a run of a mechanism with numbers begins. `state`: None for its own start.
-    Raises `ValueError` with a sentence for what cannot be."""
-    state = State() if state is None else state
+def state_of(given: State | None) -> State:
+    """The state that is given for a run to begin with; None: its own start. Raises `ValueError`."""
+    state = State() if given is None else given
+    expect(state, State, "state", "a jaxclear.State, such as run.state()")
+    return state
+
+
+def beginning(mechanism: Mechanism, formulation: AbstractFormulation, state: State) -> Beginning:
+    """Where a run of a mechanism with numbers begins. Raises `ValueError` with a sentence for what
+    cannot be."""
     past = past_of(mechanism, formulation, state)
     if state.motion is None:
         found = ready(mechanism, state.concentric, past.worn)
-        return Beginning(found.mechanism, found.start, state.begins, past, found.doubt)
-    return Beginning(*ready_from(mechanism, *state.motion.moving), state.begins, past)
+        return Beginning(found.mechanism, found.start, past, found.doubt)
+    return Beginning(*ready_from(mechanism, *state.motion.moving), past)
 
 
 def past_of(mechanism: Mechanism, formulation: AbstractFormulation, begun: State) -> Past:
     """What is taken over from a state; what is remembered where the laws remember the same.
     Raises `ValueError` with a sentence for what does not belong to this mechanism."""
-    expect(begun, State, "state", "a jaxclear.State, such as run.state()")
     surfaces, saved = worn_as_given(mechanism, begun.worn), begun.motion
     if saved is None:
         return Past(surfaces)

@@ -44,16 +44,41 @@ def functions_of_time(mechanism: Mechanism) -> dict[str, Any]:
         name: getattr(load, field.name)
         for name, load in mechanism.loads.items()
         for field in dataclasses.fields(load)
-        if callable(getattr(load, field.name))
+        if _is_of_time(getattr(load, field.name), field)
     }
     joints = ((name, each.joint) for name, each in mechanism.connections.items())
     drives = ((name, drive_of(joint)) for name, joint in joints)
     return values | {name: drive for name, drive in drives if drive is not None}
 
 
+def _is_of_time(value: Any, field: dataclasses.Field) -> bool:
+    """Whether a field of a load holds a function of time: a callable in the place of a number, of
+    which a load of the user's own may have others."""
+    return callable(value) and (
+        "unit" in field.metadata or isinstance(value, AbstractFunctionOfTime)
+    )
+
+
 def changes(function: Any) -> bool:
     """Whether a drive or function is more than a constant speed."""
     return not isinstance(function, AbstractDrive) or not sp.is_zero(function.motion(0.0)[2])
+
+
+def check_finite(functions: Mapping[str, Any], times: np.ndarray) -> None:
+    """Raises `ValueError` where what a load or drive gives at one of the `times` [s], or between
+    two of them, is no finite number."""
+    looked_at = np.linspace(times[0], times[-1], TOGETHER)
+    found = jax.device_get(_values(dict(functions), jnp.asarray(looked_at)))
+    for name, told in found.items():
+        bad = ~np.all([np.isfinite(row) for row in jax.tree.leaves(told)], axis=0)
+        if np.any(bad):
+            driven = isinstance(functions[name], AbstractDrive)
+            what = f'the drive of joint "{name}"' if driven else f'load "{name}"'
+            numbers = "its position, speed and acceleration" if driven else "what it gives"
+            raise ValueError(
+                f"{what} is not finite at {looked_at[np.argmax(bad)]:.6g} s; {numbers} must be "
+                "finite from the start of a run to its end."
+            )
 
 
 def passed_over(functions: Mapping[str, Any], edges: np.ndarray) -> dict[str, float]:
@@ -104,7 +129,9 @@ def _values(functions: dict[str, Any], times: jax.Array) -> dict[str, tuple]:
 
 def _at(function: Any, time: Any) -> tuple[list, list | None]:
     if isinstance(function, AbstractDrive):
-        _, speed, acceleration = function.motion(time)
+        position, speed, acceleration = function.motion(time)
+        # Of a drive that has no position nothing is known either.
+        speed = jnp.where(jnp.isfinite(position), speed, jnp.nan)
         return [jnp.asarray(acceleration, float)], [jnp.asarray(speed, float)]
     known = function.integral(time) if isinstance(function, AbstractFunctionOfTime) else None
     return _columns(function(time)), None if known is None else _columns(known)
@@ -212,6 +239,7 @@ def _seen(question: _Question) -> tuple[float | None, dict[str, float]]:
     be), and by name the shares that steps pass over."""
     everything, times, step, fixed = question.asked
     functions = {name: each for name, each in everything.items() if changes(each)}
+    check_finite(functions, times)
     if not functions:
         return None, {}
     if step is not None or fixed is not None:

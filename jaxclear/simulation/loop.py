@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxclear.formulations.base import model_of
+from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.formulations.model import Model, State
 from jaxclear.integrators.base import AbstractIntegrator, Interval
 from jaxclear.integrators.events import Events, together
@@ -152,6 +152,29 @@ def run(
     extremes = None if met is None else Extremes(*met, contact_names(model))
     ends = history, last.worn, last.outcome, last.ended, stats
     return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn)
+
+
+def sketched(
+    mechanism: Mechanism, formulation: AbstractFormulation, times: Any, events: int
+) -> Trajectory:
+    """A run of the form that `run` gives, in which nothing moves: for what is to be known of runs
+    before one is compiled."""
+    model, count = model_of(mechanism, formulation), len(times)
+    worn, contacts = unworn(model.system), contact_names(model)
+    read = readings(model.system, worn)
+    kept = lambda leaf: jnp.broadcast_to(leaf, (count, *jnp.shape(leaf)))
+    states = jnp.zeros((count, model.layout.size))
+    history = StateHistory(mechanism, formulation, times, states, jax.tree.map(kept, read), False)
+    none, blank = jnp.zeros((), int), jnp.zeros((count - 1, len(contacts), events))
+    return Trajectory(
+        history,
+        worn,
+        jnp.asarray(Outcome.REACHED),
+        times[-1],
+        RunStats(none, none, none),
+        extremes=Extremes(jnp.zeros(len(contacts)), jnp.zeros(len(contacts)), contacts),
+        noted=Events(blank, blank, blank[:, :, 0]) if events else None,
+    )
 
 
 def _whole(integrator: AbstractIntegrator, extras: Extras, worn: Worn) -> bool:

@@ -20,6 +20,7 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.pose import frame_with_axis, quaternion_from_rotation
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.warning import warn
 from jaxclear.integrators import NonColliding
 from jaxclear.multibody.assembly import ready, ready_from
 from jaxclear.multibody.magnitudes import UnusualMagnitude
@@ -139,7 +140,7 @@ def _put(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
         # The loops do not let every journal lie as its own reaction presses it.
         return _at_rest_together(first, mechanism, read)
     for doubt in doubts:
-        warnings.warn(doubt.message, stacklevel=2)
+        warn(str(doubt.message), doubt.category)
     return known, start
 
 

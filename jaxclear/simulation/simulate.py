@@ -30,12 +30,12 @@ from jaxclear.native import forwards_only, has_kernels, stoppable
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
-from jaxclear.simulation.beginning import beginning
-from jaxclear.simulation.bristles import told_of_bristles
+from jaxclear.simulation.beginning import beginning, state_of
 from jaxclear.simulation.by_kernels import compiled_for_kernels
 from jaxclear.simulation.derivatives import backwards, guarded
 from jaxclear.simulation.load_steps import judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
+from jaxclear.simulation.not_finite import told_of_the_end
 from jaxclear.simulation.saving import Saving, as_saving, checked_saving
 from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.simulation.step_comparison import (
@@ -156,7 +156,7 @@ def _check_end(trajectory: Trajectory) -> None:
             "throw=False and look at `outcome`, or map jaxclear.Problem.evaluate."
         )
     if not trajectory.succeeded:
-        raise SimulationError(told_of_bristles(trajectory), trajectory)
+        raise SimulationError(told_of_the_end(trajectory), trajectory)
 
 
 def is_all_kernel(mechanism: Mechanism, integrator: AbstractIntegrator, told: bool = False) -> bool:
@@ -247,10 +247,10 @@ def _simulated(
     times = saving_times(duration, saving.at)
     check_steps(integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
-    begun = beginning(mechanism, integrator.formulation, how.state)
-    mechanism, start, begins, past, doubt = begun
-    saved = begins + times
+    state = state_of(how.state)
+    saved = state.begins + times
     integrator, passed = load_steps(mechanism, integrator, saved)
+    mechanism, start, past, doubt = beginning(mechanism, integrator.formulation, state)
     whole = 1.0 if how.verify is False else 1.0 + 1 / HALF
     with progress.bar(how.progress_bar, "simulating", whole) as part:
         extras = Extras(how.balance, how.progress_bar, saving.events)

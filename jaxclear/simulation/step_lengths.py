@@ -4,7 +4,6 @@ are so many that no run would end.
 """
 
 import math
-import warnings
 from typing import Any
 
 import jax
@@ -13,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.quantity import concrete, public_name
+from jaxclear.ground.warning import warn
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.stepping import MOST_STEPS
 
@@ -23,8 +23,6 @@ MOST_LISTED = 1e8
 # Steps to the end of a run below which the time grows at each of them: past it, rounding takes
 # them.
 MOST_TOLD_APART = 1e15
-# Frames between the warning and the caller of `simulate`.
-DEPTH = 3
 
 
 def check_steps(integrator: AbstractIntegrator | None, times: Any) -> None:
@@ -42,12 +40,10 @@ def check_steps(integrator: AbstractIntegrator | None, times: Any) -> None:
     more = taken * step / intervals.sum()
     if intervals.min() < step and more > 1 + LITTLE:
         name = public_name(type(integrator))
-        warnings.warn(
+        warn(
             f"{name}(step={step:.6g}) asks for longer steps than the shortest saving interval of "
             f"{intervals.min():.6g} s: steps end at every saving time, so they are shortened, and "
             f"{more:.3g} times as many are taken. Save less often, or give the step that is meant.",
-            UserWarning,
-            stacklevel=DEPTH,
         )
 
 

@@ -8,7 +8,6 @@ model leaves out is how far it is from the stated one, beside that one's referen
 
 import math
 import time
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -28,6 +27,7 @@ from jaxclear.ground.in_words import as_typed
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, count, inside, numbers
 from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.simulation.beginning import beginning
@@ -35,7 +35,7 @@ from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.simulate import How, check_run, repeated
 from jaxclear.studies.datasets import of_rows
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.responses import one_number
+from jaxclear.studies.responses import answer
 from jaxclear.studies.sampling import draw
 from jaxclear.studies.statistics.scrambled import student
 
@@ -52,7 +52,6 @@ SPARED = 3.0
 # error control, beside which the others stand: the contacts of a flap, of rates of 1e9 1/s, close
 # all at once.
 MORE = 10.0
-GONE = ("duration", "reference", "whole", "shorter")
 
 
 class PilotSettings(AbstractQuantified):
@@ -60,22 +59,7 @@ class PilotSettings(AbstractQuantified):
     `seed` draws from the tolerances. More of them where the answer says that paths part."""
 
     copies: int = count(8, "nominal and perturbed runs")
-    duration: Any = eqx.field(static=True, default=None)
     seed: int = count(0, "seed that draws the copies", at_least=0)
-    reference: Any = eqx.field(static=True, default=None)
-    whole: Any = eqx.field(static=True, default=None)
-    shorter: Any = eqx.field(static=True, default=None)
-
-    def __check_init__(self):
-        expect(
-            self.reference,
-            (AbstractIntegrator, type(None)),
-            "reference of PilotSettings",
-            "an integrator",
-        )
-        for name in GONE:
-            if getattr(self, name) is not None:
-                _warn_of(f"{name} of PilotSettings", "runs are as long as the problem's")
 
 
 class Runs(NamedTuple):
@@ -115,7 +99,7 @@ class Copies:
         self._known: dict[tuple, Runs] = {}
 
     def _answers(self, run: Any) -> dict[str, Any]:
-        return {name: one_number(name, own(run)) for name, own in self.problem.response.items()}
+        return {name: answer(name, own, run) for name, own in self.problem.response.items()}
 
     def run(self, integrator: AbstractIntegrator, share: float = 1.0) -> Runs:
         """All copies over a share of the duration. What an integrator cannot do is a sentence."""
@@ -314,9 +298,9 @@ class Advice(AbstractShown):
             least = f"at least {FEWEST}" if copies < FEWEST else "more"
             yield f"Where single runs part, as chaotic ones do, ask means over {least} copies."
 
-    def __str__(self) -> str:
+    def _shown(self):
         others = (f"Not {name}: {why}" for name, why in self.why_not().items())
-        return "\n".join([self.sentence(), *others])
+        return self.sentence(), *others
 
     def warnings(self) -> list[str]:
         """What the runs of the recommended setting warn of, in sentences."""
@@ -350,9 +334,7 @@ class Advice(AbstractShown):
     def table(self) -> Any:
         """All trials as a pandas table: work in evaluations of forces in a run, errors as shares of
         the size of a response."""
-        import pandas
-
-        return pandas.DataFrame([self._row(trial) for trial in self.trials])
+        return as_table([self._row(trial) for trial in self.trials])
 
     def _row(self, trial: Trial) -> dict[str, Any]:
         which, error = trial.worst
@@ -387,7 +369,6 @@ def advise(
     pilot: PilotSettings | None = None,
     scales: Mapping[str, float] | None = None,
     means: bool = False,
-    batch: int | None = None,
     progress_bar: bool = False,
 ) -> Advice:
     """The integrator that keeps `accuracy` in every response of a problem at the least work; see
@@ -398,7 +379,7 @@ def advise(
     in `scales` (for a response about zero). `candidates`: integrators to try in the place of all
     that jaxclear has, by method, coarse to fine; those of another model of contact count by how far
     they are from the stated one. `pilot`: the runs it is founded on. `means`: judge means over the
-    copies instead of single runs. `batch` counts for nothing and goes with the next version. Raises
+    copies instead of single runs. Raises
     `ValueError` with a sentence for what cannot be asked, and where no run gives numbers.
     """
     check_double_precision()
@@ -406,8 +387,6 @@ def advise(
     pilot = PilotSettings() if pilot is None else pilot
     expect(pilot, PilotSettings, "the pilot", "a jaxclear.PilotSettings")
     check_flags("advise", means=means, progress_bar=progress_bar)
-    if batch is not None:
-        _warn_of("batch of advise", "work is counted, alone as in a batch")
     asked = Asked(_checked(accuracy), _checked_sizes(problem, scales), means)
     copies = Copies(problem, _values(problem, pilot))
     if means:
@@ -523,11 +502,6 @@ def _possible(problem: Problem, values: np.ndarray) -> bool:
 
 def _percent(share: float) -> str:
     return f"{100 * share:.2g} %" if share < 1 else f"{100 * share:.3g} %"
-
-
-def _warn_of(what: str, why: str) -> None:
-    said = f"{what} counts for nothing and goes with the next version: {why}."
-    warnings.warn(said, DeprecationWarning, stacklevel=4)
 
 
 def _why_nothing(copies: Copies, rungs: _Rungs) -> str:

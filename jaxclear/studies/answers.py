@@ -25,7 +25,7 @@ from jaxclear.simulation.step_comparison import (
     where_alike,
 )
 from jaxclear.studies.base import SampleResult
-from jaxclear.studies.responses import one_number
+from jaxclear.studies.responses import answer
 
 
 def answers(problem: Any, values: Float[Array, " variables"], discrete: bool) -> SampleResult:
@@ -43,9 +43,7 @@ def answers(problem: Any, values: Float[Array, " variables"], discrete: bool) ->
 
 
 def _taken(problem: Any, mechanism: Any, start: Any, run: Trajectory) -> SampleResult:
-    responses = {
-        name: one_number(name, response(run)) for name, response in problem.response.items()
-    }
+    responses = {name: answer(name, response, run) for name, response in problem.response.items()}
     ranges = [jnp.all(inside(leaf, known)) for _, leaf, known in numbers(mechanism)]
     possible = jnp.all(jnp.stack(ranges))
     sound = is_sound(mechanism, start)

@@ -10,9 +10,7 @@ from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.in_words import in_a_line, number_in_words
@@ -26,7 +24,6 @@ __all__ = [
     "AbstractProblem",
     "AbstractVariable",
     "SampleResult",
-    "is_one_number",
     "one_distribution",
     "stacked",
 ]
@@ -73,7 +70,11 @@ class AbstractProblem(AbstractQuantified):
     variable_units: eqx.AbstractVar[tuple[str, ...]]
     correlation: eqx.AbstractVar[Any]
 
-    def __str__(self) -> str:
+    def __hash__(self) -> int:
+        # By identity, not by its arrays: `jax.jit(problem.evaluate)` looks up its programs by it.
+        return id(self)
+
+    def _shown(self):
         """How it is asked, the responses and the variables with their units."""
         units, nominal = self.units(), self.nominal()
         lines = [f"{public_name(type(self))} {self.asked_how()}".rstrip(), "responses"]
@@ -204,12 +205,6 @@ class AbstractProblem(AbstractQuantified):
     def parts(self) -> dict[str, Any]:
         """All that tells this problem from another of its kind, by name, but for the
         distributions."""
-
-
-def is_one_number(value: Any) -> bool:
-    """Whether something is a real number, traced or not."""
-    number = isinstance(value, (int, float, np.number, np.ndarray, jax.Array))
-    return bool(number and jnp.shape(value) == () and jnp.isrealobj(value))
 
 
 def stacked(numbers: list[Any]) -> Float[Array, " numbers"]:

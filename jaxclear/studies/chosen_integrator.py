@@ -16,6 +16,7 @@ from jaxclear.integrators import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.simulate import How, chosen_for
+from jaxclear.studies.responses import answer
 from jaxclear.studies.usual_integrator import usual_integrator
 
 # Steps of a guess beyond which runs choose in its place, and the accuracy for which they do: a
@@ -35,9 +36,8 @@ def chosen_integrator(
     """The integrator by which every response of a mechanism is as accurate as is `asked`, a share
     of its size in the nominal sample or numbers in units by name, at the least work. Raises
     `ValueError` with a sentence for what cannot be chosen."""
-    drawn = compiled_quickly(
-        lambda run: {name: own(run) for name, own in response.items()}, AROUND_A_KERNEL
-    )
+    all_of = lambda run: {name: answer(name, own, run) for name, own in response.items()}
+    drawn = compiled_quickly(all_of, AROUND_A_KERNEL)
 
     def apart(run: Trajectory, one: dict, other: dict) -> dict[str, float]:
         wanted = {name: allowed(asked, name, abs(one[name])) for name in response}

@@ -16,15 +16,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.given_functions import asked, shape_of
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import Scalar, is_one_number, quantity
 from jaxclear.ground.wording import described, listed
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import (
     AbstractProblem,
     AbstractVariable,
     SampleResult,
-    is_one_number,
     one_distribution,
     stacked,
 )
@@ -38,14 +38,6 @@ ALONE = "response"
 # Functions take few operations a sample; above about this many the numbers of a chunk leave the
 # cache (measured by benchmarks/claims/positions.py).
 LARGEST_CHUNK = 4096
-# What JAX raises where Python, or NumPy, wants the value of what is being traced.
-UNTRACEABLE = (
-    jax.errors.ConcretizationTypeError,
-    jax.errors.TracerArrayConversionError,
-    jax.errors.TracerBoolConversionError,
-    jax.errors.TracerIntegerConversionError,
-    jax.errors.NonConcreteBooleanIndexError,
-)
 
 
 class Dimension(AbstractVariable):
@@ -219,18 +211,11 @@ def _traced(function: Callable[..., Any], at: dict[str, Any]) -> dict[str, Any]:
     order: list[str] = []
 
     def in_order(at):
-        found = _by_name(function(**at))
+        found = _by_name(asked("the function of a FunctionProblem", lambda: function(**at)))
         order.extend(found)
         return found
 
-    try:
-        found = jax.eval_shape(in_order, at)
-    except UNTRACEABLE as error:
-        raise ValueError(
-            "JAX cannot trace the function of a FunctionProblem: somewhere Python or NumPy wants "
-            "the value of what is still a variable. Write jax.numpy.sqrt for math.sqrt or "
-            "numpy.sqrt (and so on), jax.numpy.where for `if`, and jax.lax.while_loop for `while`."
-        ) from error
+    found = shape_of(in_order, at)
     return {name: found[name] for name in order}
 
 

@@ -29,7 +29,7 @@ from jaxclear.simulation.spot import Spot, Way
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
 from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.inputs import correlation_matrix
-from jaxclear.studies.responses import by_name, check_responses, one_number
+from jaxclear.studies.responses import answer, by_name, check_answers, check_responses
 from jaxclear.studies.variable import (
     AbstractMechanismVariable,
     check_variables,
@@ -99,6 +99,8 @@ class PositionProblem(AbstractProblem):
         self.held, places = checked_positions(positions)
         self.position = jnp.asarray(places)
         self.scene, self.way, self.starts = sought(mechanism, self.held, places)
+        nominal = self.nominal()
+        check_answers(self.response, lambda: self.positions(nominal))
 
     def nominal(self):
         return stacked([self.variables[n].nominal_in(self.mechanism) for n in self.names])
@@ -116,7 +118,7 @@ class PositionProblem(AbstractProblem):
         check_double_precision()
         self.check_values(values)
         found = self.positions(values)
-        responses = {n: one_number(n, self.response[n](found)) for n in self.response_names}
+        responses = {n: answer(n, self.response[n], found) for n in self.response_names}
         mechanism = found.scene.mechanism, found.scene.gaps
         known = [
             inside(leaf, metadata) for part in mechanism for _, leaf, metadata in numbers(part)

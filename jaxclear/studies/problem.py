@@ -21,7 +21,7 @@ from jaxclear.errors.told import remedy_of_depths
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.in_words import part_in_words
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.integrators import AbstractIntegrator, Outcome
+from jaxclear.integrators import AbstractIntegrator, FixedStep, Outcome
 from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.promise import PART_OF, STUDIES, Promise
 from jaxclear.multibody.assembly import (
@@ -42,10 +42,10 @@ from jaxclear.results.abstract_response import needs_of
 from jaxclear.results.response import concerned, unit_of
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.beginning import Past, past_of
+from jaxclear.simulation.beginning import Past, past_of, state_of
 from jaxclear.simulation.derivatives import refusal
 from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
-from jaxclear.simulation.loop import Extras
+from jaxclear.simulation.loop import Extras, sketched
 from jaxclear.simulation.saving import Saving, as_saving, checked_saving
 from jaxclear.simulation.simulate import (
     How,
@@ -67,7 +67,7 @@ from jaxclear.studies.chosen_integrator import (
     unasked,
 )
 from jaxclear.studies.inputs import correlation_matrix
-from jaxclear.studies.responses import Thinned, by_name, check_responses
+from jaxclear.studies.responses import Thinned, by_name, check_answers, check_responses
 from jaxclear.studies.variable import (
     AbstractMechanismVariable,
     check_variables,
@@ -151,6 +151,9 @@ class Problem(AbstractProblem):
         asked = as_saving(save)
         times = saving_times(check_duration(duration), asked.at)
         check_responses(self.response, self.variables, "a trajectory")
+        check_variables(self.variables, mechanism)
+        self.names, self.response_names = tuple(self.variables), tuple(self.response)
+        self._check_answers(integrator, times, asked.events)
         given = mechanism, self.response, times[-1]
         chosen: Any = (integrator, "", None)
         if accuracy is not None:
@@ -164,11 +167,10 @@ class Problem(AbstractProblem):
         self.unasked = integrator is None and self.accuracy is None
         self.events = checked_saving(asked, self.integrator).events
         self.duration, self.shares = times[-1], times / times[-1]
-        self.names, self.response_names = tuple(self.variables), tuple(self.response)
         self.correlation = correlation_matrix(correlation, self.names)
         check_run(mechanism, self.integrator)
         check_steps(integrator, times)
-        self.state = State() if state is None else state
+        self.state = state_of(state)
         seen = self.integrator.formulation.seen(mechanism)
         self.past = past_of(seen, self.integrator.formulation, self.state)
         self.updates = jnp.asarray(1)
@@ -179,8 +181,16 @@ class Problem(AbstractProblem):
         else:
             known = Sampled((), motion.redundancy, None)
         self.determined, self.redundancy, self.mode = known
-        check_variables(self.variables, mechanism)
         self.variable_units = units_of_variables(mechanism, self.variables.values())
+
+    def _check_answers(
+        self, integrator: AbstractIntegrator | None, times: Array, events: int
+    ) -> None:
+        """Raises `ValueError` where a response of the nominal sample is not one number."""
+        usual = FixedStep() if integrator is None else integrator
+        check_run(self.mechanism, usual)
+        seen = usual.formulation.seen(self.mechanism)
+        check_answers(self.response, lambda: sketched(seen, usual.formulation, times, events))
 
     def with_integrator(self, integrator: AbstractIntegrator) -> "Problem":
         """The same question of runs by another integrator."""

@@ -9,10 +9,11 @@ from jaxtyping import Array
 
 from jaxclear.errors.replicas import thinned
 from jaxclear.ground.arguments import expect
+from jaxclear.ground.given_functions import asked, shape_of
+from jaxclear.ground.quantity import is_one_number
 from jaxclear.ground.wording import described
-from jaxclear.studies.base import is_one_number
 
-__all__ = ["Thinned", "by_name", "check_responses", "one_number"]
+__all__ = ["Thinned", "answer", "by_name", "check_answers", "check_responses"]
 
 
 class Thinned(eqx.Module):
@@ -39,8 +40,10 @@ def by_name(what: str, given: Any) -> dict[str, Any]:
     return dict(given)
 
 
-def one_number(name: str, value: Any) -> Array:
-    """What a response answers, which studies take for one number."""
+def answer(name: str, response: Callable, run: Any) -> Array:
+    """A response of a run (of positions, a life) as one number. Raises `ValueError` with a sentence
+    that names it where it fails, leaves JAX, or gives something else."""
+    value = asked(f'response "{name}"', response, run)
     if not is_one_number(value):
         hint = " It returns nothing: is a `return` missing?" if value is None else ""
         raise ValueError(
@@ -48,6 +51,13 @@ def one_number(name: str, value: Any) -> Array:
             f"a mean or the largest.{hint}"
         )
     return jnp.asarray(value, float)
+
+
+def check_answers(response: dict[str, Callable], seen: Callable[[], Any]) -> None:
+    """Raises `ValueError` with a sentence where a response does not give one number; `seen` makes
+    what it is asked of. Nothing is compiled."""
+    for name, own in response.items():
+        shape_of(lambda name=name, own=own: answer(name, own, seen()))
 
 
 def check_responses(response: dict[str, Any], variables: dict[str, Any], of: str) -> None:

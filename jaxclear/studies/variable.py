@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.ground.arguments import check_number, expect
+from jaxclear.ground.quantity import is_one_number
 from jaxclear.ground.wording import described, meant
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.own_numbers import own_numbers
@@ -126,10 +127,13 @@ class Variable(AbstractMechanismVariable):
         return {f'what "{name}" points at': places} | derived
 
     def check_derived(self, name, mechanism, varied):
+        known = {id(leaf) for leaf in jax.tree.leaves(mechanism)} - varied
         for where, value in self.derived:
-            leaves, found = jax.tree.leaves(where(mechanism)), value(mechanism)
+            what = f'what variable "{name}" derives'
+            leaves = jax.tree.leaves(_asked(f"the place of {what}", where, mechanism))
+            found = _asked(what, value, mechanism)
             own: Any = leaves[0] if len(leaves) == 1 else leaves
-            if not eqx.is_array(own) or jnp.ndim(own) != 0 or id(own) in varied:
+            if id(own) not in known or jnp.ndim(own) != 0:
                 raise ValueError(
                     f'variable "{name}" derives {described(own)}; it must be one number of the '
                     "mechanism, which no variable sets."
@@ -212,27 +216,37 @@ def _check_apart(leaves: dict[str, list]) -> None:
 
 def _check_place(name: str, where: Callable, mechanism: Mechanism) -> None:
     """What a variable of a mechanism points at."""
+    what = f'variable "{name}" points at nothing in this mechanism: its `where`'
+    target = _asked(what, where, mechanism)
+    leaves = target if isinstance(target, (tuple, list)) else [target]
+    known = {id(leaf) for leaf in jax.tree.leaves(mechanism)}
+    if leaves and all(id(leaf) in known and jnp.ndim(leaf) == 0 for leaf in leaves):
+        return
+    hint = ""
+    if target is None:
+        hint = (
+            " What is not given there cannot vary: give a marker three numbers for `at` and "
+            "axis=(0, 0, 1) instead of a name, say."
+        )
+    elif leaves and all(map(is_one_number, leaves)):
+        hint = (
+            " It computes, and what is computed cannot be set: return the number of the mechanism "
+            "itself, and let others follow from it by derived=."
+        )
+    raise ValueError(
+        f'variable "{name}" must point at numbers of the mechanism; where(mechanism) gives '
+        f"{described(target)}.{hint}"
+    )
+
+
+def _asked(what: str, function: Callable, mechanism: Mechanism) -> Any:
+    """What a user's function says of a mechanism; `what`: whose it is, for a sentence."""
     try:
-        target = where(mechanism)
+        return function(mechanism)
     except (KeyError, AttributeError, TypeError, IndexError) as error:
         raise ValueError(
-            f'variable "{name}" points at nothing in this mechanism: its `where` fails with '
-            f"{type(error).__name__}: {error}.{_meant(error, mechanism)}"
+            f"{what} fails with {type(error).__name__}: {error}.{_meant(error, mechanism)}"
         ) from error
-    leaves = target if isinstance(target, (tuple, list)) else [target]
-    if not leaves or not all(eqx.is_array(leaf) and jnp.ndim(leaf) == 0 for leaf in leaves):
-        hint = (
-            ""
-            if target is not None
-            else (
-                " What is not given there cannot vary: give a marker three numbers for `at` and "
-                "axis=(0, 0, 1) instead of a name, say."
-            )
-        )
-        raise ValueError(
-            f'variable "{name}" must point at numbers of the mechanism; where(mechanism) gives '
-            f"{described(target)}.{hint}"
-        )
 
 
 def _meant(error: Exception, mechanism: Mechanism) -> str:

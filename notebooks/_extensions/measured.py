@@ -14,6 +14,7 @@ their names:
 """
 
 import json
+import re
 from pathlib import Path
 from typing import ClassVar
 
@@ -25,6 +26,15 @@ from sphinx.util.docutils import SphinxDirective
 RESULTS = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
 
 
+# Words of the benchmarks and the book's: a rung is an integrator, from coarse settings to fine.
+WORDS = {"rung": "integrator", "rungs": "integrators", "told": "estimated"}
+
+
+def in_words(text: str) -> str:
+    """A title or a column's name in the book's words."""
+    return re.sub(r"\w+", lambda word: WORDS.get(word[0], word[0]), text)
+
+
 def cell(value: object) -> str:
     """A cell's text: numbers with three digits, bars kept out of the table's own."""
     text = f"{value:.3g}" if isinstance(value, float) else "–" if value is None else str(value)
@@ -34,7 +44,8 @@ def cell(value: object) -> str:
 def table(rows: list[dict], columns: list[str]) -> list[str]:
     """Markdown lines of a table; the first row names the columns, unless some are asked for."""
     names = columns or list(rows[0])
-    lines = ["| " + " | ".join(map(cell, names)) + " |", "|" + " --- |" * len(names)]
+    lines = ["| " + " | ".join(cell(in_words(name)) for name in names) + " |"]
+    lines.append("|" + " --- |" * len(names))
     lines += ["| " + " | ".join(cell(row.get(name)) for name in names) + " |" for row in rows]
     return lines
 
@@ -48,8 +59,8 @@ def origin(about: dict, title: str) -> str:
 
 
 class Measured(SphinxDirective):
-    """`{measured} NAME [TITLE]`: where the numbers come from, then the tables, or the one that
-    TITLE begins the title of.
+    """`{measured} NAME [TITLE]`: the tables, or the one that TITLE begins the title of, and below
+    them where the numbers come from.
     """
 
     required_arguments = 1
@@ -62,7 +73,7 @@ class Measured(SphinxDirective):
         self.env.note_dependency(str(path))
         document = json.loads(path.read_text())
         about = document.pop("about", {})
-        lines, said, columns = [], "", self.options.get("columns", [])
+        lines, last, columns = [], "", self.options.get("columns", [])
         wanted = self.arguments[1] if len(self.arguments) > 1 else ""
         chosen = {title: rows for title, rows in document.items() if title.startswith(wanted)}
         if not chosen:
@@ -71,9 +82,11 @@ class Measured(SphinxDirective):
             missing = [name for name in columns if name not in rows[0]]
             if missing:
                 raise self.error(f"{path.name}, {title!r}: no column is named {missing[0]!r}")
-            before, said = said, origin(about, title) if about else ""
-            lines += [said, ""] if said != before else []
-            lines += [f"*{title}*", "", *table(rows, columns), ""]
+            said = origin(about, title) if about else ""
+            lines += [last, ""] if said != last else []
+            lines += [f"*{in_words(title)}*", "", *table(rows, columns), ""]
+            last = said
+        lines.append(last)
         found = nodes.container(classes=["measured"])
         self.state.nested_parse(StringList(lines, str(path)), self.content_offset, found)
         return [found]

@@ -5,6 +5,8 @@ is built. MathML needs neither. docutils, which Sphinx stands on, brings the tra
 """
 
 import re
+from html import unescape
+from xml.etree import ElementTree
 
 from docutils import nodes
 from docutils.utils.math import MathError, latex2mathml, pick_math_environment
@@ -14,6 +16,10 @@ from sphinx.util import logging
 LOG = logging.getLogger(__name__)
 # docutils does not know these; they mean the same.
 SHORT_FRACTION = re.compile(r"\\frac\s*(\d)(\d)")
+# Those of HTML, such as &nbsp;, which XML does not know.
+ENTITY = re.compile(r"&(?!(?:lt|gt|amp|quot|apos);)\w+;")
+MATHML = "http://www.w3.org/1998/Math/MathML"
+ElementTree.register_namespace("", MATHML)
 SYNONYMS = {r"\operatorname*": r"\operatorname", r"\tfrac": r"\frac", r"\dfrac": r"\frac"}
 
 
@@ -25,7 +31,23 @@ def mathml(tex: str, display: bool) -> str:
     if display and "\\begin" not in tex and ("\\\\" in tex or "&" in tex):
         environment = pick_math_environment(tex)
         tex = f"\\begin{{{environment}}}{tex}\\end{{{environment}}}"
-    return latex2mathml.tex2mathml(tex, as_block=display)
+    return beside(latex2mathml.tex2mathml(tex, as_block=display))
+
+
+def beside(formula: str) -> str:
+    """A formula whose subscripts stand beside the letters: docutils sets that of a letter with an
+    accent under it, as limits are set under a sum.
+    """
+    tree = ElementTree.fromstring(ENTITY.sub(lambda named: unescape(named[0]), formula))
+    for found in tree.iter(f"{{{MATHML}}}munderover"):
+        letter, below, accent = found
+        if letter.tag == f"{{{MATHML}}}mo" or accent.tag != f"{{{MATHML}}}mo":
+            continue
+        found.tag = f"{{{MATHML}}}msub"
+        over = ElementTree.Element(f"{{{MATHML}}}mover", accent="true")
+        over.extend([letter, accent])
+        found[:] = [over, below]
+    return ElementTree.tostring(tree, encoding="unicode")
 
 
 def _translated(node: nodes.Element, display: bool) -> str:

@@ -10,10 +10,15 @@ from the fields themselves.
 """
 
 import dataclasses
+import functools
 import importlib
 import inspect
 import re
-from collections.abc import Callable
+import sys
+import types
+import typing
+from collections.abc import Callable, Collection
+from pathlib import Path
 from types import ModuleType
 
 from docutils import nodes
@@ -23,7 +28,13 @@ from sphinx.util.docutils import SphinxDirective
 
 from jaxclear.ground.quantity import numbers, range_in_words
 
+BOOK = Path(__file__).resolve().parents[1]
+# A page's directives: module and names.
+ASKED = re.compile(r"^```\{reference\} (\S+) ?(.*)$", re.MULTILINE)
 DOI = re.compile(r"doi:\s?(10\.\d+/[^\s,;]*[^\s,;.)])")
+# Where a sentence, or a part of one, ends before a name, an error or a source.
+APART = ("Raises ", "Source: ", "Sources: ")
+CUT = re.compile(r"(?<=[.;]) (?=`\w+`|Raises |Sources?: )")
 ROLE = re.compile(r":math:`([^`]*)`", re.DOTALL)
 
 
@@ -48,58 +59,148 @@ def public_names(module: ModuleType) -> list[str]:
     return [name for name in own if callable(vars(module)[name])]
 
 
-def markdown(text: str | None) -> list[str]:
-    """A docstring as lines of Markdown."""
+def markdown(text: str | None, names: Collection[str] = ()) -> list[str]:
+    """A docstring as lines of Markdown; what it says of each of the arguments `names` is an item of
+    a list, and errors and sources stand by themselves.
+    """
     text = ROLE.sub(lambda found: f"${' '.join(found[1].split())}$", inspect.cleandoc(text or ""))
-    text = DOI.sub(r"[doi:\1](https://doi.org/\1)", text)
-    return re.sub(r"^\.\. math::\n\n((?:[ ].*\n?)+)", r"$$\n\1\n$$\n", text, flags=re.M).split("\n")
+    text = re.sub(r"^\.\. math::\n\n((?:[ ].*\n?)+)", r"$$\n\1\n$$\n", text, flags=re.M)
+    lines: list[str] = []
+    for block in re.split(r"\n\s*\n", text):
+        plain = not re.search(r"^(\s|[|$*-]|```|\d+\.)", block, re.MULTILINE)
+        lines += [*(arranged(" ".join(block.split()), names) if plain else block.split("\n")), ""]
+    return [DOI.sub(r"[doi:\1](https://doi.org/\1)", line) for line in lines]
 
 
-class Short:
-    """A default as it is written, without the zeros of `repr`."""
+def arranged(paragraph: str, names: Collection[str]) -> list[str]:
+    """A paragraph cut where a sentence begins with an argument, or tells errors or the source."""
+    lines: list[str] = []
+    listed = False
+    for piece in CUT.split(paragraph):
+        named = re.match(r"`(\w+)`", piece)
+        item = named is not None and named[1] in names
+        if not lines or item or piece.startswith(APART):
+            if lines:
+                lines[-1] = re.sub(";$", ".", lines[-1])
+                lines += [] if item and listed else [""]
+            lines.append(f"- {piece}" if item else piece)
+            listed = item
+        else:
+            lines[-1] += f" {piece}"
+    return lines
 
-    def __init__(self, number: float):
-        self.number = number
+
+class Words(str):
+    """Text that `repr` and `inspect` leave as it is."""
 
     def __repr__(self) -> str:
-        return f"{self.number:g}"
+        return str(self)
 
 
-def default_text(field: dataclasses.Field) -> str:
-    if field.default is not dataclasses.MISSING:
-        given = field.default
-        return repr(Short(given) if isinstance(given, float) else given)
-    return "" if field.default_factory is dataclasses.MISSING else "…"
+def default_text(default: object) -> Words:
+    """A default as it is written, without the zeros of `repr`; dots for what no literal gives."""
+    if isinstance(default, float):
+        return Words(f"{default:g}")
+    if dataclasses.is_dataclass(default) and not dataclasses.fields(default):
+        return Words(f"{type(default).__name__}()")
+    plain = isinstance(default, (str, int, tuple, dict, type(None)))
+    return Words(repr(default) if plain else "...")
 
 
-def fields_of(kind: type) -> list[dataclasses.Field]:
-    if not dataclasses.is_dataclass(kind):
-        return []
-    return [field for field in dataclasses.fields(kind) if field.init]
+@functools.cache
+def public() -> dict[int, tuple[str, object]]:
+    """Shortest path by which a user reaches a class or function, and the thing, by its `id`."""
+    found: dict[int, tuple[str, object]] = {}
+    left = [(path, importlib.import_module(path)) for path in ("jaxclear", "jaxclear.plot")]
+    while left:
+        path, place = left.pop(0)
+        for name in place.__all__:
+            value = getattr(place, name)
+            if isinstance(value, ModuleType):
+                left.append((f"{path}.{name}", value))
+            elif callable(value):
+                found.setdefault(id(value), (f"{path}.{name}", value))
+    return found
+
+
+@functools.cache
+def paths() -> dict[int, str]:
+    """Where the book describes a class: under its public path, or that of a page of the API."""
+    found = {key: path for key, (path, _) in public().items()}
+    for page in sorted((BOOK / "api").glob("*.md")):
+        for path, names in ASKED.findall(page.read_text()):
+            module = module_at(path)
+            for name in names.split() or public_names(module):
+                found.setdefault(id(getattr(module, name)), f"{path}.{name}")
+    return found
+
+
+def type_text(kind: object) -> str:
+    """A type as a user would write it; "" where anything may be given."""
+    inner = [type_text(part) for part in typing.get_args(kind)]
+    origin = typing.get_origin(kind)
+    if kind in (inspect.Parameter.empty, typing.Any):
+        return ""
+    if isinstance(kind, str):
+        return kind if kind.isidentifier() else ""
+    if hasattr(kind, "dim_str"):
+        dtype = kind.__name__.split("[")[0]
+        scalar = {"Float": "float", "Int": "int", "Bool": "bool"}.get(dtype)
+        return scalar if scalar and not kind.dim_str else f"{dtype}[Array, {kind.dim_str!r}]"
+    if origin in (typing.Union, types.UnionType):
+        return " | ".join(inner) if all(inner) else ""
+    if origin is typing.Literal:
+        return f"Literal[{', '.join(map(repr, typing.get_args(kind)))}]"
+    if origin is Callable:
+        return "Callable"
+    if origin is not None:
+        name = getattr(origin, "__name__", str(origin))
+        return f"{name}[{', '.join(text or 'Any' for text in inner)}]" if inner else name
+    if kind is Ellipsis:
+        return "..."
+    if kind in (None, type(None)):
+        return "None"
+    return paths().get(id(kind), getattr(kind, "__name__", ""))
+
+
+def fields_of(kind: object) -> list[dataclasses.Field]:
+    """Fields that are given when an object is built."""
+    known = inspect.isclass(kind) and dataclasses.is_dataclass(kind)
+    return [field for field in dataclasses.fields(kind) if field.init] if known else []
+
+
+def _meant(kind: object, value: object) -> object:
+    """A type that is written as a string, as one names a class within itself."""
+    known = vars(sys.modules[value.__module__])
+    return known.get(kind, kind) if isinstance(kind, str) else kind
 
 
 def signature(value: object) -> str:
-    """Arguments and defaults; annotations stand in the text."""
-    fields = fields_of(value) if inspect.isclass(value) else []
-    if fields:
-        names, keyword = [], False
-        for field in fields:
-            if field.kw_only and not keyword:
-                names.append("*")
-            keyword = keyword or field.kw_only
-            default = default_text(field)
-            names.append(f"{field.name}={default}" if default else field.name)
-        return f"({', '.join(names)})"
+    """What may be typed: arguments, with types where not anything may be given, and defaults."""
     try:
         found = inspect.signature(value)
     except (TypeError, ValueError):
         return "()"
+    fields = {field.name: field for field in fields_of(value)} | getattr(value, "fields", {})
+    # What converts a number takes anything: its field says what is meant.
+    kept = {name: field.type for name, field in fields.items() if "unit" in field.metadata}
     plain = []
-    for p in found.parameters.values():
-        default = Short(p.default) if isinstance(p.default, float) else p.default
-        if p.name != "self":
-            plain.append(p.replace(annotation=p.empty, default=default))
-    return str(found.replace(parameters=plain, return_annotation=found.empty))
+    for given in found.parameters.values():
+        if given.name in ("self", "cls"):
+            continue
+        kind = type_text(_meant(given.annotation, value)) or type_text(
+            kept.get(given.name, typing.Any)
+        )
+        if given.default is not given.empty:
+            made = getattr(fields.get(given.name), "default_factory", dataclasses.MISSING)
+            default = given.default if made is dataclasses.MISSING else made()
+            given = given.replace(default=default_text(default))
+        plain.append(given.replace(annotation=Words(kind) if kind else given.empty))
+    result = "" if inspect.isclass(value) else type_text(_meant(found.return_annotation, value))
+    shown = found.replace(
+        parameters=plain, return_annotation=Words(result) if result else found.empty
+    )
+    return str(shown)
 
 
 def number_table(kind: type) -> list[str]:
@@ -111,7 +212,9 @@ def number_table(kind: type) -> list[str]:
     for field in found:
         words = range_in_words(field.metadata)
         meaning = field.metadata["meaning"] + (f" ({words})" if words else "")
-        cells = (f"`{field.name}`", default_text(field), field.metadata.get("unit", "1"), meaning)
+        unset = field.default is field.default_factory
+        default = "" if unset else default_text(field.default)
+        cells = (f"`{field.name}`", default, field.metadata.get("unit", "1"), meaning)
         lines.append("| " + " | ".join(text.replace("|", "\\|") for text in cells) + " |")
     return [*lines, ""]
 
@@ -143,23 +246,43 @@ def methods(kind: type) -> list[tuple[str, str, object]]:
     return found
 
 
+def told(value: Callable) -> list[str]:
+    """The docstring of a class or function, its arguments one by one."""
+    try:
+        names = set(inspect.signature(value).parameters)
+    except (TypeError, ValueError):
+        names = set()
+    return markdown(value.__doc__, names)
+
+
+def bases(kind: type) -> list[str]:
+    """The public families that a class belongs to; that its numbers have units is no family."""
+    known = [public()[id(base)][0] for base in kind.__bases__ if id(base) in public()]
+    known = [path for path in known if path != "jaxclear.AbstractQuantified"]
+    links = ", ".join("{py:class}`" + path + "`" for path in known)
+    return [f"Family: {links}.", ""] if known else []
+
+
+def is_own(value: object) -> bool:
+    """Whether something is a class or function of the package."""
+    return callable(value) and (getattr(value, "__module__", None) or "").startswith("jaxclear")
+
+
 def described(path: str, value: object) -> list[str]:
     """Markdown of one public name."""
     if isinstance(value, ModuleType):
         return []
-    own = (getattr(value, "__module__", None) or "").startswith("jaxclear")
-    if not callable(value) or not own:
+    if not is_own(value):
         return [f"::::{{py:data}} {path}", "::::", ""]
     what = "class" if inspect.isclass(value) else "function"
-    lines = [f":::::{{py:{what}}} {path}{signature(value)}", "", *markdown(value.__doc__), ""]
+    lines = [f":::::{{py:{what}}} {path}{signature(value)}", "", *told(value), ""]
     if what == "function":
         lines += built_table(value)
     if what == "class":
-        lines += number_table(value)
+        lines += [*bases(value), *number_table(value)]
         for kind, name, function in methods(value):
             arguments = "" if kind == "property" else signature(function)
-            lines += [f"::::{{py:{kind}}} {name}{arguments}", "", *markdown(function.__doc__)]
-            lines += ["::::", ""]
+            lines += [f"::::{{py:{kind}}} {name}{arguments}", "", *told(function), "::::", ""]
     return [*lines, ":::::", ""]
 
 

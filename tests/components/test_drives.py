@@ -86,5 +86,5 @@ def test_a_torque_may_be_a_function_that_returns_a_number():
         {"O": jc.Connection(jc.joint.Revolute(), "ground", "wheel")},
         {"motor": jc.load.Torque(jc.Marker("wheel"), lambda t: torque)},
     )
-    turned = jc.simulate(wheel, 0.1, save=3).coordinate("O")[-1, 0]
+    turned = jc.simulate(wheel, 0.1, save=3).coordinate("O")[-1]
     np.testing.assert_allclose(turned, 0.5 * torque / inertia * 0.1**2, rtol=1e-9)

@@ -245,5 +245,5 @@ def test_worn_guides_are_drawn_and_written(tmp_path):
         with pytest.raises(ValueError, match="is flat"):
             plot.wear_surface(found, "P", surface)
     assert "guide_wear Wearing" in str(found.mechanism)
-    assert found.to_dataset()["P.guide.worn_depth"].shape == (2, 80)
+    assert found.to_dataset()["P/guide"].worn_depth.shape == (2, 80)
     assert found.to_vtk(tmp_path / "series", frames=2).exists()

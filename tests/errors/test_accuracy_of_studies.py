@@ -91,46 +91,8 @@ def test_a_guess_that_takes_many_steps_is_replaced_by_a_choice(monkeypatch):
     assert "the cheapest setting tried" in chosen.why_integrator
 
 
-@pytest.mark.parametrize(
-    ("ask", "said"),
-    [
-        (lambda: jc.DesignSettings(accuracy=2.0), '"allowed_excess" in the place of "accuracy"'),
-        (
-            lambda: jc.wear_life(problem(), 1e3, tolerance=-1.0),
-            'wear_life has "accuracy" in the place of "tolerance"',
-        ),
-        (
-            lambda: jc.wear_lives(problem(), 2, 1e3, tolerance=-1.0),
-            'wear_lives has "accuracy" in the place of "tolerance"',
-        ),
-        (
-            lambda: jc.LifeProblem(problem(), jc.LifeEnd("depth"), tolerance=-1.0),
-            'LifeProblem has "accuracy" in the place of "tolerance"',
-        ),
-        (
-            lambda: jc.reliability(problem(), jc.limit_state.Above("force", 1.0), accuracy=-1.0),
-            'reliability has "variation" in the place of "accuracy"',
-        ),
-    ],
-)
-def test_old_names_go_on_for_a_version(ask, said):
-    """With a warning, and to the same check."""
-    with pytest.warns(DeprecationWarning, match=said), pytest.raises(ValueError, match="must be"):
-        ask()
-
-
-def test_old_fields_go_on_for_a_version():
-    with pytest.warns(DeprecationWarning, match='"allowed_excess" in the place of "accuracy"'):
-        assert jc.DesignSettings(allowed_excess=0.25).accuracy == 0.25
-
-
 def test_a_study_is_held_to_what_was_asked(asked):
     """Replicas of its samples are beside a share of the root mean square."""
     assert asked.promised("force", 500.0) == 5.0
     units = problem(accuracy={"force": 5.0})
     assert units.promised("force", 500.0) == 5.0 and units.promised("wear", 1.0) is None
-
-
-def test_both_names_are_one_too_many():
-    with pytest.raises(TypeError, match='no argument "accuracy"'):
-        jc.DesignSettings(accuracy=0.1, allowed_excess=0.1)

@@ -38,7 +38,7 @@ def pendulum():
 
 
 def last(run):
-    return run.coordinate("O")[-1, 0]
+    return run.coordinate("O")[-1]
 
 
 STEPS = {

@@ -14,7 +14,7 @@ class Screw(jc.joint.AbstractVectorJoint):
 
     home: ClassVar = (0.0,)
     units: ClassVar = ("rad",)
-    reversal: ClassVar = jc.joint.FLIP
+    reversal: ClassVar = jc.pose.FLIP
     pitch: Scalar = quantity(unit="m/rad", meaning="advance per radian")
 
     def motion(self, q):

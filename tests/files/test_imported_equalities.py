@@ -70,7 +70,7 @@ def test_an_equality_holds_bodies_where_mujoco_has_them(what, tmp_path):
     run = jc.simulate(rig, 1e-3, save=2, integrator=jc.integrator.FixedStep(1e-3))
     model = mujoco.MjModel.from_xml_string(PAIR.format(text))
     data = mujoco.MjData(model)
-    data.qpos[0] = float(run.coordinate("turn")[0, 0])
+    data.qpos[0] = float(run.coordinate("turn")[0])
     data.qpos[1:4] = np.asarray(run.body("load").origin)[0]
     mujoco.mju_mat2Quat(data.qpos[4:8], np.asarray(run.body("load").rotation)[0].ravel())
     if not opened:
@@ -92,9 +92,9 @@ def test_a_loop_closed_by_connect_moves_as_in_mujoco(tmp_path):
     model.opt.timestep, model.opt.integrator = 2e-5, mujoco.mjtIntegrator.mjINT_RK4
     model.eq_solref[:], model.eq_solimp[:] = (1e-4, 1), (0.9999, 0.9999, 1e-3, 0.5, 2)
     data, joints = mujoco.MjData(model), ("O", "A", "C")
-    data.qvel[:] = [float(run.speed(name)[0, 0]) for name in joints]
+    data.qvel[:] = [float(run.speed(name)[0]) for name in joints]
     for k in range(11):
-        ours = [float(run.coordinate(name)[k, 0]) for name in joints]
+        ours = [float(run.coordinate(name)[k]) for name in joints]
         np.testing.assert_allclose(ours, data.qpos, atol=1e-6)
         for _ in range(500):
             mujoco.mj_step(model, data)
@@ -158,7 +158,7 @@ def test_a_linear_equality_of_joints_is_a_ratio_and_moves_as_in_mujoco(tmp_path)
     model.eq_solref[:], model.eq_solimp[:] = (1e-4, 1), (0.9999, 0.9999, 1e-3, 0.5, 2)
     data = mujoco.MjData(model)
     for k in range(5):
-        ours = [float(run.coordinate(name)[k, 0]) for name in "ab"]
+        ours = [float(run.coordinate(name)[k]) for name in "ab"]
         np.testing.assert_allclose(ours, data.qpos - model.qpos0, atol=1e-6)
         for _ in range(2500):
             mujoco.mj_step(model, data)
@@ -169,7 +169,7 @@ def test_an_equality_off_in_the_reference_configuration_is_told_and_closed(tmp_p
     rig, said = imported(tmp_path, wheels("0.4 -3 0 0 0"))
     assert 'in which equality "tie" is off by 0.4 rad' in said[0]
     run = jc.simulate(rig, 1e-3, save=2)
-    a, b = (float(run.coordinate(name)[0, 0]) for name in "ab")
+    a, b = (float(run.coordinate(name)[0]) for name in "ab")
     np.testing.assert_allclose(b, 0.4 - 3 * a, atol=1e-9)
 
 

@@ -61,7 +61,7 @@ def test_the_rack_rests_on_its_stop_as_in_mujoco(tmp_path):
     """m g / k beyond the limit; what runs into it does not jump back: damped as MuJoCo's, by 1."""
     text = SLIDE.format("", 2.0)
     rig, _ = imported(tmp_path, text)
-    place = np.asarray(jc.simulate(rig, 0.6, save=61).coordinate("slide"))[:, 0]
+    place = np.asarray(jc.simulate(rig, 0.6, save=61).coordinate("slide"))
     stiffness = float(rig.loads["slide limits"].stiffness)
     np.testing.assert_allclose(-2e-3 - place[-1], 2 * 9.81 / stiffness, rtol=1e-3)
     np.testing.assert_allclose(place[-1], at_rest_in_mujoco(text, 0.6).qpos[0], atol=1e-6)
@@ -114,9 +114,7 @@ def test_friction_that_sticks_holds_and_slides_as_the_file_has_it(integrator, tm
     np.testing.assert_allclose(np.asarray(run.coordinate("slide")), 0.0, atol=1e-12)
     slides, _ = imported(tmp_path, text.format('frictionloss="5"', 2.0), sticking=True)
     run = jc.simulate(slides, 0.1, save=3, integrator=integrator(1e-3))
-    np.testing.assert_allclose(
-        np.asarray(run.speed("slide"))[-1, 0], -(9.81 - 2.5) * 0.1, rtol=1e-9
-    )
+    np.testing.assert_allclose(np.asarray(run.speed("slide"))[-1], -(9.81 - 2.5) * 0.1, rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -143,7 +141,7 @@ def test_an_arm_of_two_links_rests_on_both_limits_as_in_mujoco(tmp_path):
      </worldbody></mujoco>"""
     rig, said = imported(tmp_path, text)
     run, data = jc.simulate(rig, 2.0, save=3), at_rest_in_mujoco(text, 2.0)
-    ours = [float(run.coordinate(name)[-1, 0]) for name in ("shoulder", "elbow")]
+    ours = [float(run.coordinate(name)[-1]) for name in ("shoulder", "elbow")]
     limits = np.array([0.1, 0.2])
     np.testing.assert_allclose(np.array(ours) - limits, data.qpos - limits, rtol=0.05)
     assert np.all(data.qpos > limits) and said == []

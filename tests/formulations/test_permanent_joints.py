@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.integrators.checks import Check
 
 RIGID = jc.contact.Rigid(restitution=0.5)
 HALF = 0.4
@@ -237,7 +238,7 @@ def test_a_joint_that_a_spring_holds_is_judged_beside_the_way_of_its_arm():
     """It moves by a thousandth of a radian: a quarter of that is nothing beside the arm's swing."""
     run = jc.simulate(held_arm(), 0.5, save=251, integrator=jc.integrator.NonColliding())
     assert {check for check, beyond in run.invariants.beyond().items() if beyond} == {
-        jc.integrator.Check.COLLAR_FORCE
+        Check.COLLAR_FORCE
     }
     finer = jc.simulate(held_arm(), 0.5, save=251, integrator=jc.integrator.NonColliding(1e-4))
     away = 0.3 * np.asarray(run.body("fore").rotation - finer.body("fore").rotation)[:, :, 0]

@@ -30,7 +30,7 @@ def derivative(stiffness, away, integrator=None, end=1.0, **settings):
             start={"G": LOAD / stiffness + away},
         )
         run = jc.simulate(rig, end, save=3, integrator=integrator)
-        return run.coordinate("G")[-1].reshape(())
+        return run.coordinate("G")[-1]
 
     return float(jax.jvp(place, (LOAD,), (1.0,))[1])
 

@@ -194,8 +194,11 @@ def test_a_run_says_that_its_guess_lies_between_two_modes():
     here, there = (linkage.angle(mode, "A") for mode in linkage.modes)
     between = here + 0.45 * wrapped(there - here)
     rig = linkage.rig({"A": between})
-    with pytest.warns(UserWarning, match='the guess of "A" lies between two ways to assemble'):
+    with pytest.warns(
+        UserWarning, match='the guess of "A" lies between two ways to assemble'
+    ) as said:
         run = jc.simulate(rig, 1e-3, save=2, integrator=jc.integrator.FixedStep(1e-3))
+    assert said[0].filename == __file__
     assert run.warnings[0].startswith('the guess of "A" lies between') and run.warnings[0] in str(
         run
     )

@@ -71,8 +71,8 @@ def test_a_gear_pair_turns_as_its_formula():
     wanted = (DRIVING - LOAD * share) / (J_PINION + J_WHEEL * share**2)
     angle = 0.5 * wanted * np.asarray(run.time) ** 2
     # a parabola is exact for the integrator: rounding
-    np.testing.assert_allclose(run.coordinate("A")[:, 0], angle, rtol=1e-12, atol=1e-14)
-    np.testing.assert_allclose(run.coordinate("B")[:, 0], -share * angle, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(run.coordinate("A"), angle, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(run.coordinate("B"), -share * angle, rtol=1e-12, atol=1e-14)
     torque = -J_WHEEL * wanted * share - LOAD
     np.testing.assert_allclose(run.transmitted("mesh"), torque, rtol=1e-12)
     # it loads no bearing
@@ -116,7 +116,7 @@ def test_a_planetary_set_turns_as_willis_says():
 
 def test_a_differential_shares_as_willis_says():
     run = jc.simulate(planetary(), 0.05, save=3, integrator=jc.integrator.FixedStep(1e-3))
-    sun, ring, carrier = (np.asarray(run.coordinate(n))[1:, 0] for n in "SRC")
+    sun, ring, carrier = (np.asarray(run.coordinate(n))[1:] for n in "SRC")
     np.testing.assert_allclose((ring - carrier) / (sun - carrier), -0.03 / 0.06, rtol=1e-12)
 
 
@@ -134,7 +134,7 @@ def test_a_differential_shares_as_willis_says():
 def test_a_ratio_holds_in_every_integrator(integrator):
     rig = gear_pair(offset=0.1)
     run = jc.simulate(rig, 0.05, save=3, integrator=integrator)
-    wheel, pinion = run.coordinate("B")[:, 0], run.coordinate("A")[:, 0]
+    wheel, pinion = run.coordinate("B"), run.coordinate("A")
     np.testing.assert_allclose(wheel, 0.1 - pinion * R_PINION / R_WHEEL, rtol=1e-12, atol=1e-13)
     share = R_PINION / R_WHEEL
     wanted = (DRIVING - LOAD * share) / (J_PINION + J_WHEEL * share**2)
@@ -158,13 +158,13 @@ def test_a_drive_moves_what_follows_it_and_pays_for_it():
     )
     assert "ratio 0.02" in str(rig)
     run = jc.simulate(rig, 0.4, save=5, balance=True, integrator=jc.integrator.FixedStep(2e-4))
-    way = run.coordinate("S")[:, 0]
+    way = run.coordinate("S")
     np.testing.assert_allclose(way - way[0], radius * _turned(run, "pinion"), atol=1e-11)
     np.testing.assert_allclose(run.energy_balance().error, 0.0, atol=1e-9)
     # what the drive gives moves the pinion too, and lifts the rack
     given = np.asarray(run.energy_balance().input)
     lifted = mass * 9.81 * (way - way[0])
-    fast = np.asarray(run.speed("S"))[:, 0]
+    fast = np.asarray(run.speed("S"))
     moving = 0.5 * (mass + J_PINION / radius**2) * (fast**2 - fast[0] ** 2)
     np.testing.assert_allclose(given, lifted + moving, atol=1e-9)
 
@@ -199,7 +199,7 @@ def test_derivatives_pass_through_a_ratio():
     def end(ratio):
         rig = gear_pair(ratio)
         step = jc.integrator.FixedStep(1e-3)
-        return jc.simulate(rig, 0.1, save=2, integrator=step).coordinate("A")[-1, 0]
+        return jc.simulate(rig, 0.1, save=2, integrator=step).coordinate("A")[-1]
 
     ratio = -R_PINION / R_WHEEL
     numerator, below = DRIVING + LOAD * ratio, J_PINION + J_WHEEL * ratio**2
@@ -224,7 +224,7 @@ def test_mujoco_couples_alike():
         data.qfrc_applied[:] = (DRIVING, LOAD)
         mujoco.mj_step(model, data)
     run = jc.simulate(gear_pair(), 0.1, save=2)
-    ours = [float(run.coordinate(n)[-1, 0]) for n in "AB"]
+    ours = [float(run.coordinate(n)[-1]) for n in "AB"]
     # MuJoCo's equality is soft: impedance 0.9999
     np.testing.assert_allclose(data.qpos, ours, rtol=1e-3)
 

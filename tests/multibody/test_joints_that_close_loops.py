@@ -30,7 +30,7 @@ class ByMotion(AbstractJoint):
 
     home: ClassVar = (0.0,)
     units: ClassVar = ("rad",)
-    reversal: ClassVar = jc.joint.FLIP
+    reversal: ClassVar = jc.pose.FLIP
     other: AbstractJoint
 
     def motion(self, q):
@@ -147,7 +147,7 @@ class HalfAJoint(jc.joint.AbstractVectorJoint):
     home: ClassVar = (0.0,)
     units: ClassVar = ("rad",)
     rows: ClassVar[tuple[str, ...] | None] = ("x", "y", "x.z", "y.z")
-    reversal: ClassVar = jc.joint.FLIP
+    reversal: ClassVar = jc.pose.FLIP
 
     def motion(self, q):
         return Screw(0.1).motion(q)
@@ -170,7 +170,7 @@ class TwiceFree(jc.joint.AbstractVectorJoint):
 
     home: ClassVar = (0.0,)
     units: ClassVar = ("m",)
-    reversal: ClassVar = jc.joint.FLIP
+    reversal: ClassVar = jc.pose.FLIP
 
     def motion(self, q):
         return jc.joint.Prismatic().motion(q)

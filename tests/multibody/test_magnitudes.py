@@ -35,6 +35,30 @@ def hertz(modulus):
     return jc.contact.Hertz(stiffness=jc.stiffness.HertzStiffness(soft, soft))
 
 
+def chain(length, mass):
+    """Crank and rod in other units of length and mass, inertias as they are."""
+    pin = jc.joint.Revolute()
+    return jc.Mechanism(
+        {
+            "crank": jc.Body(0.038 * mass, 7.4e-5),
+            "rod": jc.Body(0.21 * mass, 2.5e-4, (0.12 * length, 0.0)),
+        },
+        {
+            "O": jc.Connection(pin, "ground", "crank"),
+            "A": jc.Connection(pin, "crank", "rod", at=(0.05 * length, 0.0)),
+        },
+    )
+
+
+def screw(lead):
+    nut = jc.Connection(jc.joint.Cylindrical(), "ground", "nut", at=(0.0, 0.1, 0.0))
+    return jc.Mechanism(
+        {"nut": jc.Body(1.0, (1e-3, 1e-3, 1e-3))},
+        {"axle": nut},
+        couplings={"thread": jc.coupling.Screw("axle", lead)},
+    )
+
+
 HERTZ = jc.contact.Hertz()
 SLIPS = {
     "modulus in GPa": (lambda: with_joint(BEARING(hertz(207.0))), "B.*young_modulus = 207 Pa.*GPa"),
@@ -70,6 +94,36 @@ SLIPS = {
         ),
         'joint "A" on body "crank" is 50 m away from its origin',
     ),
+    "all lengths in mm": (
+        lambda: chain(1e3, 1.0),
+        'body "crank" is 50 m long and has 0.038 kg: is it in mm.*body "rod" is 120 m long',
+    ),
+    "masses in g": (
+        lambda: chain(1.0, 1e3),
+        'body "crank" has 38 kg within 0.05 m, more than any metal: is it in g.*body "rod"',
+    ),
+    "lead of a thread in mm": (
+        lambda: screw(5.0),
+        'coupling "thread" has lead = 5 m; mechanisms have -1 to 1 m: is it in mm',
+    ),
+    "a belt in mm": (
+        lambda: rebuilt(couplings={"belt": jc.coupling.Belt("O", "A", 30.0, 10.0)}),
+        'coupling "belt" has radius_a = 30 m beside links of 0.12 m: is it in mm',
+    ),
+    "a spring in mm": (
+        lambda: rebuilt(
+            loads={"s": jc.load.Spring(jc.Marker("rod"), jc.Marker("ground"), 1e3, 60.0)}
+        ),
+        'load "s" has free_length = 60 m beside links',
+    ),
+    "gravity across the plane": (
+        lambda: rebuilt(loads={"g": jc.load.Gravity((0.0, 0.0, -9.81))}),
+        'load "g" pulls along z, across the xy plane',
+    ),
+    "com beside the plane": (
+        lambda: with_rod(com=(0.06, 0.0, 0.02)),
+        'body "rod" moves in the xy plane and has its com beside it, at z = 0.02 m',
+    ),
     "start in degrees": (
         lambda: jc.Mechanism(
             {"arm": jc.Body(1.0, 1e-2)},
@@ -87,6 +141,38 @@ def test_a_number_that_no_mechanism_has_is_warned_about_once(slip):
     with pytest.warns(jc.UnusualMagnitude, match=sentence) as found:
         build()
     assert len(found) == 1 and found[0].filename == __file__
+
+
+LIFT = jc.Connection(jc.joint.Prismatic(), "ground", "car", at=(1.0, 0.0, 0.0))
+BUILT = {
+    "a lift, which moves along z": lambda: jc.Mechanism(
+        {"car": jc.Body(300.0, 60.0)}, {"shaft": LIFT}, {"g": jc.load.Gravity((0.0, 0.0, -9.81))}
+    ),
+    "gravity on a slope": lambda: rebuilt(loads={"g": jc.load.Gravity((0.0, -7.0, -7.0))}),
+    "links in layers": lambda: rebuilt(
+        bodies=RIG.bodies | {"rod": jc.Body(0.21, 2.5e-4, (0.06, 0.0, 0.01))},
+        connections=RIG.connections
+        | {"A": jc.Connection(jc.joint.Revolute(), "crank", "rod", at=(0.05, 0.0, 0.01))},
+    ),
+    "a boom": lambda: jc.Mechanism(
+        {"boom": jc.Body(290.0, 3e5, (30.0, 0.0))},
+        {"hinge": jc.Connection(jc.joint.Revolute(), "ground", "boom")},
+    ),
+    "a flywheel": lambda: jc.Mechanism(
+        {"wheel": jc.Body(200.0, 9.0), "rod": jc.Body(0.2, 2e-4, (0.1, 0.0))},
+        {
+            "O": jc.Connection(jc.joint.Revolute(), "ground", "wheel"),
+            "A": jc.Connection(jc.joint.Revolute(), "wheel", "rod", at=(0.03, 0.0)),
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BUILT)
+def test_what_is_built_is_not_warned_about(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", jc.UnusualMagnitude)
+        BUILT[name]()
 
 
 @pytest.mark.parametrize("scene", jc.scenes.__all__)

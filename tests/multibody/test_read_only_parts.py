@@ -2,6 +2,7 @@
 go through them as before."""
 
 import copy
+import dataclasses
 import pickle
 
 import equinox as eqx
@@ -52,6 +53,25 @@ def test_a_change_in_place_is_refused_with_what_to_do(part, change):
     with pytest.raises(TypeError, match=r"read-only.*with_joint.*with_body.*with_load"):
         CHANGES[change](getattr(RIG, part))
     assert dict(getattr(RIG, part)) == before
+
+
+FIELDS = {
+    "a body": (BODY, "mass", r"Body is read-only.*replace\(it, mass=.*with_body.*tree_at"),
+    "a load": (LOAD, "value", r"load.JointTorque is read-only.*with_load"),
+    "a joint": (RIG.connections["elbow"].joint, "drive", r"joint.Revolute is read-only"),
+    "a connection": (RIG.connections["elbow"], "joint", r"Connection is read-only.*with_joint"),
+    "a marker": (jc.Marker("arm"), "at", "Marker is read-only"),
+    "a mechanism": (RIG, "bodies", r"Mechanism is read-only: bodies.*Build another; mechanism"),
+    "a slip": (BODY, "mas", 'no field "mas" in Body.*Did you mean "mass"'),
+}
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_a_field_that_is_set_or_taken_out_is_refused_with_what_to_do(name):
+    part, field, sentence = FIELDS[name]
+    for change in (lambda: setattr(part, field, 1.0), lambda: delattr(part, field)):
+        with pytest.raises(dataclasses.FrozenInstanceError, match=sentence):
+            change()
 
 
 @pytest.mark.parametrize(

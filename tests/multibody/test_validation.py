@@ -345,8 +345,11 @@ def out_of_reach():
 
 
 STARTS = {
-    "coordinates": (lambda: rig(start={"pin": (1.0, 2.0)}), 'start of "pin" needs 1 numbers'),
-    "speeds": (lambda: rig(speeds={"pin": (1.0, 2.0)}), 'speeds of "pin" need 1 numbers, not 2'),
+    "coordinates": (
+        lambda: rig(start={"pin": (1.0, 2.0)}),
+        'start of "pin" needs 1 number [rad]',
+    ),
+    "speeds": (lambda: rig(speeds={"pin": (1.0, 2.0)}), 'speeds of "pin" need 1 number, not 2'),
     "loop that cannot close": (
         lambda: four_bar(last=(3.0, 0.0, 0.0)),
         'loop through joint "." cannot be closed',
@@ -469,7 +472,7 @@ def test_torque_by_one_number_acts_about_z():
     spun = rig(loads={"motor": jc.load.Torque(marker(), 2e-2)})
     end = jc.simulate(spun, 0.1, save=2)
     # constant acceleration of 2 rad/s2 is exact for the integrator
-    np.testing.assert_allclose(end.speed("pin")[-1, 0], 0.2, rtol=1e-9)
+    np.testing.assert_allclose(end.speed("pin")[-1], 0.2, rtol=1e-9)
 
 
 def test_an_axis_beside_two_markers_is_refused():

@@ -82,7 +82,7 @@ def squeezed():
 @pytest.mark.parametrize(("what", "column"), [("position", "coordinate"), ("velocity", "speed")])
 def test_andrews_squeezer_ends_where_the_test_set_says(squeezed, what, column):
     trajectory, order = squeezed
-    found = np.array([getattr(trajectory, column)(name)[-1, 0] for name in order])
+    found = np.array([getattr(trajectory, column)(name)[-1] for name in order])
     np.testing.assert_allclose(found, SQUEEZER[what], rtol=SQUEEZER["tolerance"][what])
 
 
@@ -171,7 +171,7 @@ def tip_error(count, times, integrator, place=None):
     phi = angle_of_windows(count, times)[0]
     place = np.stack([np.sin(phi), np.cos(phi)], axis=1) if place is None else np.array(place)
     drift = max(float(d.max()) for d in trajectory.drift().values())
-    return np.abs(trajectory.marker("wall 0", (1.0, 0.0))[1:, :2] - place).max(), drift
+    return np.abs(trajectory.marker("wall 0", (1.0, 0.0)).position[1:, :2] - place).max(), drift
 
 
 @pytest.mark.slow
@@ -210,7 +210,7 @@ def test_derivative_through_closed_loops_is_that_of_the_single_freedom():
         fixed = jc.integrator.FixedStep(step=2e-3)
         return (
             np.pi / 2
-            - run(rig, start.coordinates, start.speeds, times, fixed).coordinate("foot 0")[-1, 0]
+            - run(rig, start.coordinates, start.speeds, times, fixed).coordinate("foot 0")[-1]
         )
 
     found = jax.jit(jax.jacfwd(turned))(jnp.array([1.0, GRAVITY]))

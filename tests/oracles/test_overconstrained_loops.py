@@ -46,7 +46,7 @@ def off(run):
     lie in one line."""
     theta = angle(np.asarray(run.time))[0]
     place = LENGTH * np.stack([np.cos(theta), np.sin(theta), 0 * theta], axis=1)
-    return np.abs(run.marker("coupler", (0.0,) * (2 + run_is_spatial(run))) - place).max()
+    return np.abs(run.marker("coupler", (0.0,) * (2 + run_is_spatial(run))).position - place).max()
 
 
 def run_is_spatial(run):
@@ -131,7 +131,7 @@ def test_friction_of_a_given_normal_force_asks_for_no_reaction():
         clamped = jc.joint.PlainBearing(dry, radius=1e-2, load=torque / 1e-2)
         step = jc.integrator.NonColliding(1e-3)
         run = jc.simulate(cranks(crank=clamped), 0.15, save=4, integrator=step)
-        theta, rate = (np.asarray(x)[:, 0] for x in (run.coordinate("foot 0"), run.speed("foot 0")))
+        theta, rate = (np.asarray(x) for x in (run.coordinate("foot 0"), run.speed("foot 0")))
         if torque > GRAVITY * MOMENT:
             np.testing.assert_allclose(theta, ANGLE, atol=1e-12)
             continue
@@ -192,7 +192,7 @@ def test_cranks_that_lie_in_one_line_start_moving():
     assert run.mechanism.topology.redundancy.rank == 3
     wanted = angle(np.array([0.1]), start=(0.0, 0.0))[0, -1]
     for i in range(COUNT):
-        np.testing.assert_allclose(run.coordinate(f"foot {i}")[1, 0], wanted, atol=1e-6)
+        np.testing.assert_allclose(run.coordinate(f"foot {i}")[1], wanted, atol=1e-6)
 
 
 @pytest.mark.slow
@@ -200,7 +200,7 @@ def test_derivative_is_that_of_the_motion():
     """By gravity, through 300 steps of Runge and Kutta, against the closed form's."""
     problem = jc.Problem(
         cranks(),
-        lambda run: run.coordinate("foot 2")[-1, 0],
+        lambda run: run.coordinate("foot 2")[-1],
         {"g": jc.Variable(lambda m: m.loads["gravity"].acceleration[1], tolerance=1.0)},
         duration=0.3,
         save=2,
@@ -299,7 +299,7 @@ def test_bennett_linkage_keeps_the_equation_between_its_angles():
     )
     run = jc.simulate(rig, 10.0, save=501, integrator=PRECISE, balance=True)
     assert run.mechanism.topology.redundancy.rank == 2
-    first, second, fourth = (np.asarray(run.coordinate(name)[:, 0]) for name in "120")
+    first, second, fourth = (np.asarray(run.coordinate(name)) for name in "120")
     product = np.sin(first / 2) * np.sin(second / 2) - ratio * np.cos(first / 2) * np.cos(
         second / 2
     )
@@ -324,7 +324,7 @@ def test_bricard_linkage_keeps_the_equation_between_its_angles():
     )
     run = jc.simulate(rig, 10.0, save=501, integrator=PRECISE, balance=True)
     assert run.mechanism.topology.redundancy.rank == 4
-    first, second, third = (np.asarray(run.coordinate(name)[:, 0]) for name in "123")
+    first, second, third = (np.asarray(run.coordinate(name)) for name in "123")
     left = np.cos(first) + np.cos(second) + np.cos(first) * np.cos(second)
     assert 0.1 * np.abs(left).max() < 1e-6
     assert 0.1 * np.abs(first - third).max() < 1e-6

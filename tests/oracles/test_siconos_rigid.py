@@ -88,7 +88,7 @@ def bouncing_ball(restitution):
 def test_bouncing_ball():
     case = REFERENCE["bouncing_ball"]
     found = run(case, bouncing_ball(0.9), integrator(case))
-    expected, own = rows(case, found.coordinate("up")[:, 0], found.speed("up")[:, 0])
+    expected, own = rows(case, found.coordinate("up"), found.speed("up"))
     np.testing.assert_allclose(own, expected, atol=case["tolerance"])
 
 
@@ -111,9 +111,7 @@ def test_ball_with_friction_and_spin():
         speeds={"spin": (2.0,)},
     )
     found = run(case, mechanism, integrator(case, gamma=1.0))
-    expected, own = rows(
-        case, found.coordinate("up")[:, 0], found.speed("up")[:, 0], found.speed("spin")[:, 0]
-    )
+    expected, own = rows(case, found.coordinate("up"), found.speed("up"), found.speed("spin"))
     np.testing.assert_allclose(own, expected, atol=case["tolerance"])
 
 
@@ -140,9 +138,7 @@ def beads(count, restitution, mass, place, floor):
 def agree_on_beads(case, mechanism, **more):
     found = run(case, mechanism, integrator(case, most_sweeps=5000.0, tolerance=1e-15, **more))
     count = len(mechanism.bodies)
-    columns = [
-        part(f"up{i}")[:, 0] for i in range(count) for part in (found.coordinate, found.speed)
-    ]
+    columns = [part(f"up{i}") for i in range(count) for part in (found.coordinate, found.speed)]
     expected, own = rows(case, *columns)
     np.testing.assert_allclose(own, expected, atol=case["tolerance"])
 
@@ -224,7 +220,7 @@ def test_bounces_have_the_closed_form_s_times(restitution):
         integrator=jc.integrator.MoreauJean(step),
         state=jc.State(concentric=False),
     )
-    speed, first = np.asarray(found.speed("up"))[:, 0], np.sqrt(2 / GRAVITY)
+    speed, first = np.asarray(found.speed("up")), np.sqrt(2 / GRAVITY)
     impacts = times[1:][np.diff(speed) > 1.0]
     expected = [first, *(first + 2 * first * np.cumsum([restitution**k for k in range(1, 4)]))]
     expected = [

@@ -106,7 +106,8 @@ def check_figure(found):
 
 def check_kept(found, folder):
     """A Dataset is the same after netCDF and Zarr, with units, versions and the problem."""
-    told = found.to_dataset().load()
+    how = {"flat": True} if isinstance(found, jc.Trajectory) else {}
+    told = found.to_dataset(**how).load()
     assert json.loads(told.attrs["versions"])
     told.to_netcdf(folder / "kept.nc", engine="scipy")
     told.to_zarr(folder / "kept.zarr", consolidated=False)
@@ -204,8 +205,8 @@ def test_a_result_of_runs_is_drawn_and_kept(run, kind, tmp_path):
         "PointingError": lambda: jc.pointing_error(run, "slider", through=("A", "B")),
         "Positions": lambda: jc.positions(asked.mechanism, {"O": jnp.linspace(0.1, 1.0, 5)}),
         "Settled": lambda: jc.settled(asked, cycles=3),
-        "WearLife": lambda: jc.wear_life(asked, 1e3, most=3),
-        "WearLives": lambda: jc.wear_lives(asked, 2, 1e3, most=3),
+        "WearLife": lambda: jc.wear_life(asked, cycles=1e3, most=3),
+        "WearLives": lambda: jc.wear_lives(asked, 2, cycles=1e3, most=3),
         "Advice": lambda: jc.advise(asked, 0.05, pilot=jc.PilotSettings(copies=2)),
     }[kind]()
     assert type(found).__name__ == kind

@@ -195,9 +195,7 @@ def test_product_of_exponentials_equals_the_engine():
     links = chain(run.mechanism, "ground", TIP)
     arm = run.body("arm")
     for k in range(0, len(run.time), 5):
-        _, dish, tip = oracle(
-            (run.coordinate("J1")[k, 0], run.coordinate("J2")[k, 0]), 0 * DEVIATIONS
-        )
+        _, dish, tip = oracle((run.coordinate("J1")[k], run.coordinate("J2")[k]), 0 * DEVIATIONS)
         np.testing.assert_allclose(body.rotation[k], dish[:3, :3], rtol=0, atol=1e-12)
         np.testing.assert_allclose(body.origin[k], dish[:3, 3], rtol=0, atol=1e-12)
         poses = {

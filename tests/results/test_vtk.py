@@ -29,7 +29,7 @@ def test_a_series_holds_bodies_where_they_were(run, tmp_path):
         triangles, body = mesh.cells_dict["triangle"], mesh.cell_data_dict["body"]["triangle"]
         own = triangles[body == number][-1]
         for index, corner in zip(own, corners, strict=True):
-            wanted = np.asarray(run.marker("rod", tuple(corner)))[at]
+            wanted = np.asarray(run.marker("rod", tuple(corner)).position)[at]
             np.testing.assert_allclose(mesh.points[index], wanted, atol=1e-12)
         last = mesh.point_data["velocity"][own]
         spin = np.asarray(run.body("rod").spin)[at]
@@ -43,7 +43,7 @@ def test_a_series_holds_worn_walls(run, tmp_path):
     depth = np.asarray(run.worn_depth("B", "bearing"))
     np.testing.assert_array_equal(mesh.cell_data_dict["worn depth"]["quad"], depth.ravel())
     assert depth.max() > 0
-    centre = np.asarray(run.marker("rod", (0.12, 0.0)))[-1]
+    centre = np.asarray(run.marker("rod", (0.12, 0.0)).position)[-1]
     wall_points = mesh.points[np.unique(mesh.cells_dict["quad"])]
     reach = np.linalg.norm((wall_points - wall_points.mean(axis=0))[:, :2], axis=1)
     np.testing.assert_allclose(reach, 10e-3, atol=2e-6)

@@ -86,7 +86,7 @@ def designed(crank):
     rig = jc.scenes.four_bar("planar", CLEARANCE, friction=False, wear=False)
     problem = jc.PositionProblem(
         rig,
-        lambda found: found.coordinate("D")[0, 0],
+        lambda found: found.coordinate("D")[0],
         {name: jc.Variable(PLACES[name], jc.distribution.Normal(5e-6)) for name in NAMES},
         positions={"O": [crank]},
     )

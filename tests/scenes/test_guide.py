@@ -201,7 +201,7 @@ def test_impact_follows_the_switching_after_a_flight_that_vanishes_with_the_clea
 def test_the_complementarity_residual_is_rounding_at_every_step(driven, free):
     for run, mu in ((driven, MU), (free, MU_FREE)):
         n, friction = corners(run)
-        slip = np.asarray(run.speed("P"))[1:, 0]
+        slip = np.asarray(run.speed("P"))[1:]
         total = np.abs(n).sum(axis=0)
         normal = np.asarray(run.contact("P").normal_force)[1:]
         assert normal.min() >= 0
@@ -245,8 +245,8 @@ def test_lemke_finds_the_same_friction_for_the_driven_crank(driven):
 
 def test_lemke_finds_the_same_friction_and_slip_for_the_free_crank(free):
     n, friction = corners(free)
-    angle, speed = (np.asarray(x)[:, 0] for x in (free.coordinate("O"), free.speed("O")))
-    slips = np.asarray(free.speed("P"))[:, 0]
+    angle, speed = (np.asarray(x) for x in (free.coordinate("O"), free.speed("O")))
+    slips = np.asarray(free.speed("P"))
     h = FREE_STEP
     for step in (5, 50, 150, 250, 450):
         middle = angle[step] + 0.5 * h * speed[step]
@@ -276,12 +276,12 @@ def test_lemke_finds_the_same_friction_and_slip_for_the_free_crank(free):
 
 
 def test_a_free_crank_comes_to_rest_and_sticks(free):
-    slip = np.abs(np.asarray(free.speed("P"))[:, 0])
+    slip = np.abs(np.asarray(free.speed("P")))
     n, friction = corners(free)
     # Loops are closed anew to rounding, which moves it by as much.
     at_rest = np.flatnonzero(slip > 1e-9)[-1] + 1
     assert at_rest < 0.6 * FREE_SAVES and slip.max() > 0.1
-    angle = np.asarray(free.coordinate("O"))[:, 0]
+    angle = np.asarray(free.coordinate("O"))
     assert np.ptp(angle[at_rest:]) < 1e-6
     # What holds it is less than the bound, and is what statics asks: no torque at the crank.
     share = np.abs(friction[at_rest:]) / (MU_FREE * np.abs(n[:, at_rest:]).sum(axis=0))

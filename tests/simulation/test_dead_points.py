@@ -128,7 +128,7 @@ def test_a_run_that_ends_at_a_singular_position_says_so():
     assert "is at a singular position" in run.result and 'through joint "B"' in run.result
     told = float(re.search(r"about ([0-9.]+) s", run.result)[1])
     before = round(float(run.ended) / 0.01) - 1
-    crank, speed, time = run.coordinate("O")[before, 0], run.speed("O")[before, 0], run.time[before]
+    crank, speed, time = run.coordinate("O")[before], run.speed("O")[before], run.time[before]
     turns = float(crank + speed * (told - time)) / np.pi
     assert abs(told - float(run.ended)) < 0.01 and abs(turns - round(turns)) < 0.01
 
@@ -140,7 +140,7 @@ def test_loops_closed_after_every_step_pass_a_singular_position():
         jc.simulate(change_point(), 0.5, save=11, integrator=step, balance=True)
         for step in (jc.integrator.ImplicitStep(1e-4), jc.integrator.MoreauJean(2e-5))
     ]
-    cranks = [np.asarray(run.coordinate("O"))[:, 0] for run in runs]
+    cranks = [np.asarray(run.coordinate("O")) for run in runs]
     assert np.ptp(cranks[0]) > np.pi
     # Order 2: error of a step's square.
     np.testing.assert_allclose(*cranks, atol=1e-5)
@@ -193,6 +193,6 @@ def test_inertia_carries_a_crank_through_its_dead_centres(integrator):
     """Beside the closed form, on steps that meet the dead centres exactly and on steps that do not;
     it turned round, or ended."""
     run = jc.simulate(full_stroke(), 1.0, save=101, integrator=integrator)
-    angle = np.asarray(run.coordinate("O"))[:, 0]
+    angle = np.asarray(run.coordinate("O"))
     # Crank and piston are off by the square of a step near the ends of the stroke.
     np.testing.assert_allclose(angle, cranks_through(np.asarray(run.time)), atol=1e-3)

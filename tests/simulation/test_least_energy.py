@@ -57,7 +57,7 @@ def sprung():
 
 def test_a_held_horn_leaves_its_lever_the_angle_of_its_play():
     stands = jc.positions(servo(stiffness=None), {"M0": [0.0, 0.7]}, both_ways=True)
-    turned = np.asarray(stands.coordinate("L") - stands.reversed.coordinate("L"))[:, 0]
+    turned = np.asarray(stands.coordinate("L") - stands.reversed.coordinate("L"))
     np.testing.assert_allclose(turned, 2 * ANGLE, rtol=1e-9)
     assert np.all(stands.found) and not stands.warnings
     # The pin pushes along its offset.
@@ -71,14 +71,14 @@ def test_springs_of_horns_add_to_the_play(sprung):
     """k phi = F l cos(phi + angle), lever and horn turned by phi and the angle of the play."""
     turn = lambda phi: STIFFNESS * phi - FORCE * ARM * np.cos(phi + ANGLE)
     wanted = brentq(turn, 0.0, 0.1, xtol=1e-15) + ANGLE
-    assert float(sprung.coordinate("L")[0, 0]) == pytest.approx(wanted, rel=1e-9)
+    assert float(sprung.coordinate("L")[0]) == pytest.approx(wanted, rel=1e-9)
     assert lost(sprung) == pytest.approx(2 * wanted, rel=1e-9)
     torque = STIFFNESS * (wanted - ANGLE)
     push = np.asarray(sprung.reaction("B0"))[0]
     arm = RADIUS * np.cos(0.5 * ANGLE)
     assert np.linalg.norm(push[:2]) == pytest.approx(torque / arm, rel=1e-6)
     # A journal's own coordinate is how far it is turned in its bearing.
-    assert float(sprung.coordinate("B0")[0, 0]) == pytest.approx(ANGLE, rel=1e-6)
+    assert float(sprung.coordinate("B0")[0]) == pytest.approx(ANGLE, rel=1e-6)
 
 
 def test_two_horns_share_the_load():
@@ -99,7 +99,7 @@ def test_reversed_loads_leave_springs_as_they_are():
     rig = servo(force=1.0)
     loads = rig.loads | {"P": jc.load.JointSpring("L", 20.0, 0.1)}
     stands = jc.positions(rig.with_loads(loads), {}, both_ways=True)
-    ends = [float(own.coordinate("L")[0, 0]) for own in (stands, stands.reversed)]
+    ends = [float(own.coordinate("L")[0]) for own in (stands, stands.reversed)]
     for end, force in zip(ends, (1.0, -1.0), strict=True):
         turn = lambda x, f=force: STIFFNESS * (x - ANGLE) + 20.0 * (x - 0.1) - f * ARM * np.cos(x)
         assert end == pytest.approx(brentq(turn, -0.1, 0.1, xtol=1e-15), rel=1e-9)
@@ -109,7 +109,7 @@ def test_what_nothing_presses_is_named():
     stands = jc.positions(servo(free_lever=True), {})
     (said,) = stands.warnings
     assert said.startswith('"L" moves freely at 1 of 1 positions') and said in str(stands)
-    assert float(stands.coordinate("L")[0, 0]) == pytest.approx(0.0, abs=0.01 * ANGLE)
+    assert float(stands.coordinate("L")[0]) == pytest.approx(0.0, abs=0.01 * ANGLE)
 
 
 def pendulum(angle=0.0, spring=None):
@@ -130,14 +130,14 @@ def pendulum(angle=0.0, spring=None):
 def test_a_pendulum_hangs_in_its_journal_from_wherever_it_is_guessed():
     for angle in (0.0, 2.0):
         stands = jc.positions(pendulum(angle), {})
-        assert float(stands.coordinate("P")[0, 0]) == pytest.approx(0.0, abs=1e-9)
+        assert float(stands.coordinate("P")[0]) == pytest.approx(0.0, abs=1e-9)
         np.testing.assert_allclose(stands.offset("P")[0], (0.0, -PLAY, 0.0), atol=1e-12)
         assert not stands.warnings
 
 
 def test_an_unstable_equilibrium_is_left_and_said():
     stands = jc.positions(pendulum(np.pi), {})
-    assert np.cos(float(stands.coordinate("P")[0, 0])) == pytest.approx(1.0, abs=1e-9)
+    assert np.cos(float(stands.coordinate("P")[0])) == pytest.approx(1.0, abs=1e-9)
     assert any("unstable" in said for said in stands.warnings)
 
 
@@ -243,7 +243,7 @@ def test_a_derivative_is_that_of_the_closed_form():
     at once."""
     study = jc.PositionProblem(
         servo(),
-        lambda own: own.coordinate("L")[0, 0],
+        lambda own: own.coordinate("L")[0],
         {
             "force": jc.Variable(lambda m: m.loads["F"].value[1], tolerance=0.4),
             "stiffness": jc.Variable(lambda m: m.loads["S0"].stiffness, tolerance=2.0),
@@ -285,7 +285,7 @@ def shut():
 def test_springs_and_journals_rest_where_scipy_finds_the_least_energy(shut):
     stands = shut.positions(shut.nominal())
     wanted = least_by_scipy()
-    found = np.concatenate([stands.coordinate(name)[0] for name in ("left", "right", "G")])
+    found = np.hstack([stands.coordinate(name)[0] for name in ("left", "right", "G")])
     # SLSQP is right to the root of its accuracy in energy.
     np.testing.assert_allclose(found, wanted, atol=0.02 * PLAY)
     lies = [np.linalg.norm(stands.offset(name)[0]) for name in "ABC"]
@@ -403,10 +403,10 @@ def test_a_lever_whose_spring_balances_its_weight_stands_anywhere():
         guess={"O": 0.4},
     )
     balanced = jc.positions(lever(1.0), {})
-    assert float(balanced.coordinate("O")[0, 0]) == pytest.approx(0.4, abs=1e-6)
+    assert float(balanced.coordinate("O")[0]) == pytest.approx(0.4, abs=1e-6)
     assert balanced.warnings and balanced.warnings[0].startswith('"O" moves freely')
     hangs = jc.positions(lever(0.7), {})
-    assert np.sin(float(hangs.coordinate("O")[0, 0])) == pytest.approx(-1.0, abs=1e-12)
+    assert np.sin(float(hangs.coordinate("O")[0])) == pytest.approx(-1.0, abs=1e-12)
     assert not hangs.warnings
 
 
@@ -427,7 +427,7 @@ def test_positions_of_a_drive_lead_a_sprung_lever_along():
         },
     )
     angles = np.array([0.0, 1.2, 2.4])
-    found = np.asarray(jc.positions(rig, {"C": angles}).coordinate("L"))[:, 0]
+    found = np.asarray(jc.positions(rig, {"C": angles}).coordinate("L"))
     for crank, lever in zip(angles, found, strict=True):
         start = 0.1 * np.array([np.cos(crank), np.sin(crank)])
 
@@ -529,5 +529,5 @@ def test_a_slider_crank_that_a_joint_closes_rests_where_its_energy_is_least():
         return 1.5 * (turned - 0.5) ** 2 + 9.81 * weights
 
     least = minimize_scalar(energy, bounds=(-0.5, 1.2), options={"xatol": 1e-10})
-    found = jc.positions(rig, {}).coordinate("O")[0, 0]
+    found = jc.positions(rig, {}).coordinate("O")[0]
     np.testing.assert_allclose(found, least.x, atol=1e-7)

@@ -153,7 +153,7 @@ def test_a_door_sags_by_the_play_of_its_hinges(friction):
     door = {"door": jc.Body(20.0, (4.0, 5.0, 1.1), com=(width / 2, 0.0, height / 2))}
     rig = jc.Mechanism(door, hinges, {"g": jc.load.Gravity((0.0, 0.0, -9.81))})
     run = jc.simulate(rig, 1e-3, save=3, state=jc.seated(rig))
-    sag = -np.asarray(run.marker("door", (width, 0.0, 0.0)))[:, 2]
+    sag = -np.asarray(run.marker("door", (width, 0.0, 0.0)).position)[:, 2]
     # The hinges' ends give under the moment, the collar under the weight; its rim leans with them.
     weight = 20.0 * 9.81
     give = lambda force: (force / 1e10) ** (2 / 3)

@@ -170,7 +170,10 @@ def test_what_statics_does_not_tell_of_a_joint_that_always_touches_is_told(offse
     # The line from the bearing to the follower's foot in the plane of motion, seen from the bearing
     # as it lies in the coupler.
     foot = jnp.array([0.3, 0.0])
-    tip, root = run.marker("coupler", (0.4, 0.0))[:, :2], run.marker("coupler", (0.0, 0.0))[:, :2]
+    tip, root = (
+        run.marker("coupler", (0.4, 0.0)).position[:, :2],
+        run.marker("coupler", (0.0, 0.0)).position[:, :2],
+    )
     x = (tip - root) / 0.4
     y = jnp.stack([-x[:, 1], x[:, 0]], axis=1)
     way = jnp.stack([jnp.sum((foot - tip) * x, axis=1), jnp.sum((foot - tip) * y, axis=1)], axis=1)

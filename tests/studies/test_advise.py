@@ -47,7 +47,7 @@ def rattling():
 
 
 def last_angle(run):
-    return run.coordinate("pivot")[-1, 0]
+    return run.coordinate("pivot")[-1]
 
 
 def swings(response=last_angle, variables=(), *, damping=0.1, duration=1.0):
@@ -243,13 +243,6 @@ def test_the_figure_shows_every_method(advice):
     labels = [line.get_label() for line in axis.get_lines()]
     assert "Adaptive" in labels and "recommended" in labels and PRESENT in labels
     assert "accuracy asked, 0.1 %" in labels
-
-
-def test_what_goes_warns():
-    with pytest.warns(DeprecationWarning, match="batch of advise counts for nothing"):
-        jc.advise(swings(), 0.1, pilot=ALONE, batch=4)
-    with pytest.warns(DeprecationWarning, match="whole of PilotSettings counts for nothing"):
-        jc.PilotSettings(whole=False)
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def test_temperature_varies_as_a_condition_of_the_samples():
     materials = {"coupler": ALUMINIUM, "follower": STEEL}
     asked = jc.PositionProblem(
         rig(),
-        lambda stands: stands.coordinate("D")[1, 0],
+        lambda stands: stands.coordinate("D")[1],
         {
             "temperature": jc.Condition(
                 lambda m, rise: jc.heated(m, rise, materials), 0.0, jc.distribution.Uniform(30.0)
@@ -84,7 +84,7 @@ def test_temperature_varies_as_a_condition_of_the_samples():
             lambda m: m.connections["B"].joint.clearance, rig(), jnp.asarray(clearance)
         )
         alone = jc.positions(jc.heated(own, rise, materials), {"O": ANGLES})
-        assert found == pytest.approx(float(alone.coordinate("D")[1, 0]), abs=1e-11)
+        assert found == pytest.approx(float(alone.coordinate("D")[1]), abs=1e-11)
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_temperature_varies_as_a_condition_of_the_samples():
         (
             lambda: jc.PositionProblem(
                 rig(),
-                lambda stands: stands.coordinate("D")[0, 0],
+                lambda stands: stands.coordinate("D")[0],
                 {"t": jc.Condition(lambda m, rise: rise, 0.0, tolerance=1.0)},
                 positions={"O": ANGLES},
             ),
@@ -105,7 +105,7 @@ def test_temperature_varies_as_a_condition_of_the_samples():
         (
             lambda: jc.PositionProblem(
                 rig(),
-                lambda stands: stands.coordinate("D")[0, 0],
+                lambda stands: stands.coordinate("D")[0],
                 {"axis": jc.Variable(lambda m: m.connections["B"].parent.axis, tolerance=1e-3)},
                 positions={"O": ANGLES},
             ),
@@ -138,7 +138,7 @@ def test_an_axis_askew_lifts_the_tip_by_its_angle():
 
     def height(axis):
         stands = jc.positions(boom(0.0, axis=axis), {"post": [0.0, np.pi / 2]})
-        return np.asarray(stands.marker("boom", (2.0, 0.0, 0.0)))[:, 2]
+        return np.asarray(stands.marker("boom", (2.0, 0.0, 0.0)).position)[:, 2]
 
     straight, askew = height((0.0, 0.0, 1.0)), height((-lean, 0.0, 1.0))
     np.testing.assert_allclose(straight, -2.0 * 2 * 50e-6 / 0.1, rtol=1e-5)
@@ -151,7 +151,7 @@ def test_a_boom_on_an_oval_bore_tips_most_across_its_wide_side():
     """Gaps of 50 + 4 um along x and 50 - 4 um along y, at either end."""
     oval = (jc.clearance.Lobes(2, cosine=4e-6),)
     stands = jc.positions(boom(0.0, oval), {"post": [0.0, np.pi / 2]})
-    height = np.asarray(stands.marker("boom", (2.0, 0.0, 0.0)))[:, 2]
+    height = np.asarray(stands.marker("boom", (2.0, 0.0, 0.0)).position)[:, 2]
     np.testing.assert_allclose(height, -2.0 * 2 * np.array([54e-6, 46e-6]) / 0.1, rtol=1e-5)
 
 

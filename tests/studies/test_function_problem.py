@@ -105,9 +105,9 @@ def test_units_are_those_of_the_dimensions_where_they_share_one():
 @pytest.mark.parametrize(
     ("function", "sentence"),
     [
-        (lambda a: math.sqrt(a), "JAX cannot trace"),
-        (lambda a: a if a > 0 else -a, "JAX cannot trace"),
-        (lambda a: np.interp(a, [0.0, 1.0], [0.0, 1.0]), "JAX cannot trace"),
+        (lambda a: math.sqrt(a), "leaves JAX in"),
+        (lambda a: a if a > 0 else -a, "leaves JAX in"),
+        (lambda a: np.interp(a, [0.0, 1.0], [0.0, 1.0]), "leaves JAX in"),
         (lambda a: None, "is a `return` missing"),
         (lambda a: jnp.stack([a, a]), "an array of shape"),
         (lambda a: {}, "returns no number"),

@@ -109,7 +109,7 @@ def test_cycles_side_by_side_are_those_alone(rattling):
 @pytest.mark.slow
 def test_a_life_by_lanes_agrees_with_one_by_single_cycles(rattling, tmp_path, monkeypatch):
     """Within what both tell; begun again, it goes on bit for bit."""
-    single = jc.wear_life(rattling, 1e6, accuracy=2e-2, most=living.LANES * living.WORTH - 1)
+    single = jc.wear_life(rattling, cycles=1e6, accuracy=2e-2, most=living.LANES * living.WORTH - 1)
     simulate, left = living.cycles, [2]
 
     def interrupted(*args):
@@ -121,10 +121,10 @@ def test_a_life_by_lanes_agrees_with_one_by_single_cycles(rattling, tmp_path, mo
     monkeypatch.setattr(living, "cycles", interrupted)
     given = {"tolerance": 2e-2, "most": 40, "store": tmp_path / "life"}
     with pytest.raises(KeyboardInterrupt):
-        jc.wear_life(rattling, 1e6, **given)
+        jc.wear_life(rattling, cycles=1e6, **given)
     left[0] = 1000
-    life = jc.wear_life(rattling, 1e6, **given)
-    whole = jc.wear_life(rattling, 1e6, accuracy=2e-2, most=40)
+    life = jc.wear_life(rattling, cycles=1e6, **given)
+    whole = jc.wear_life(rattling, cycles=1e6, accuracy=2e-2, most=40)
     np.testing.assert_array_equal(life.worn()["B"]["bearing"], whole.worn()["B"]["bearing"])
     volumes = [float(one.over_life("volume")[-1]) for one in (life, single)]
     told = [float(one.errors_of_volume[-1]) for one in (life, single)]

@@ -59,7 +59,7 @@ def life():
         save=25,
         integrator=jc.integrator.NonColliding(TURN / 96),
     )
-    return jc.wear_life(asked, CYCLES, accuracy=2e-2)
+    return jc.wear_life(asked, cycles=CYCLES, accuracy=2e-2)
 
 
 def test_the_volume_of_a_cycle_stays_to_rounding_while_depth_slows(life):

@@ -24,7 +24,7 @@ def pendulum():
 
 def swing(run):
     """Angle after the run: A cos(omega t) for a small swing."""
-    return run.coordinate("pivot")[-1, 0] + jnp.pi / 2
+    return run.coordinate("pivot")[-1] + jnp.pi / 2
 
 
 def problem(**variables):
@@ -234,6 +234,10 @@ def test_methods_that_disagree_say_so():
             'no sampling "grid"; there are "sobol", "random"',
         ),
         (lambda: jc.sensitivity(problem(), "width"), 'no variable "width"'),
+        (
+            lambda: jc.sensitivity(problem(), "tolerance of length"),
+            'no "tolerance of length" in this problem; there is "standard deviation of length"',
+        ),
         (lambda: jc.sensitivity(problem(), methods=("magic",)), 'no method of sensitivity "magic"'),
     ],
 )

@@ -117,7 +117,7 @@ def test_pose_errors_are_those_of_the_slow_motion_in_permanent_contact():
         # a mean over the step that ends there; with the next one, of second order at the instant
         seats = 0.5 * (seats[many:-1:many] + seats[many + 1 :: many])
         slow = [follower_with(seat, angle) for seat, angle in zip(seats, angles, strict=True)]
-        stands = jc.positions(mechanism, {"O": angles}).coordinate("D")[:, 0]
+        stands = jc.positions(mechanism, {"O": angles}).coordinate("D")
         ideal = [follower_with(np.zeros(2), angle) for angle in angles]
         return np.asarray(stands) - slow, np.asarray(stands) - ideal
 

@@ -84,7 +84,9 @@ def test_impacts_shorter_than_usual_steps_get_shorter_ones():
     assert float(asked.integrator.step) < float(jc.integrator.FixedStep().step)
     assert 'an impact in joint "B" is over within' in asked.why_integrator
     run = jc.simulate(rig, 0.05, integrator=asked.integrator, save=51)
-    assert {check for check, flag in run.checks.beyond().items() if flag} <= {Check.PLACE_IN_GAP}
+    assert {check for check, flag in run.invariants.beyond().items() if flag} <= {
+        Check.PLACE_IN_GAP
+    }
 
 
 def test_rates_of_a_driven_mechanism_are_those_of_its_start():

@@ -39,7 +39,7 @@ class Lived(NamedTuple):
     problem: jc.Problem
 
     def life(self, **kwargs):
-        return jc.wear_life(self.problem, self.turns, **kwargs)
+        return jc.wear_life(self.problem, cycles=self.turns, **kwargs)
 
     def error(self, life):
         return float(life.over_life("depth")[-1]) / DEPTHS[self.law.hyperbolic] - 1
@@ -96,7 +96,7 @@ def test_wear_that_hangs_on_the_saving_times_is_told(lived):
     few = jc.Problem(
         asked.mechanism, asked.response, {}, duration=TURN, integrator=asked.integrator, save=rare
     )
-    other = jc.wear_life(few, lived.turns)
+    other = jc.wear_life(few, cycles=lived.turns)
     mine, waved = (each.stages[0].settled.wear["B"]["bearing"] for each in (life, other))
     off = np.sqrt(np.mean((waved - mine) ** 2)) / np.mean(mine)
     assert 0.02 < off < 0.05 and told[0] == pytest.approx(off, rel=0.05)
@@ -124,7 +124,7 @@ def test_jumps_of_fixed_length_are_of_first_order(lived):
 def test_volume_of_a_constant_load_is_that_of_archard():
     """However deep the wall, every turn takes the volume k F s / H."""
     ring = wearing_ring(slope=0.0)
-    life = jc.wear_life(problem(ring), 1e6)
+    life = jc.wear_life(problem(ring), cycles=1e6)
     lost = [stage.settled.last.lost["B"]["bearing"] for stage in life.stages[1:]]
     assert life.over_life("depth")[-1] > 1e-5
     # The order in which a turn wears the cells leaves the wall uneven by a hundred-thousandth.
@@ -149,7 +149,7 @@ def test_a_life_of_two_cycles_is_two_cycles():
     )
     start = jc.settled(problem(fast), tolerance=1e-9)
     state = start.state
-    life = jc.wear_life(problem(fast, state=state), 2)
+    life = jc.wear_life(problem(fast, state=state), cycles=2)
     first = jc.settled(problem(fast, state=state), cycles=1).run
     second = jc.settled(problem(fast, state=first.state()), cycles=1).run
     assert life.simulated == 3 and life.error == 0.0
@@ -161,7 +161,7 @@ def test_a_life_of_two_cycles_is_two_cycles():
 def test_an_interrupted_life_goes_on_bit_for_bit(tmp_path, monkeypatch):
     asked = problem(wearing_ring())
     turns = ClosedForm().turns(DEPTHS[False])
-    whole = jc.wear_life(asked, turns)
+    whole = jc.wear_life(asked, cycles=turns)
     simulate, done = living.cycle, []
 
     def interrupted(*args):
@@ -172,42 +172,42 @@ def test_an_interrupted_life_goes_on_bit_for_bit(tmp_path, monkeypatch):
 
     monkeypatch.setattr(living, "cycle", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        jc.wear_life(asked, turns, store=tmp_path / "life")
+        jc.wear_life(asked, cycles=turns, store=tmp_path / "life")
     counted = []
     monkeypatch.setattr(living, "cycle", lambda *args: counted.append(1) or simulate(*args))
-    life = jc.wear_life(problem(wearing_ring()), turns, store=tmp_path / "life")
+    life = jc.wear_life(problem(wearing_ring()), cycles=turns, store=tmp_path / "life")
     assert len(counted) == whole.simulated - 5 and life.simulated == whole.simulated
     np.testing.assert_array_equal(life.worn()["B"]["bearing"], whole.worn()["B"]["bearing"])
     np.testing.assert_array_equal(life.errors, whole.errors)
     np.testing.assert_array_equal(life.over_life("force"), whole.over_life("force"))
     # What is complete is read, and so is the result by itself.
     counted.clear()
-    jc.wear_life(asked, turns, store=tmp_path / "life")
+    jc.wear_life(asked, cycles=turns, store=tmp_path / "life")
     assert not counted
     xarray = pytest.importorskip("xarray")
     with xarray.open_zarr(tmp_path / "life" / "result.zarr", consolidated=False) as kept:
         np.testing.assert_array_equal(kept["depth"], whole.over_life("depth"))
         assert kept["depth"].attrs["units"] == "m"
     # A longer life takes over what it can.
-    jc.wear_life(asked, 2 * turns, store=tmp_path / "life")
+    jc.wear_life(asked, cycles=2 * turns, store=tmp_path / "life")
     assert counted
 
 
 def test_a_store_of_another_problem_is_refused(tmp_path):
-    jc.wear_life(problem(wearing_ring()), 1, store=tmp_path / "life")
+    jc.wear_life(problem(wearing_ring()), cycles=1, store=tmp_path / "life")
     other = problem(wearing_ring(slope=2 * SLOPE))
     sentence = r"loads\[\"press\"\]\.slope is 100000\.0 there, 200000\.0 here"
     with pytest.raises(ValueError, match=sentence):
-        jc.wear_life(other, 1, store=tmp_path / "life")
+        jc.wear_life(other, cycles=1, store=tmp_path / "life")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter").write_text("dear")
     with pytest.raises(ValueError, match="not empty and holds no study"):
-        jc.wear_life(other, 1, store=tmp_path / "full")
+        jc.wear_life(other, cycles=1, store=tmp_path / "full")
 
 
 def test_a_life_ends_where_its_cycles_fail():
     """With what was reached and why: near the depth at which the load breaks."""
-    life = jc.wear_life(problem(wearing_ring(slope=0.0, breaks=3e-6)), 1e6)
+    life = jc.wear_life(problem(wearing_ring(slope=0.0, breaks=3e-6)), cycles=1e6)
     assert life.ended.startswith("the run of a cycle ended early")
     assert "ended before its 1e+06 cycles" in life.sentence()
     depth = life.over_life("depth")[-1]
@@ -235,7 +235,7 @@ def test_derivatives_of_a_life_are_those_of_the_closed_form():
     """Life is in proportion to hardness; by the load it is so but for the contact's compliance."""
     law, limit = ClosedForm(), 4e-6
     asked = problem(wearing_ring())
-    life = jc.wear_life(asked, 1.2 * law.turns(limit))
+    life = jc.wear_life(asked, cycles=1.2 * law.turns(limit))
     found = jc.wear_life_derivatives(life, "depth", limit)
     stiff = 1 / (1 + FORCE * SLOPE / STIFFNESS)
     wanted = {"hardness": law.turns(limit) / 2e9, "load": -law.turns(limit) / FORCE * stiff}
@@ -253,7 +253,7 @@ def test_lives_of_a_sample_are_those_of_the_closed_form(tmp_path):
     """Each with its own hardness and load; asked again, the study takes them from its store."""
     law, limit = ClosedForm(), 4e-6
     asked, turns = problem(wearing_ring()), 1.3 * law.turns(limit)
-    found = jc.wear_lives(asked, 4, turns, store=tmp_path / "lives")
+    found = jc.wear_lives(asked, 4, cycles=turns, store=tmp_path / "lives")
     assert not found.ended and not found.warned and "4 lives, 0 ended early" in str(found)
     hardness, load = found.values.T
 
@@ -267,10 +267,10 @@ def test_lives_of_a_sample_are_those_of_the_closed_form(tmp_path):
     assert np.isinf(found.until("depth", 1.0)).all()
     table = found.table()
     assert len(table) == 4 and {"hardness", "load", "cycles", "depth [m]", "ended"} <= set(table)
-    again = jc.wear_lives(asked, 4, turns, store=tmp_path / "lives")
+    again = jc.wear_lives(asked, 4, cycles=turns, store=tmp_path / "lives")
     np.testing.assert_array_equal(again.until("depth", limit), found.until("depth", limit))
     with pytest.raises(ValueError, match="another problem: values of its variables"):
-        jc.wear_lives(asked, 4, turns, seed=1, store=tmp_path / "lives")
+        jc.wear_lives(asked, 4, cycles=turns, seed=1, store=tmp_path / "lives")
 
 
 def test_a_life_is_a_response_as_any_other():
@@ -289,10 +289,11 @@ def test_a_life_is_a_response_as_any_other():
     ("asked", "sentence"),
     [
         (lambda: jc.wear_life(jc.scenes.slider_crank(), period=0.1), "nothing wears"),
-        (lambda: jc.wear_life(problem(wearing_ring()), -1), "cycles of wear_life is -1"),
+        (lambda: jc.wear_life(problem(wearing_ring()), cycles=-1), "cycles of wear_life is -1"),
         (lambda: jc.wear_life(problem(wearing_ring()), jump=0.5), "jump of wear_life is 0.5"),
         (lambda: jc.wear_life(problem(wearing_ring()), store=3), "must be the path of a folder"),
         (lambda: jc.wear_life(wearing_ring()), r"needs its period \[s\]"),
+        (lambda: jc.wear_life(problem(wearing_ring()), 1e6), "give cycles by name, cycles="),
         (
             lambda: jc.wear_life(
                 eqx.tree_at(

@@ -12,10 +12,8 @@ from jaxclear.components.joint.plain import PlainBearing, Slideway
 from jaxclear.components.joint.rubbing import AbstractRubbingJoint
 from jaxclear.components.joint.vector import Cylindrical, Fixed, Prismatic, Revolute, Universal
 from jaxclear.ground.answering import nothing_else
-from jaxclear.ground.pose import FLIP
 
 __all__ = [
-    "FLIP",
     "AbstractDrivenJoint",
     "AbstractGroupJoint",
     "AbstractJoint",

@@ -146,11 +146,10 @@ def _product(
         f"Elastic force `{force.__name__}`, {with_loss} dissipation factor `{loss.__name__}`.\n\n"
         f"{inspect.getdoc(factor or force)}"
     )
-    parameters = [
-        inspect.Parameter(number, inspect.Parameter.KEYWORD_ONLY, default=field.default)
-        for number, field in known.items()
-    ]
-    build.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    given = {n: p for part in parts for n, p in inspect.signature(part).parameters.items()}
+    build.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [given[n].replace(kind=inspect.Parameter.KEYWORD_ONLY) for n in known]
+    )
     build.fields = known  # type: ignore[attr-defined]
     return build
 

@@ -9,15 +9,14 @@ its rebound e misses :math:`c_e`, here and, in a warning, where it is built. Pre
 """
 
 import math
-import warnings
 from abc import abstractmethod
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
 from jaxclear.ground.answering import nothing_else
-from jaxclear.ground.arguments import level_of_caller
 from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import public_name
 from jaxclear.laws.contact.base import AbstractDissipation
 
@@ -78,12 +77,11 @@ class AbstractRestitutionFactor(AbstractDissipation):
         off = found / asked - 1
         if abs(off) > MISSED:
             side = "high" if off > 0 else "low"
-            warnings.warn(
+            warn(
                 f"{public_name(type(self))} with restitution {asked:g} rebounds with {found:.3g}, "
                 f"{abs(100 * off):.2g} % too {side}, in compliant contact. CarvalhoMartins is the "
                 "closest closed formula, Gonthier exact.",
                 RestitutionMissed,
-                stacklevel=level_of_caller(),
             )
 
     def relative_damping(self, rate: Scalar, impact_speed: Scalar) -> Scalar:

@@ -24,9 +24,10 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_number
 from jaxclear.plot.animation.insets import inset
 from jaxclear.plot.animation.pushes import Pushes, arrow, pushes
+from jaxclear.plot.animation.sight import hiding
 from jaxclear.plot.canvas import check_run
-from jaxclear.results.solids.parts import checked_meshes, parts, size_of
-from jaxclear.results.solids.shapes import Triangles
+from jaxclear.results.solids.parts import Part, checked_meshes, parts, size_of
+from jaxclear.results.solids.shapes import Triangles, joined
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = ["Animation", "animate"]
@@ -38,6 +39,8 @@ GREY, RED = 0xB8BEC6, 0xC23B22
 AWAY, OPENING = 1.25, 40.0
 # Frames at which it is asked what is to be seen; cosine of the tilt of bodies that move in a plane.
 LOOKS, FLAT = 40, 0.99
+# How much of the light a body stops that is seen through.
+GLASS = 0.25
 
 
 class Animation(eqx.Module):
@@ -161,37 +164,53 @@ def _page(run: Trajectory, solids: dict, frames: np.ndarray, told: dict, forces:
     )
     size, colours = size_of(run), _colours(run)
     time = np.asarray(run.time)[frames].tolist()
-    corners = []
-    for name, own in parts(run, solids, size).items():
-        if not len(own.points):
-            continue
+    own = {name: part for name, part in parts(run, solids, size).items() if len(part.whole.points)}
+    moves = {name: _moves(run, name, frames) for name in own}
+    scene.camera = _camera(run, frames, _reach(own, moves))
+    connections = run.mechanism.connections
+    joints = [(one["name"], connections[one["name"]].child.body) for one in told["joints"]]
+    joints = [(name, body) for name, body in joints if name in own[body].joints]
+    glass = hiding(own, moves, joints, np.array(scene.camera[:3]))
+    for name, part in own.items():
         colour = GREY if name == GROUND else int(colours[name][1:], 16)
-        mesh = _mesh(own, colour, name)
-        moves = _moves(run, name, frames)
-        if name != GROUND:
-            mesh.model_matrix = {str(t): m for t, m in zip(time, moves, strict=True)}
-        scene += mesh
-        ends = _ends(own.points)
-        some = moves[:: max(len(moves) // LOOKS, 1)]
-        corners.append(ends @ some[:, :3, :3].transpose(0, 2, 1) + some[:, None, :3, 3])
+        shown = {name: (part.whole, 1.0)}
+        if name in glass:
+            through = f"{name}, seen through"
+            shown = {name: (joined(part.joints.values()), 1.0), through: (part.solid, GLASS)}
+        for called, (triangles, opacity) in shown.items():
+            if not len(triangles.points):
+                continue
+            mesh = _mesh(triangles, colour, called, opacity)
+            if name != GROUND:
+                mesh.model_matrix = {str(t): m for t, m in zip(time, moves[name], strict=True)}
+            scene += mesh
     solid, told["arrows"] = arrow(), []
     for name, own in zip(forces.names, forces.matrices, strict=True):
         mesh = _mesh(solid, RED, f"force in {name}")
         mesh.model_matrix = {str(t): m for t, m in zip(time, own, strict=True)}
         told["arrows"].append(mesh.id)
         scene += mesh
-    scene.camera = _camera(run, frames, np.concatenate([own.reshape(-1, 3) for own in corners]))
     scene.snapshot_type = "full"
     script = resources.files("jaxclear.plot.animation").joinpath("viewer.js").read_text("utf-8")
     safe = json.dumps(told, default=_packed).replace("</", "<\\/")
     return scene.get_snapshot(9, additional_js_code=f"const RUN = {safe};\n{script}")
 
 
-def _mesh(own: Triangles, colour: int, name: str) -> Any:
+def _mesh(own: Triangles, colour: int, name: str, opacity: float = 1.0) -> Any:
     import k3d
 
     arrays = own.points.astype(np.float32), own.corners.astype(np.uint32)
-    return k3d.mesh(*arrays, color=colour, name=name, side="double")
+    return k3d.mesh(*arrays, color=colour, name=name, side="double", opacity=opacity)
+
+
+def _reach(own: dict[str, Part], moves: dict[str, np.ndarray]) -> np.ndarray:
+    """Places (n, 3) [m] as far as parts move."""
+    found = []
+    for name, part in own.items():
+        some = moves[name][:: max(len(moves[name]) // LOOKS, 1)]
+        ends = _ends(part.whole.points)
+        found.append(ends @ some[:, :3, :3].transpose(0, 2, 1) + some[:, None, :3, 3])
+    return np.concatenate([one.reshape(-1, 3) for one in found])
 
 
 def _ends(points: np.ndarray) -> np.ndarray:

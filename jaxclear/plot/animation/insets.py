@@ -17,6 +17,7 @@ from jaxclear.components.clearance import (
     PlanarJournalBearing,
     SliderGuide,
 )
+from jaxclear.results.response import PeakContactForce
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = ["inset"]
@@ -50,6 +51,7 @@ def inset(run: Trajectory, name: str, frames: np.ndarray, last: int) -> dict[str
         "depth": np.asarray(history.indentation)[frames],
         "force": np.nan_to_num(force[frames]),
         "most": float(every.max(initial=0.0)),
+        "peak": float(PeakContactForce(name)(run)),
         "chart": np.array([[np.asarray(run.time)[own[0]], every[own].max()] for own in columns]),
         "views": VIEWS.get(type(joint), _bars)(run, name, joint, history, frames),
     }

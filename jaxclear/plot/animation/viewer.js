@@ -16,6 +16,8 @@
     for (const key of Object.keys(o)) o[key] = unpack(o[key]);
     return o;
   };
+  // Below so many pixels of width the insets stand below the scene, which takes this share.
+  const NARROW = 720, SCENE = 0.5;
   const newton = (f) => (f >= 1e3 ? (f / 1e3).toPrecision(3) + ' kN' : f.toPrecision(3) + ' N');
   const run = unpack(RUN), time = run.time, frames = time.length;
   const first = time[0], end = time[frames - 1];
@@ -30,10 +32,7 @@
   document.title = run.title || 'jaxclear';
   const wide = run.joints.length ? WIDE : 0;
   const target = document.getElementById('canvasTarget');
-  Object.assign(target.style, {
-    position: 'absolute', left: 0, top: 0, width: `calc(100% - ${wide}px)`,
-    height: `calc(100% - ${LOW}px)`,
-  });
+  Object.assign(target.style, { position: 'absolute', left: 0, top: 0 });
 
   // Names of bodies: a list, and a label that follows each.
   const list = make('div', document.body, {
@@ -54,26 +53,40 @@
   if (run.largest > 0) {
     const row = make('div', list, {});
     make('span', row, { color: '#c23b22' }, '\u2192 ');
-    make('span', row, {}, `contact forces, largest ${newton(run.largest)}`);
+    make('span', row, {}, `Contact forces, up to ${newton(run.largest)}.`);
   }
   const said = make('div', document.body, {
-    position: 'absolute', left: '10px', bottom: `${LOW + 6}px`, font: '11px sans-serif',
-    color: '#b3261e', width: `calc(100% - ${wide + 90}px)`, maxHeight: '20%', overflowY: 'auto',
-    zIndex: 20,
+    position: 'absolute', left: '10px', font: '11px sans-serif', color: '#b3261e',
+    maxHeight: '15%', overflowY: 'auto', zIndex: 20, background: 'rgba(255,255,255,0.8)',
   });
   run.warnings.forEach((text) => make('div', said, {}, 'Warning: ' + text));
 
   // Insets of the joints.
   const side = make('div', document.body, {
-    position: 'absolute', right: 0, top: 0, width: `${wide}px`, height: `calc(100% - ${LOW}px)`,
-    overflowY: 'auto', background: '#fafafa', borderLeft: wide ? '1px solid #ddd' : '',
+    position: 'absolute', right: 0, bottom: `${LOW}px`, overflowY: 'auto', background: '#fafafa',
+    border: wide ? '1px solid #ddd' : '', boxSizing: 'border-box',
   });
   side.id = 'insets';
+  // Beside the scene, or below it where the page is narrow.
+  const arrange = () => {
+    const narrow = wide > 0 && window.innerWidth < NARROW;
+    const tall = window.innerHeight - LOW, high = narrow ? Math.round(SCENE * tall) : tall;
+    const broad = window.innerWidth - (narrow ? 0 : wide);
+    Object.assign(target.style, { width: `${broad}px`, height: `${high}px` });
+    Object.assign(side.style, {
+      width: `${narrow ? broad : wide}px`, height: `${narrow ? tall - high : tall}px`,
+    });
+    Object.assign(said.style, {
+      bottom: `${window.innerHeight - high + 6}px`, width: `${broad - 90}px`,
+    });
+    list.style.fontSize = narrow ? '11px' : '13px';
+    pace.style.display = narrow ? 'none' : '';
+  };
   const sharp = window.devicePixelRatio || 1;
   const TALL = { round: 190, slot: 176, bars: 110 };
   run.joints.forEach((joint) => {
     make('div', side, { font, fontWeight: 600, margin: '6px 10px 0' }, 'Joint ' + joint.name);
-    const height = TALL[joint.views[0].kind] + 84;
+    const height = TALL[joint.views[0].kind] + (joint.views.some((v) => v.worn) ? 112 : 84);
     const canvas = make('canvas', side, { width: `${WIDE - 20}px`, height: `${height}px` });
     canvas.width = (WIDE - 20) * sharp;
     canvas.height = height * sharp;
@@ -111,9 +124,9 @@
   };
   const shown = (metres) => {
     const size = Math.abs(metres);
-    if (size >= 1e-3) return (metres * 1e3).toPrecision(3) + ' mm';
-    if (size >= 1e-6 || size === 0) return (metres * 1e6).toPrecision(3) + ' \u00b5m';
-    return Number((metres * 1e9).toPrecision(3)) + ' nm';
+    const [per, unit] = [[1e3, 'mm'], [1e6, '\u00b5m'], [1e9, 'nm'], [1e12, 'pm'], [1e15, 'fm']]
+      .find(([factor]) => size * factor >= 1 || size === 0) || [1e18, 'am'];
+    return `${Number((metres * per).toPrecision(3))} ${unit}`;
   };
   const forceOf = (joint, frame, contact) => joint.force[frame * joint.contacts.length + contact];
   const depthOf = (joint, frame, contact) => joint.depth[frame * joint.contacts.length + contact];
@@ -248,7 +261,10 @@
     pen.stroke();
     pen.fillStyle = '#555';
     pen.font = '11px system-ui, sans-serif';
-    pen.fillText(`normal force over time, largest ${newton(joint.most)}`, left, top + tall + 13);
+    pen.fillText(`Normal force over time, up to ${newton(joint.most)} at saved instants;`, left,
+      top + tall + 13);
+    pen.fillText(`a contact's largest in all steps is ${newton(joint.peak)}.`, left,
+      top + tall + 27);
   };
 
   const draw = (joint, frame, now) => {
@@ -283,9 +299,10 @@
         pen.fillRect(8 + i, tall + 9, 1.5, 7);
       }
       pen.fillStyle = '#555';
-      pen.fillText(`worn by now: 0 to ${shown(joint.worn)} at the end`, 76, tall + 16);
+      pen.fillText('The wall\'s colour is its worn depth by now,', 76, tall + 16);
+      pen.fillText(`from nothing to ${shown(joint.worn)}, the deepest at the end.`, 8, tall + 30);
     }
-    chart(joint, now, tall + 25);
+    chart(joint, now, tall + (joint.worn > 0 ? 38 : 10));
   };
 
   // Play, pause and time.
@@ -294,12 +311,12 @@
     alignItems: 'center', gap: '12px', padding: '0 12px', font, boxSizing: 'border-box',
     background: '#f1f3f5', borderTop: '1px solid #ddd', zIndex: 30,
   });
-  const button = make('button', bar, { width: '76px', height: '30px', font }, 'Pause');
+  const button = make('button', bar, { minWidth: '60px', height: '30px', font }, 'Pause');
   button.id = 'play';
-  const slider = make('input', bar, { flex: 1 });
+  const slider = make('input', bar, { flex: 1, minWidth: '60px' });
   slider.id = 'time';
   Object.assign(slider, { type: 'range', min: first, max: end, step: (end - first) / 2000 });
-  const clock = make('span', bar, { width: '150px', fontVariantNumeric: 'tabular-nums' });
+  const clock = make('span', bar, { fontVariantNumeric: 'tabular-nums', whiteSpace: 'nowrap' });
   const speed = make('select', bar, { font });
   speed.id = 'speed';
   [8, 4, 2, 1, 0.5, 0.25, 0.1].forEach((x) => {
@@ -307,7 +324,7 @@
     one.value = x;
     one.selected = x === 1;
   });
-  make('span', bar, { color: '#555' }, run.slower === 1 ? 'real time'
+  const pace = make('span', bar, { color: '#555' }, run.slower === 1 ? 'real time'
     : run.slower > 1 ? `${run.slower.toPrecision(3)} times slower`
       : `${(1 / run.slower).toPrecision(3)} times faster`);
 
@@ -342,7 +359,8 @@
     run.bodies.forEach((body, k) => {
       const at = [0, 1, 2].map((i) => body.com[3 * frame + i]);
       const clip = apply(p, apply(v, [...at, 1]));
-      labels[k].style.display = clip[3] > 0 ? '' : 'none';
+      const inside = clip[3] > 0 && Math.abs(clip[0]) < clip[3] && Math.abs(clip[1]) < clip[3];
+      labels[k].style.display = inside ? '' : 'none';
       labels[k].style.left = `${(0.5 + 0.5 * clip[0] / clip[3]) * target.clientWidth + 8}px`;
       labels[k].style.top = `${(0.5 - 0.5 * clip[1] / clip[3]) * target.clientHeight - 8}px`;
     });
@@ -377,6 +395,8 @@
     go: (seconds) => { state.playing = false; state.now = first + seconds; show(); },
     state, frames,
   };
+  arrange();
+  window.addEventListener('resize', arrange, true);
   window.dispatchEvent(new Event('resize'));
   const asked = new URLSearchParams(location.hash.slice(1)).get('t');
   if (asked !== null) window.animation.go(+asked);

@@ -6,18 +6,18 @@ is drawn in its own size where it has one.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxclear.components.body import GROUND, Connection
 from jaxclear.ground.arguments import check_known, expect
 from jaxclear.ground.wording import described
-from jaxclear.results.relative_motion import marker_frame, relative_motion
+from jaxclear.results.relative_motion import marker_frame, relative_motion, seen
 from jaxclear.results.solids import shapes
 from jaxclear.results.solids.shapes import Triangles
 
-__all__ = ["checked_meshes", "parts", "size_of"]
+__all__ = ["Part", "checked_meshes", "parts", "size_of"]
 
 # Radius of a pin or ball without a size of its own, and how much wider what is around it is; shares
 # of the mechanism's size.
@@ -26,25 +26,31 @@ PIN, AROUND_IT, LONG = 0.016, 1.35, 0.06
 NO_MASS = 1e-9
 
 
+class Part(NamedTuple):
+    """Triangles of a body, or of the ground: its `solid`, and what its `joints` are drawn by."""
+
+    solid: Triangles
+    joints: dict[str, Triangles]
+
+    @property
+    def whole(self) -> Triangles:
+        """All of them."""
+        return shapes.joined([*self.joints.values(), self.solid])
+
+
 def size_of(run: Any) -> float:
     """The longest side [m] of the box in which all joints and centres of mass move."""
     places = [np.asarray(run.body(name).com) for name in run.mechanism.bodies]
-    for connection in run.mechanism.connections.values():
-        at = marker_frame(connection.parent)[1]
-        places.append(
-            at[None]
-            if connection.parent.body == GROUND
-            else np.asarray(run.marker(connection.parent.body, tuple(at)))
-        )
+    places += [seen(run, own.parent).place for own in run.mechanism.connections.values()]
     every = np.concatenate(places)
     every = every[np.isfinite(every).all(axis=1)]
     return float(np.ptp(every, axis=0).max()) or 1.0
 
 
-def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, Triangles]:
-    """Triangles of every body, and of the ground, by name."""
+def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, Part]:
+    """What every body, and the ground, is drawn by."""
     ends: dict[str, list[np.ndarray]] = {name: [] for name in (GROUND, *run.mechanism.bodies)}
-    found: dict[str, list[Triangles]] = {name: [] for name in ends}
+    joints: dict[str, dict[str, Triangles]] = {name: {} for name in ends}
     for name, connection in run.mechanism.connections.items():
         outer, inner = _joint(connection, size, _travel(run, name))
         for marker, part in ((connection.parent, outer), (connection.child, inner)):
@@ -52,18 +58,15 @@ def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, T
             if not len(part.points):
                 continue
             ends[marker.body].append(place)
-            found[marker.body].append(part.moved(rotation, place))
+            joints[marker.body][name] = part.moved(rotation, place)
+    solids = {name: shapes.joined([]) for name in ends} | dict(meshes)
     heaviest = max(float(body.mass) for body in run.mechanism.bodies.values())
     for name, body in run.mechanism.bodies.items():
-        solid = meshes.get(name)
-        if solid is None and float(body.mass) < NO_MASS * heaviest:
-            # Only there to join others, such as one between two hinges: its joints are seen.
-            continue
-        joints = np.array(ends[name]).reshape(-1, 3)
-        found[name].append(shapes.of_body(body, joints, size) if solid is None else solid)
-    if GROUND in meshes:
-        found[GROUND].append(meshes[GROUND])
-    return {name: shapes.joined(own) for name, own in found.items()}
+        # One without mass is only there to join others, such as one between two hinges: its joints
+        # are seen.
+        if name not in meshes and float(body.mass) >= NO_MASS * heaviest:
+            solids[name] = shapes.of_body(body, np.array(ends[name]).reshape(-1, 3), size)
+    return {name: Part(solids[name], joints[name]) for name in ends}
 
 
 def _joint(connection: Connection, size: float, travel: tuple[float, float]) -> tuple:

@@ -1,8 +1,8 @@
 """What bodies and joints look like in an animation: triangles, in metres, in the body's frame.
 
-A body without a mesh is the cuboid that has its mass and moments of inertia, with a rod to each of
-its joints; in the plane, where only one moment is known, a slender bar, or a square plate where all
-joints are in one place.
+A body without a mesh is the cuboid that has its mass and moments of inertia, as far as that is no
+larger than its joints are apart, with a rod to each of its joints; in the plane, where only one
+moment is known, a slender bar, or a square plate where all joints are in one place.
 """
 
 from collections.abc import Iterable
@@ -18,8 +18,9 @@ __all__ = ["Triangles", "ball", "box", "capsule", "joined", "of_body", "rod", "t
 AROUND = 24
 # A flat body is drawn at least so thick, and a rod so thin, as shares of the mechanism's size.
 THINNEST, ROD = 0.012, 0.008
-# Length over width of a bar in the plane, and the most of that size that it is wide.
-SLENDER, WIDEST = 10.0, 0.05
+# Length over width of a bar in the plane, and the most of that size that it is wide; and what a
+# body measures where its joints are in one place.
+SLENDER, WIDEST, BLOCK = 10.0, 0.05, 0.1
 
 
 class Triangles(NamedTuple):
@@ -120,6 +121,8 @@ def of_body(body: Body, joints: np.ndarray, size: float) -> Triangles:
     if body.com is not None:
         com[: len(body.com)] = [float(x) for x in body.com]
     turn, sides = _cuboid(body, joints, size)
+    apart = np.ptp(joints @ turn, axis=0) if len(joints) else np.zeros(3)
+    sides = np.minimum(sides, np.maximum(apart, BLOCK * size))
     solid = box(np.maximum(sides, THINNEST * size)).moved(turn, com)
     ends = [end for end in joints if np.linalg.norm(end - com) > 1e-6 * size]
     return joined([solid, *(between(com, end, ROD * size) for end in ends)])

@@ -10,7 +10,6 @@ is not full loses its mark before the plan changes; whoever writes such a chunk 
 import secrets
 import shutil
 import time
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.ground.warning import warn
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.figures import Checks, Figure
@@ -276,8 +276,7 @@ class Samples:
         for before in self.versions().values():
             differs = change(before, now)
             if differs:
-                warnings.warn(
+                warn(
                     f"chunks in {self.folder} were computed by other versions ({differs}); numbers "
                     "may differ from theirs in the last digits.",
-                    stacklevel=4,
                 )

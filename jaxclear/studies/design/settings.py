@@ -1,10 +1,7 @@
 """How a design is sought: what a limit is let pass, sizes of samples, which optimiser."""
 
-from typing import ClassVar
-
 import equinox as eqx
 
-from jaxclear.ground.answering import formerly
 from jaxclear.ground.arguments import check_count, check_known
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
 
@@ -24,8 +21,6 @@ class DesignSettings(AbstractQuantified):
     explains), or "auto", the first or second by how many numbers are free. `surface`: whether one
     stands in for the problem (None: unless it answers at once)."""
 
-    # The name of version 0.29.
-    RENAMED: ClassVar = {"accuracy": "allowed_excess"}
     allowed_excess: Scalar = quantity(
         5e-3, "1", "miss of a limit that is let pass", above=0, below=1
     )
@@ -36,8 +31,6 @@ class DesignSettings(AbstractQuantified):
     seed: int = count(0, "seed of all random numbers", at_least=0)
     method: str = eqx.field(static=True, default="auto")
     surface: bool | None = eqx.field(static=True, default=None)
-
-    accuracy = formerly("accuracy", "allowed_excess")
 
     def __check_init__(self):
         check_known("method of a design", self.method, METHODS)

@@ -171,14 +171,14 @@ def first_state(problem: Problem, values: Any) -> tuple[SavedMotion, Worn]:
     mechanism = problem.with_values(values)
     check_values("this mechanism", mechanism)
     mechanism = formulation.seen(mechanism)
-    mechanism, start, time, past, _ = beginning(mechanism, formulation, problem.state)
+    mechanism, start, past, _ = beginning(mechanism, formulation, problem.state)
     if not problem.keeps_mode(mechanism, start):
         raise ValueError(Outcome.OTHER_MODE.sentence)
     model = model_of(mechanism, formulation)
     layout = model.layout
     rest = jnp.zeros(layout.size - layout.memory_start)
     whole = jnp.concatenate([start.coordinates, start.speeds, rest])
-    time = jnp.asarray(time, float)
+    time = jnp.asarray(problem.state.begins, float)
     whole = closure_coordinates.started(mechanism, model.system, layout, time, whole)
     remembered = whole[layout.remembered] if past.remembered is None else past.remembered
     named = names(model.system, layout)
@@ -197,7 +197,7 @@ def as_problem(owner: str, asked: Any, period: Any, state: State | None = None) 
         if period is not None or state is not None:
             raise ValueError(
                 f"{owner} is given a Problem, whose duration is the period and which has its own "
-                "state, and one of them besides: leave it out."
+                "state, and one of them besides: leave it out, and give cycles by name, cycles=..."
             )
         return asked
     expect(asked, Mechanism, f"the first argument of {owner}", "a Mechanism or a Problem")

@@ -5,7 +5,7 @@ is to last. A life chooses its own steps, so it is no compiled program; its cycl
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.answering import formerly
 from jaxclear.ground.arguments import check_count, check_number, expect
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.figures import Checks
@@ -28,7 +27,7 @@ from jaxclear.studies.life.result import DEPTH, VOLUME, WearLife
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.wear_life import SETTLED, check_asked, lived
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.responses import by_name, check_responses, one_number
+from jaxclear.studies.responses import answer, by_name, check_responses
 from jaxclear.studies.variable import AbstractMechanismVariable
 
 __all__ = ["LifeProblem"]
@@ -59,15 +58,11 @@ class LifeProblem(AbstractProblem):
     variables: dict[str, AbstractMechanismVariable]
     correlation: Float[Array, "variables variables"] | None
     cycles: float | None = eqx.field(static=True)
-    # The name of version 0.29.
-    RENAMED: ClassVar = {"tolerance": "accuracy"}
     accuracy: float = eqx.field(static=True)
     most: int = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
     response_names: tuple[str, ...] = eqx.field(static=True)
     variable_units: tuple[str, ...] = eqx.field(static=True)
-
-    tolerance = formerly("tolerance", "accuracy")
 
     def __init__(
         self,
@@ -146,9 +141,7 @@ class LifeProblem(AbstractProblem):
             return self._failed(Outcome.NOT_FINITE)
         except ValueError:
             return self._failed(self._impossible(values))
-        found = {
-            name: np.asarray(one_number(name, own(life))) for name, own in self.response.items()
-        }
+        found = {name: np.asarray(answer(name, own, life)) for name, own in self.response.items()}
         # One with a length asked for is of no use before its end to what is asked of that.
         whole = not life.ended or all(self._decides(name) for name in self.response_names)
         told = whole and bool(np.all(answered(self, found)))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxclear.ground.answering import answering, renamed
+from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.simulation import progress
@@ -34,12 +34,11 @@ FIRST_DEPTH, FIRST_SHARE = 0.1, 0.25
 
 
 @answering
-@renamed(tolerance="accuracy")
 def wear_life(
     asked: Mechanism | Problem,
-    cycles: float = 1e6,
-    *,
     period: float | None = None,
+    *,
+    cycles: float = 1e6,
     accuracy: float = 1e-2,
     jump: float | None = None,
     most: int = 12,
@@ -47,8 +46,8 @@ def wear_life(
     progress_bar: bool = False,
 ) -> WearLife:
     """The wear of a life of so many `cycles`, from few simulated ones: of a mechanism and its
-    `period` [s], or of a `Problem` whose duration is the period and whose responses are followed,
-    at its nominal numbers.
+    `period` [s], as in `settled`, or of a `Problem` whose duration is the period and whose
+    responses are followed, at its nominal numbers.
 
     Steps are as long as lets each be wrong by `accuracy` [1] of what it wears, and so the whole
     life (root mean square over the cells of a surface); `jump` [cycles] gives them a fixed length

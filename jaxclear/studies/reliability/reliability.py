@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.ground.answering import answering, renamed
+from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_methods, check_number, expect
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import check_told
@@ -38,7 +38,6 @@ CHEAP = 1024
 
 
 @answering
-@renamed(accuracy="variation")
 def reliability(
     problem: AbstractProblem,
     limit: AbstractLimitState,

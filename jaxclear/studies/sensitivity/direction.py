@@ -47,8 +47,11 @@ def directions(problem: AbstractProblem, wanted: list[str]) -> list[Direction]:
         what, number = problem.variables[name].distribution.width()
         known[f"{what} of {name}"] = Direction(f"{what} of {name}", i, float(number))
     for name in wanted:
-        if name not in known:
-            check_known("variable", name, problem.names, " in this problem")
+        own = [one for one in problem.names if str(name).endswith(f" of {one}")]
+        if name not in known and own:
+            what = problem.variables[own[-1]].distribution.width()[0]
+            raise ValueError(f'no "{name}" in this problem; there is "{what} of {own[-1]}".')
+        check_known("variable", name, known, " in this problem")
     return [known[name] for name in wanted]
 
 

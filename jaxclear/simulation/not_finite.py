@@ -1,0 +1,86 @@
+"""Why a run is not finite, where that can be told: loads of the user's own class that give no
+number, and bristles that explicit steps do not resolve, whose deflection settles within a
+micrometre of sliding and grows without bound where a step slides farther.
+"""
+
+import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.formulations.model import Instant
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.wording import public_name
+from jaxclear.integrators.outcome import Outcome
+from jaxclear.multibody.forces import effect_of
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.own_parts import is_own
+from jaxclear.multibody.system import body_loads, coordinate_loads
+from jaxclear.results.state_history import StateHistory, over_time
+from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.bristles import settling_length
+
+# Longest explicit step beside the time in which a deflection settles: where Runge-Kutta steps of
+# order 4 are stable.
+STABLE = 2.78
+
+
+def told_of_the_end(trajectory: Trajectory) -> str:
+    """Why a run of one mechanism ended, with a sentence more where it is known why its state is not
+    finite."""
+    if int(trajectory.outcome) != Outcome.NOT_FINITE:
+        return trajectory.result
+    why = _of_loads(trajectory.history) or _of_bristles(trajectory.mechanism)
+    return f"{trajectory.result} {why}".rstrip()
+
+
+def _of_bristles(mechanism: Mechanism) -> str:
+    lengths = {}
+    for name in mechanism.topology.clearances:
+        for laws in mechanism.connections[name].joint.contact_laws():
+            law = laws.friction
+            if law is not None and law.bristles:
+                lengths[name, public_name(type(law))] = float(settling_length(law))
+    if not lengths:
+        return ""
+    (name, law), length = min(lengths.items(), key=lambda item: item[1])
+    return (
+        f'Joint "{name}" has {law}, whose deflections settle within '
+        f"{length:.2g} m of sliding, at 1 m/s at a rate of {1 / length:.2g} 1/s: explicit steps of "
+        f"at most {STABLE * length:.2g} s resolve that, and integrator.ImplicitStep needs not."
+    )
+
+
+def _of_loads(history: StateHistory) -> str:
+    """A load of the user's own class that is no number at a saved state, or where the last ones
+    lead in a saving interval."""
+    if not any(is_own(load) for load in history.mechanism.loads.values()):
+        return ""
+
+    def given(now: Instant) -> dict[str, Any]:
+        system, topology = now.model.system, now.model.system.topology
+        out: dict[str, Any] = {}
+        for name, load in body_loads(system):
+            if is_own(load):
+                found = effect_of(system, name, load, now.motions, now.time)
+                out[name] = sp.total(x for each in found.actions for x in (*each[1], *each[2]))
+        for name, load in coordinate_loads(system):
+            branch = topology.branch_of(load.connection)
+            if is_own(load) and branch is not None:
+                place = topology.branches.index(branch)
+                out[name] = load.force(now.time, now.q[place][0], now.v[place][0])[0]
+        return {name: jnp.asarray(x, float) for name, x in out.items()}
+
+    seen = [history]
+    layout, length = history.layout(), jnp.max(jnp.diff(history.time))
+    count = layout.coordinates
+    if layout.memory_start == 2 * count:
+        speeds = history.states[:, count : 2 * count]
+        ahead = history.states.at[:, :count].add(length * speeds)
+        seen.append(dataclasses.replace(history, states=ahead))
+    for each in seen:
+        for name, found in over_time(each, given).items():
+            if not np.all(np.isfinite(found)):
+                return f'What load "{name}" gives is not finite; it must be wherever the run leads.'
+    return ""

@@ -1,0 +1,167 @@
+"""A load or drive of a user's own that answers something else than what the equations take, or no
+number, is refused by its name; what acts on nothing is too."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxclear.load import Action, Effect
+
+import jaxclear as jc
+
+BODY = jc.Body(1.0, 1e-2, (0.1, 0.0))
+TIP, GROUND = jc.Marker("arm", (0.2, 0.0)), jc.Marker("ground")
+ZERO = (0.0, 0.0, 0.0)
+STEP = jc.integrator.FixedStep(1e-4)
+
+
+def arm(drive=None, **changes):
+    pin = jc.Connection(jc.joint.Revolute(drive=drive), "ground", "arm")
+    return jc.Mechanism({"arm": BODY}, {"pin": pin}, **changes)
+
+
+class Push(jc.load.AbstractBodyLoad):
+    told: Any = eqx.field(static=True)
+
+    def markers(self):
+        return (TIP, GROUND)
+
+    def effect(self, time, motions):
+        return self.told(time, motions)
+
+
+class Turn(jc.load.AbstractCoordinateLoad):
+    connection: str = eqx.field(static=True)
+    told: Any = eqx.field(static=True)
+
+    def force(self, time, position, speed):
+        return self.told(time, position, speed)
+
+
+class Motion(jc.drive.AbstractDrive):
+    told: Any = eqx.field(static=True)
+
+    def motion(self, time):
+        return self.told(time)
+
+
+def both(force, torque=ZERO):
+    return Effect((Action(TIP, force, torque), Action(GROUND, ZERO, ZERO)), 0, 0, 0)
+
+
+EFFECTS = {
+    "fewer actions": (
+        lambda t, m: Effect((Action(TIP, ZERO, ZERO),), 0, 0, 0),
+        "returns 1 actions; its 2 markers need one each",
+    ),
+    "a plane force": (lambda t, m: both((1.0, 0.0)), "force, returns 2 numbers; .*return 3: x, y"),
+    "a force": (lambda t, m: ZERO, "returns what is .*; it must be a jaxclear.load.Effect"),
+    "a tuple for an action": (
+        lambda t, m: Effect((ZERO, ZERO), 0, 0, 0),
+        "an action that is .*must be a jaxclear.load.Action",
+    ),
+    "no energy": (lambda t, m: both(ZERO)._replace(stored=None), "returns no numbers"),
+    "float": (lambda t, m: both((float(t), 0.0, 0.0)), 'leaves JAX in ".*float'),
+    "a slip": (lambda t, m: m[0].position, "fails in .*AttributeError.*position"),
+}
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_a_load_that_answers_something_else_is_refused_by_its_name(name):
+    told, sentence = EFFECTS[name]
+    with pytest.raises(ValueError, match=f'load "push".*{sentence}'):
+        arm(loads={"push": Push(told)})
+
+
+FORCES = {
+    "one number": (lambda t, q, v: -q, "returns 1 number; it must return 4: generalised force"),
+    "an array": (lambda t, q, v: jnp.zeros(2), "returns 2 numbers"),
+    "float": (lambda t, q, v: (float(q), 0, 0, 0), "leaves JAX"),
+}
+
+
+@pytest.mark.parametrize("name", FORCES)
+def test_a_load_on_a_coordinate_that_answers_something_else_is_refused_by_its_name(name):
+    told, sentence = FORCES[name]
+    with pytest.raises(ValueError, match=f'load "push".*{sentence}'):
+        arm(loads={"push": Turn("pin", told)})
+
+
+MOTIONS = {
+    "two numbers": (lambda t: (t, 1.0), "returns 2 numbers; it must return 3: position, speed"),
+    "float": (lambda t: (float(t), 1.0, 0.0), "leaves JAX"),
+}
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_a_drive_that_answers_something_else_is_refused_by_its_joint(name):
+    told, sentence = MOTIONS[name]
+    with pytest.raises(ValueError, match=f'drive of joint "pin".*{sentence}'):
+        arm(Motion(told))
+
+
+def test_what_answers_as_it_must_is_taken():
+    assert arm(loads={"push": Push(lambda t, m: both((t, 0.0, np.float64(1.0)), (0, 0, t)))})
+    assert arm(loads={"push": Turn("pin", lambda t, q, v: [-q, 0.5 * q * q, 0, 0])})
+    assert arm(Motion(lambda t: (jnp.sin(t), jnp.cos(t), -jnp.sin(t))))
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        jc.load.Force(GROUND, (1.0, 0.0)),
+        jc.load.Spring(GROUND, jc.Marker("ground", (0.1, 0.0)), 10.0),
+        jc.load.Torque(GROUND, 1.0),
+    ],
+)
+def test_a_load_on_the_ground_is_refused(load):
+    with pytest.raises(ValueError, match='load "push" acts on "ground" alone, which nothing moves'):
+        arm(loads={"push": load})
+
+
+NOWHERE = {
+    "a drive at its start": (
+        lambda: arm(jc.drive.Position(lambda t: jnp.sqrt(t))),
+        'drive of joint "pin" is not finite at 0 s; its position, speed and acceleration must',
+    ),
+    "a drive of one's own": (lambda: arm(Motion(lambda t: (jnp.sqrt(t - 1), 0.0, 0.0))), "at 0 s"),
+    "a drive on its way": (
+        lambda: arm(jc.drive.Position(lambda t: jnp.sqrt(4e-4 - t))),
+        'drive of joint "pin" is not finite at 0.0004',
+    ),
+    "a load on its way": (
+        lambda: arm(loads={"push": jc.load.Force(TIP, lambda t: (jnp.log(4e-4 - t), 0.0))}),
+        'load "push" is not finite at 0.0004.* s; what it gives must be finite',
+    ),
+    "a torque": (
+        lambda: arm(loads={"push": jc.load.JointTorque("pin", lambda t: jnp.sin(t) / t)}),
+        'load "push" is not finite at 0 s',
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NOWHERE)
+@pytest.mark.parametrize("problem", [False, True])
+def test_a_function_of_time_that_is_no_number_is_refused_before_a_run(name, problem, monkeypatch):
+    def refused(*_):
+        raise AssertionError("it is assembled before its functions of time are looked at")
+
+    monkeypatch.setattr("jaxclear.simulation.simulate.beginning", refused)
+    monkeypatch.setattr("jaxclear.studies.problem.sampled", refused)
+    build, sentence = NOWHERE[name]
+    mass = {"mass": jc.Variable(lambda rig: rig.bodies["arm"].mass, tolerance=0.1)}
+    more = {"duration": 1e-3, "save": 3, "integrator": STEP}
+    with pytest.raises(ValueError, match=sentence):
+        if problem:
+            jc.Problem(build(), lambda run: run.ended, mass, **more)
+        else:
+            jc.simulate(build(), **more)
+
+
+def test_a_run_that_a_load_of_ones_own_ends_names_it():
+    lost = Turn("pin", lambda t, q, v: (jnp.sqrt(1e-4 - q), 0, 0, 0))
+    rig = arm(loads={"gravity": jc.load.Gravity(), "push": lost}, speeds={"pin": 1.0})
+    with pytest.raises(jc.SimulationError, match='What load "push" gives is not finite'):
+        jc.simulate(rig, 1e-3, save=3, integrator=STEP)

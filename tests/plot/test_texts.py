@@ -1,0 +1,319 @@
+"""No text of a figure lies upon another or leaves it, whatever the runs: depths of 1e-12 m, forces
+of 1e6 N, 3 and 3000 samples, long names.
+
+Every function of `jaxclear.plot` that draws has its cases here. Lives, designs and advice, which
+take long, are made up: a figure reads the same of them.
+"""
+
+import functools
+from types import SimpleNamespace
+from unittest import mock
+
+import equinox as eqx
+import matplotlib.figure
+import numpy as np
+import pandas
+import pytest
+
+import jaxclear as jc
+from benchmarks.figures_text import colliding
+from jaxclear import plot
+from jaxclear.components.joint import Prismatic, Revolute
+from jaxclear.results.trajectory import Trajectory
+from jaxclear.scenes.slider_crank import bearing
+from jaxclear.studies.advice import Advice
+from jaxclear.studies.design.result import Design
+from jaxclear.studies.life.lives import WearLives
+from jaxclear.studies.life.result import WearLife
+from jaxclear.studies.life.settled import Settled
+from jaxclear.studies.sensitivity.derivative import Derivative, Estimate, Sensitivity
+
+CRANK, ROD, SLIDER = (
+    f"{one} of the second stage of the pump" for one in ("crank", "rod", "slider")
+)
+JOINT, PIN, GUIDE = (
+    f"{one} of the second stage" for one in ("rod's bearing", "crank pin", "guide")
+)
+FORCE, SHIFT = f"largest normal force in the {JOINT} of the pump", f"largest way of the {SLIDER}"
+CLEARANCE, SPEED = f"radial clearance of the {JOINT} of the pump", f"angular speed of the {CRANK}"
+UNITS = {FORCE: "N", SHIFT: "m"}
+PERIOD = 1e-3
+LONG = "Something that the run warns of, in a sentence as long as such sentences are, " * 2
+
+
+@functools.cache
+def run():
+    """Heavy bodies under long names, whose wear is scaled to 1e-12 m."""
+    heavy = jc.Mechanism(
+        {
+            CRANK: jc.Body(9e2, 0.3, (0.025, 0.0)),
+            ROD: jc.Body(6e2, 0.75, (0.06, 0.0)),
+            SLIDER: jc.Body(4e2, 0.3),
+        },
+        {
+            "O": jc.Connection(Revolute(drive=jc.drive.ConstantSpeed(400.0)), "ground", CRANK),
+            PIN: jc.Connection(Revolute(), CRANK, ROD, at=(0.05, 0.0)),
+            JOINT: jc.Connection(bearing(2e-4, wear=True), ROD, SLIDER, at=(0.12, 0.0)),
+            GUIDE: jc.Connection(
+                Prismatic(), jc.Marker("ground", axis="x"), jc.Marker(SLIDER, axis="x")
+            ),
+        },
+        guess={GUIDE: 0.17},
+    )
+    found = jc.simulate(heavy, 4e-3, save=41, integrator=jc.integrator.FixedStep(1e-5))
+    depth = found.worn[JOINT]["bearing"]
+    return eqx.tree_at(lambda r: r.worn[JOINT]["bearing"], found, depth * 1e-12 / depth.max())
+
+
+def tilting():
+    """A journal with two ends, of a run that is made up."""
+    joint = jc.scenes.four_bar("spatial").connections["B"].joint
+    turn = np.linspace(0.0, 6.0, 50)[:, None]
+    offset = 0.9 * float(joint.clearance) * np.hstack([np.cos(turn), np.sin(turn), 0 * turn])
+    axis = np.tile([1e-6, 0.0, 1.0], (50, 1))
+    told = SimpleNamespace(connections={JOINT: SimpleNamespace(joint=joint)})
+    history = SimpleNamespace(offset=offset, axis=axis)
+    return mock.Mock(
+        spec=Trajectory, mechanism=told, contact=lambda _: history, warnings=(), time=turn[:, 0]
+    )
+
+
+def stack(**sizes):
+    clearance, speed = sizes.values()
+    return {FORCE: 1e9 * clearance + 2e8 * speed, SHIFT: 1e-9 * clearance * (1 + speed)}
+
+
+@functools.cache
+def problem(function=stack):
+    sizes = {
+        CLEARANCE: jc.Dimension(1e-3, jc.distribution.Normal(1e-5), unit="m"),
+        SPEED: jc.Dimension(1e-3, jc.distribution.Uniform(2e-5), unit="rad/s"),
+    }
+    return jc.FunctionProblem(function, sizes, units=UNITS)
+
+
+@functools.cache
+def sample(count):
+    return jc.monte_carlo(problem(), count)
+
+
+def narrow(count):
+    """Responses that hardly differ, at 3000.0012 of their unit."""
+    own = sample(count)
+    told = {FORCE: 3e3 + 1e-7 * own.responses[FORCE], SHIFT: 2e-3 + own.responses[SHIFT]}
+    return eqx.tree_at(lambda s: s.responses, own, told)
+
+
+def derivatives(verdict):
+    """Answers of three methods, one of which refused."""
+    told = {
+        "pathwise": Estimate(1.0023e9, 2e6),
+        "regression with a surface": Estimate(1.004e9, 3e7),
+        "differences": Estimate(np.nan, np.nan, "too few samples."),
+    }
+    own = {
+        (response, variable): Derivative(
+            response, variable, 1.0023e9, 2e6, "pathwise", verdict, True, told
+        )
+        for response in UNITS
+        for variable in (CLEARANCE, SPEED)
+    }
+    return Sensitivity(own, sample(3))
+
+
+def life(sizes=1e-12, warnings=(LONG,)):
+    """Two surfaces over 1e9 cycles."""
+    cycles = np.linspace(0.0, 1e9, 5)
+    stage = SimpleNamespace(
+        settled=SimpleNamespace(responses=lambda: {FORCE: (1e6, 1e4), SHIFT: (1e-12, 1e-14)})
+    )
+    values = {FORCE: 1e6, SHIFT: 1e-12}
+    return mock.Mock(
+        spec=WearLife,
+        problem=problem(),
+        cycles=cycles,
+        surfaces=((JOINT, "bearing"), (JOINT, "journal")),
+        errors=np.full(5, 0.0123),
+        errors_of_volume=np.full(5, 1e-3),
+        over_life=lambda name, at=cycles: values.get(name, sizes) * (1e-3 + at / 1e9),
+        simulated=37,
+        ended="the journal's wall is worn through.",
+        warnings=warnings,
+        stages=[stage] * 5,
+        concerned=lambda _: True,
+    )
+
+
+def lives():
+    told = "2 lives, 0 ended early, 2 with warnings. Depths are known to 1.2 % or better."
+    return mock.Mock(spec=WearLives, lives=(life(), life(3e-12)), sentence=lambda: told)
+
+
+def settled():
+    table = pandas.DataFrame(
+        {
+            "cycle": [1, 2, 3],
+            "apart": [1e-2, 1e-5, 1e-12],
+            "taken": [False, False, True],
+            f"{FORCE} [N]": [1.001e6, 1.002e6, 1.0021e6],
+            f"{SHIFT} [m]": [1e-12, 2e-12, 2.00001e-12],
+        }
+    )
+    told = f'Periodic after 3 cycles of 0.125664 s: "{JOINT}" is 1e-12 from where it was.'
+    return mock.Mock(
+        spec=Settled, table=lambda: table, problem=problem(), tolerance=1e-9, warnings=(LONG,) * 9,
+        sentence=lambda: told,
+    )  # fmt: skip
+
+
+def designed(cost=0.0123):
+    limit = jc.limit.WorstCase(FORCE, at_most=1.2345e6)
+    freedom = SimpleNamespace(names=(CLEARANCE, SPEED), usual=np.array([1e-12, 2e-12]))
+    check = SimpleNamespace(excess_errors=np.array([0.01, 0.02]))
+    history = pandas.DataFrame(
+        {"runs": [64, 1280, 123456], "cost": [1e6, 1.0002e6, 1.0001e6], "largest excess": [1, 0, 0]}
+    )
+    said = f"It does not hold: {limit.words()} is kept in 98 % of the machines only. " * 2
+    return mock.Mock(
+        spec=Design,
+        problem=problem(),
+        question=SimpleNamespace(freedom=freedom),
+        limits=(limit, limit),
+        nominal={CLEARANCE: 1.00002e-3, SPEED: 1e-3},
+        tolerances={CLEARANCE: 1.1e-12, SPEED: 3e-12},
+        excess=np.array([0.02, -0.4]),
+        allowed_excess=0.01,
+        rounds=[SimpleNamespace(check=check)],
+        history=lambda: history,
+        sentence=lambda: f"Cost {1e6 * cost:.6g}. {said}",
+        holds=cost > 1,
+        cost=1e6 * cost,
+        unit=lambda _: "N",
+    )
+
+
+def advised():
+    """Settings that part, fail, and err by 1e52."""
+    methods = np.repeat(["ExplicitAdaptive", "ImplicitStep", "the problem's own"], [5, 5, 1])
+    errors = [1e52, 3.0, 1e-2, 1e-5, 1e-9, np.nan, 0.3, 0.1, 3e-3, 2e-3, 0.5]
+    table = pandas.DataFrame(
+        {
+            "method": methods,
+            "work": [10**k for k in (2, 3, 4, 5, 6, 2, 3, 4, 5, 6, 4)],
+            "error": errors,
+            "left out by the model": [np.nan] * 11,
+            "recommended": [False] * 3 + [True] + [False] * 7,
+        }
+    )
+    return mock.Mock(
+        spec=Advice,
+        table=lambda: table,
+        accuracy=1e-4,
+        wanted=SimpleNamespace(means=True),
+        recommended=jc.integrator.Adaptive(rtol=1.2345e-9, atol=1.2345e-12),
+        warnings=lambda: [LONG],
+    )
+
+
+SUNK = jc.limit_state.Above(FORCE, 1.23e6)
+VERDICT = "Agreed by pathwise and regression with a surface; not by differences. "
+CASES = {
+    "angular_velocity": [lambda: plot.angular_velocity(run(), run(), ROD, f"with a loose {JOINT}")],
+    "bifurcation": [
+        lambda: plot.bifurcation({2e-4: run(), 2.1e-4: run()}, SLIDER, period=PERIOD),
+    ],
+    "corrected": [
+        lambda: plot.corrected(jc.corrected(jc.surface(problem()), 8, limits={"sunk": SUNK}))
+    ],
+    "design": [lambda: plot.design(designed())],
+    "design_front": [lambda: plot.design_front([designed(), designed(2.0)])],
+    "displacement": [
+        lambda: plot.displacement(
+            {f"clearance {k} of {JOINT}": run() for k in range(5)}, run(), SLIDER
+        )
+    ],
+    "error_budget": [lambda: plot.error_budget(sample(3000))],
+    "hysteresis": [lambda: plot.hysteresis(run(), JOINT)],
+    "journal_ends": [lambda: plot.journal_ends(tilting(), JOINT)],
+    "journal_orbit": [lambda: plot.journal_orbit(run(), JOINT)],
+    "modes": [lambda: plot.modes(run())],
+    "monte_carlo": [
+        lambda: plot.monte_carlo(sample(3)),
+        lambda: plot.monte_carlo(sample(3000)),
+        lambda: plot.monte_carlo(narrow(3)),
+        lambda: plot.monte_carlo(narrow(3000)),
+    ],
+    "multi_fidelity": [
+        lambda: plot.multi_fidelity(
+            jc.multi_fidelity(problem(), problem(lambda **sizes: stack(**sizes)), 256)
+        )
+    ],
+    "overview": [lambda: plot.overview(run())],
+    "phase_portrait": [lambda: plot.phase_portrait(run(), SLIDER)],
+    "poincare_section": [lambda: plot.poincare_section(run(), JOINT, period=PERIOD)],
+    "pointing_budget": [
+        lambda: plot.pointing_budget(jc.pointing_error(run(), SLIDER, through=(PIN, JOINT)))
+    ],
+    "positions": [
+        lambda: plot.positions(jc.positions(run().mechanism, {"O": np.array([0.1, 0.5, 1.0])}))
+    ],
+    "reliability": [lambda: plot.reliability(jc.reliability(problem(), SUNK))],
+    "result": [lambda: plot.result(sample(3))],
+    "sensitivity": [
+        lambda: plot.sensitivity(derivatives(VERDICT)),
+        lambda: plot.sensitivity(derivatives(VERDICT + LONG + ". " + LONG + ". ")),
+    ],
+    "settled": [lambda: plot.settled(settled())],
+    "shapley_effects": [lambda: plot.shapley_effects(jc.shapley_effects(problem(), 64))],
+    "sobol_indices": [lambda: plot.sobol_indices(jc.sobol_indices(problem(), 64))],
+    "spectrum": [lambda: plot.spectrum(run(), JOINT, "force", period=PERIOD)],
+    "surface": [lambda: plot.surface(jc.surface(problem()))],
+    "wear_life": [lambda: plot.wear_life(life())],
+    "wear_lives": [lambda: plot.wear_lives(lives())],
+    "wear_surface": [
+        lambda: plot.wear_surface(run(), JOINT),
+        lambda: plot.wear_surface(run(), JOINT, exaggeration=1.0),
+    ],
+    "wear_unrolled": [lambda: plot.wear_unrolled(run(), JOINT)],
+    "work_precision": [lambda: plot.work_precision(advised())],
+    "worst_case": [lambda: plot.worst_case(jc.worst_case(problem(), samples=16))],
+}
+EACH = [
+    pytest.param(case, id=f"{name} {number}")
+    for name, own in CASES.items()
+    for number, case in enumerate(own)
+]
+
+
+def test_every_plot_has_its_cases():
+    """An animation is a page, and the centres of a journal's ends are numbers."""
+    assert set(CASES) == set(plot.__all__) - {"animate", "end_centres"}
+
+
+@pytest.mark.parametrize("case", EACH)
+def test_all_texts_can_be_read(case):
+    figure = case()
+    assert isinstance(figure, matplotlib.figure.Figure)
+    assert colliding(figure) == []
+
+
+def test_texts_that_collide_are_found():
+    figure = matplotlib.figure.Figure()
+    axis = figure.subplots()
+    axis.text(0.4, 0.5, "one text", rotation=30)
+    axis.text(0.4, 0.5, "another", rotation=-30)
+    axis.text(1.1, 0.5, "one that is too long for where it stands")
+    found = colliding(figure)
+    assert len(found) == 2 and "upon each other" in found[0] and "leaves" in found[1]
+
+
+def heights(verdict):
+    """Of the axes, in inches."""
+    figure = plot.sensitivity(derivatives(verdict))
+    figure.draw_without_rendering()
+    return [axis.get_window_extent().height / figure.dpi for axis in figure.axes]
+
+
+def test_axes_keep_their_height_whatever_a_verdict_says():
+    np.testing.assert_allclose(heights("Agreed."), heights(VERDICT + LONG + ". " + LONG + ". "),
+                               rtol=0.05)  # fmt: skip

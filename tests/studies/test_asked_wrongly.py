@@ -1,0 +1,143 @@
+"""A response or a variable that cannot be is refused by its name where a problem is built, before
+anything is compiled; one that can is taken as it is."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+
+RIG = jc.scenes.slider_crank()
+ROD = jc.Variable(lambda rig: rig.bodies["rod"].mass, tolerance=1e-3)
+PATH = np.zeros((11, 3))
+
+
+def problem(response, variable=ROD, **more):
+    asked = {"duration": 1e-2, "save": 21} | more
+    return jc.Problem(RIG, {"wanted": response}, {"rod": variable}, **asked)
+
+
+@pytest.fixture
+def nothing_compiles(monkeypatch):
+    """What is refused here is refused before the mechanism is assembled."""
+
+    def refused(*_):
+        raise AssertionError("a mechanism is assembled before its responses are looked at")
+
+    monkeypatch.setattr("jaxclear.studies.problem.sampled", refused)
+    monkeypatch.setattr("jaxclear.studies.problem.unasked", refused)
+    monkeypatch.setattr("jaxclear.studies.problem.chosen_integrator", refused)
+
+
+def branches(run):
+    if run.body("rod").com[-1, 0] > 0:
+        return run.ended
+    return 0.0
+
+
+RESPONSES = {
+    "float": (
+        lambda run: float(jnp.max(run.contact("B").normal_force)),
+        r'leaves JAX in ".*float\(.*" \(test_asked_wrongly.py, line \d+\).*Leave float',
+    ),
+    "math": (lambda run: math.sqrt(run.ended), 'leaves JAX in ".*math.sqrt.*jax.numpy.sqrt'),
+    "if": (branches, r'leaves JAX in "if .*> 0:".*jax.numpy.where for `if`'),
+    "a table": (lambda run: run.to_dataset(), "leaves JAX"),
+    "a joint": (jc.response.MeanContactForce("b"), 'fails: no clearance joint "b".*mean "B"'),
+    "a joint of a function": (
+        lambda run: run.contact("Bb").normal_force[-1],
+        'fails in ".*contact.*no clearance joint "Bb"',
+    ),
+    "a body": (lambda run: run.body("rodd").com[-1, 0], 'no body "rodd".*Did you mean "rod"'),
+    "a method": (lambda run: run.bodie("rod"), "fails in .*AttributeError: .*bodie"),
+    "a surface": (jc.response.PeakWornDepth("B"), 'fails: surface "bearing" of joint "B" does not'),
+    "a path": (jc.response.PositionError("rod", PATH), "11 saving times, the run has 21"),
+    "a tip": (jc.response.PointingAngle("rodd"), 'no body for the tip "rodd"'),
+    "several": (lambda run: run.body("rod").com, r"gives an array of shape \(21, 3\)"),
+    "nothing": (lambda run: None, "is a `return` missing"),
+    "events that nobody kept": (lambda run: run.events(), "kept no touches"),
+}
+
+
+@pytest.mark.parametrize("name", RESPONSES)
+@pytest.mark.parametrize("accuracy", [None, 0.1])
+def test_a_response_that_cannot_be_is_refused_by_its_name(name, accuracy, nothing_compiles):
+    response, sentence = RESPONSES[name]
+    with pytest.raises(ValueError, match=f'response "wanted" .*{sentence}'):
+        problem(response, accuracy=accuracy)
+
+
+POINTS = {
+    "an expression": (lambda rig: 2 * rig.bodies["rod"].mass, "gives 0.42. It computes"),
+    "a sum": (lambda rig: sum(rig.bodies["rod"].com), "It computes, and what is computed"),
+    "float": (lambda rig: float(rig.bodies["rod"].mass), "gives 0.21. It computes"),
+    "a name": (lambda rig: rig.bodies["rodd"].mass, 'points at nothing.*Did you mean "rod"'),
+    "a part": (lambda rig: rig.bodies["rod"], "gives a Body"),
+}
+
+
+@pytest.mark.parametrize("name", POINTS)
+def test_a_variable_that_sets_no_number_is_refused_by_its_name(name, nothing_compiles):
+    where, sentence = POINTS[name]
+    with pytest.raises(ValueError, match=f'variable "rod".*{sentence}'):
+        problem(lambda run: run.ended, jc.Variable(where, tolerance=1e-3))
+
+
+def mass(rig):
+    return rig.bodies["rod"].mass
+
+
+DERIVED = {
+    "an expression": (lambda rig: 1 * rig.bodies["rod"].inertia[0], mass, "must be one number"),
+    "a name": (lambda rig: rig.bodies["rodd"].mass, mass, 'place of what.*Did you mean "rod"'),
+    "what it is": (
+        lambda rig: rig.bodies["rod"].inertia[0],
+        lambda rig: rig.bodies["rodd"].mass,
+        'what variable "rod" derives fails with KeyError',
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DERIVED)
+def test_what_a_variable_derives_is_a_number_of_the_mechanism(name, nothing_compiles):
+    where, value, sentence = DERIVED[name]
+    variable = jc.Variable(mass, tolerance=1e-3, derived=[(where, value)])
+    with pytest.raises(ValueError, match=sentence):
+        problem(lambda run: run.ended, variable)
+
+
+def test_responses_of_positions_are_refused_by_their_names():
+    asked = {"positions": {"O": np.linspace(0.0, 1.0, 2)}}
+    for response, sentence in (
+        (lambda found: float(found.body("rod").com[-1, 0]), "leaves JAX in"),
+        (lambda found: found.body("rodd").com[-1, 0], 'no body "rodd"'),
+    ):
+        with pytest.raises(ValueError, match=f'response "wanted" .*{sentence}'):
+            jc.PositionProblem(RIG, {"wanted": response}, {"rod": ROD}, **asked)
+
+
+# Whatever a run tells a response may be asked of a sketch of one.
+TOLD = {
+    "peaks": lambda run: run.extremes.force[0] + run.extremes.indentation[0],
+    "steps": lambda run: run.accepted_steps + run.stats.verdict,
+    "outcome": lambda run: jnp.where(run.succeeded, run.ended, 0.0),
+    "coordinates": lambda run: run.coordinate("O").sum() + run.speed("O").sum(),
+    "reactions": lambda run: jnp.max(run.reaction("A").force),
+    "impulse": lambda run: run.contact_impulse("B")[-1],
+    "drift": lambda run: sum(map(jnp.max, run.drift().values()), 0.0),
+    "a number of the mechanism": lambda run: run.mechanism.bodies["rod"].mass * run.ended,
+    "events": lambda run: run.noted.counts.sum() + run.noted.times.sum(),
+    "states": lambda run: run.states[-1, 0] + run.time[-1],
+}
+
+
+def test_a_sketch_tells_all_that_a_run_does():
+    step = jc.integrator.FixedStep(2e-5)
+    rod = {"rod": ROD}
+    save = jc.Saving(3, events=4)
+    asked = jc.Problem(RIG, TOLD, rod, duration=1e-4, save=save, integrator=step)
+    found = jax.eval_shape(lambda values: asked.evaluate(values), asked.nominal())
+    assert set(found.responses) == set(TOLD)
