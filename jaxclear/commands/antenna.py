@@ -15,6 +15,7 @@ import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands import antenna_figures as draw
 from jaxclear.commands.reported import report_warnings
+from jaxclear.ground.table import as_table
 from jaxclear.scenes.antenna import BASE, BEARING_RADIUS, HOLD, JOINTS, KINDS, TIP, antenna
 
 __all__ = ["friction_runs", "friction_table", "motion_table", "study"]
@@ -64,7 +65,7 @@ def motion_table(runs: dict[str, Any]) -> pandas.DataFrame:
                 row[f"{name} mean normal force [N]"] = float(mean)
                 row[f"{name} mean friction at the saves [N]"] = friction
         rows.append(row)
-    return pandas.DataFrame(rows)
+    return as_table(rows)
 
 
 def friction_table(runs: dict[str, Any]) -> pandas.DataFrame:
@@ -80,7 +81,7 @@ def friction_table(runs: dict[str, Any]) -> pandas.DataFrame:
         row["largest slip while Coulomb sticks [m/s]"] = np.max(slip[held], initial=0.0)
         row["median [m/s]"] = np.median(slip[held]) if held.any() else np.nan
         rows.append(row)
-    return pandas.DataFrame(rows)
+    return as_table(rows)
 
 
 def study(folder: Path, duration: float = 4.0) -> None:
@@ -100,7 +101,7 @@ def study(folder: Path, duration: float = 4.0) -> None:
     for name, table in tables.items():
         table.to_csv(folder / f"{name}.csv", index=False)
     for name in ("motion", "stick_slip"):
-        print(f"\n{tables[name].to_string(index=False, float_format='%.4g')}", flush=True)
+        print(f"\n{tables[name]}", flush=True)
     for drive, error in found.items():
         print(f"\n{drive} drive: {error.sentence()}")
     figures = _figures(periodic, stepped, found)

@@ -127,11 +127,12 @@ def study(scene: str, folder: Path, accuracy: float = 5e-3, show: bool = True) -
     asked = QUESTIONS[scene]()
     options = {"settings": jc.DesignSettings(allowed_excess=accuracy), "progress_bar": show}
     found = asked.designed(store=folder / f"{scene}_store", **options)
-    print(f"{scene}: {found}\n", flush=True)
+    print(f"{scene}\n{found}\n", flush=True)
     tables = {"design": found.table(), "limits": found.limit_table(), "history": found.history()}
     for name, table in tables.items():
         table.to_csv(folder / f"{scene}_{name}.csv", index=False)
-        print(f"{table.to_string(index=False, float_format=lambda x: f'{x:.4g}')}\n")
+        if name != "design":
+            print(f"{table}\n")
     bounds = [share * float(asked.limits[0].bound()) for share in FRONT]
     front = jc.design_front(
         asked.problem, asked.cost, asked.limits, bounds, **asked.choices, **options

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.reported import report_warnings
+from jaxclear.ground.table import as_table
 from jaxclear.plot.canvas import MILLI, canvas, warned
 from jaxclear.scenes.flap import JOINTS, flap
 
@@ -55,13 +56,13 @@ def over_ratio() -> pandas.DataFrame:
     rows = []
     for ratio in LEVER_RATIOS:
         rigs = [flap(clearance=clearance, lever_ratio=ratio) for clearance in CLEARANCES]
-        found = pandas.DataFrame([mean_forces(simulated(rig, STROKE_TIME)) for rig in rigs])
+        found = as_table([mean_forces(simulated(rig, STROKE_TIME)) for rig in rigs])
         row = {"lever ratio": ratio} | {f"{n} [N]": found[n].mean() for n in JOINTS}
         for one, other in PAIRS:
             shares = found[one] / found[other]
             row |= {f"{one}/{other}": shares.mean(), f"{one}/{other} spread": np.ptp(shares)}
         rows.append(row)
-    return pandas.DataFrame(rows)
+    return as_table(rows)
 
 
 def lasting_contact(run: Any, ideal: Any) -> pandas.DataFrame:
@@ -84,7 +85,7 @@ def lasting_contact(run: Any, ideal: Any) -> pandas.DataFrame:
             {"from [s]": begins, "to [s]": ends, "speed off [1]": away}
             | {"acceleration off [1]": shaken}
         )
-    return pandas.DataFrame(rows)
+    return as_table(rows)
 
 
 def phases(run: Any) -> pandas.DataFrame:
@@ -171,7 +172,7 @@ def study(folder: Path, duration: float = 0.5, show: bool = True) -> None:
     shares = spent.pivot_table("time", "joint", "mode", "sum", 0.0) / duration
     print(f"share of the time in each mode\n{shares.to_string(float_format='%.3f')}\n")
     for name in ("lever_ratio", "lasting_contact"):
-        print(f"{tables[name].to_string(index=False, float_format='%.4g')}\n")
+        print(f"{tables[name]}\n")
     figures = {
         "modes": plot.modes(clear),
         "forces": forces_figure(clear),

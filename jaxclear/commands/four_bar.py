@@ -14,6 +14,7 @@ import pandas
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.reported import report_samples, report_warnings
+from jaxclear.ground.table import as_table
 from jaxclear.scenes.four_bar import BEARING_LENGTH, CLEARANCES, four_bar
 
 __all__ = ["paper_runs", "problem", "run_table", "study"]
@@ -98,7 +99,7 @@ def run_table(runs: dict[float, Any]) -> pandas.DataFrame:
         if clearance:
             row |= _load_and_wear(run)
         rows.append(row | {"steps": int(run.accepted_steps), "result": run.result})
-    return pandas.DataFrame(rows)
+    return as_table(rows)
 
 
 def _load_and_wear(run: Any) -> dict[str, float]:
@@ -147,7 +148,7 @@ def study(
 
 
 def _show(table: pandas.DataFrame) -> None:
-    print(f"\n{table.to_string(index=False, float_format='%.4g')}\n", flush=True)
+    print(f"\n{table}\n", flush=True)
 
 
 def _monte_carlo(question: jc.Problem, samples: int, folder: Path, show: bool) -> Any:

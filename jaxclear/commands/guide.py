@@ -16,6 +16,7 @@ import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands import guide_figures as draw
 from jaxclear.commands.reported import report_warnings
+from jaxclear.ground.table import as_table
 from jaxclear.scenes.guide import CRANK_SPEED, guide
 
 __all__ = ["impacts", "study"]
@@ -37,7 +38,7 @@ def impacts(compliant: Any, instants: np.ndarray) -> pandas.DataFrame:
     for instant in instants:
         after = strikes[strikes > instant]
         rows.append((instant, after[0] if len(after) else np.nan))
-    table = pandas.DataFrame(rows, columns=["switching [s]", "next impact [s]"])
+    table = as_table(rows, columns=["switching [s]", "next impact [s]"])
     table["delay [ms]"] = 1e3 * (table["next impact [s]"] - table["switching [s]"])
     return table
 
@@ -83,7 +84,7 @@ def study(
     tables = {"switchings": switchings, "impacts": impacts(compliant, instants)}
     for name, table in tables.items():
         table.to_csv(folder / f"{name}.csv", index=False)
-        print(f"{table.to_string(index=False, float_format='%.6g')}\n")
+        print(f"{table}\n")
     energy = touching.energy_balance()
     error = float(np.abs(np.asarray(energy.error)).max())
     print(

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 import jaxclear as jc
 from jaxclear import plot
+from jaxclear.ground.table import as_table
 from jaxclear.plot.canvas import canvas, readable, warned
 from jaxclear.plot.fitting import key
 from jaxclear.plot.overview import draw_forces
@@ -56,7 +57,7 @@ def keep_positions(scene: jc.Scene, found: Any, folder: Path, name: str) -> pand
             columns |= {
                 f"{what} {axis} [{own.units}]": own.values[:, i] for i, axis in enumerate("xyz")
             }
-    table = pandas.DataFrame(columns)
+    table = as_table(columns)
     table.to_csv(folder / PLACES, index=False)
     plot.positions(found).savefig(folder / "positions.png", dpi=DOTS_PER_INCH)
     data.to_netcdf(folder / STANDING, engine="scipy")
@@ -91,7 +92,7 @@ def joint_table(run: jc.Trajectory) -> pandas.DataFrame:
                 np.asarray(run.worn_depth(name, surface)).max()
             )
         rows.append(row)
-    return pandas.DataFrame(rows)
+    return as_table(rows)
 
 
 def _figures(run: jc.Trajectory) -> dict[str, Figure]:

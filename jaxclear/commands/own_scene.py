@@ -42,7 +42,7 @@ def parameters(scene: Path | None = None) -> None:
     """Prints the numbers of a scene file, or of the four-bar."""
     with _mistakes():
         mechanism = jc.scenes.four_bar() if scene is None else _read(scene).mechanism
-    click.echo(mechanism.parameters().to_string(index=False))
+    click.echo(mechanism.parameters())
 
 
 def run(
@@ -70,7 +70,7 @@ def run(
     click.echo(str(found))
     table = keep(asked, found, folder, scene.name)
     if len(table):
-        click.echo(f"\n{table.to_string(index=False, float_format=lambda x: f'{x:.4g}')}\n")
+        click.echo(f"\n{table}\n")
     report_warnings({scene.stem: found})
     click.echo(f"Data set, figures and tables in {folder.resolve()}; jaxclear report {folder}")
     if not found.succeeded:
@@ -98,7 +98,7 @@ def monte_carlo(
     finally:
         _remember(scene, folder)
     table = found.summary()
-    click.echo(f"\n{table.to_string(index=False, float_format=lambda x: f'{x:.4g}')}\n")
+    click.echo(f"\n{table}\n")
     report_samples(found)
     click.echo(f"Samples in {folder.resolve()}; jaxclear report {folder}")
     if len(found.failed) == found.finished:

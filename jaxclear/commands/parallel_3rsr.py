@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.reported import report_warnings
+from jaxclear.ground.table import as_table
 from jaxclear.plot.canvas import MICRO, MILLI, canvas, warned
 from jaxclear.scenes.parallel_3rsr import PAPER, QUIET, RATTLING, parallel_3rsr, usual_drive
 
@@ -74,7 +75,7 @@ def over_clearance(ideal: np.ndarray) -> pandas.DataFrame:
             away = filtered(force(simulated(own, DENSE * QUIET)) - ideal)
             off[f"{name} [N]"] = np.abs(away).max()
         rows.append({"clearance [m]": clearance} | off)
-    return pandas.DataFrame(rows)
+    return as_table(rows)
 
 
 def deviations(clear: Any, ideal: Any) -> dict[str, float]:
@@ -105,7 +106,7 @@ def volumes(worn: Any, cycles: int) -> pandas.DataFrame:
     middles = np.degrees(0.5 * (edges[1:] + edges[:-1]))
     counts = sorted({max(1, round(share * cycles)) for share in (0.25, 0.5, 0.75, 1.0)})
     rows = [
-        pandas.DataFrame({"cycles": n, "drive angle [deg]": middles, "volume [m3]": per_bin[n - 1]})
+        as_table({"cycles": n, "drive angle [deg]": middles, "volume [m3]": per_bin[n - 1]})
         for n in counts
     ]
     return pandas.concat(rows, ignore_index=True)
@@ -180,14 +181,14 @@ def study(folder: Path, cycles: int = 40, show: bool = True) -> None:
         for name in REGIMES
     ]
     tables = {
-        "deviations": pandas.DataFrame(rows),
+        "deviations": as_table(rows),
         "clearance": over_clearance(force(ideal["quiet"])),
         "volume": volumes(many, cycles),
     }
     for name, table in tables.items():
         table.to_csv(folder / f"{name}.csv", index=False)
     for name in ("deviations", "clearance"):
-        print(f"{tables[name].to_string(index=False, float_format='%.3g')}\n")
+        print(f"{tables[name]}\n")
     deepest, touched = float(depth.max()), float((depth > 0.01 * depth.max()).mean())
     print(
         f"after {cycles} cycles x {FACTOR}: {MILLI * FACTOR * deepest:.3g} mm deep, "

@@ -88,7 +88,7 @@ def study(folder: Path, cycles: float = 1e6, tolerance: float = 1e-2, show: bool
     tables = {"settled": settled.table(), "life": life.table()}
     for name, table in tables.items():
         table.to_csv(folder / f"{name}.csv", index=False)
-    print(f"\n{life.table().to_string(index=False, float_format=lambda x: f'{x:.4g}')}\n")
+    print(f"\n{life.table()}\n")
     print(life.until("depth", TOLD * float(life.over_life("depth")[-1])))
     figures = {"life": plot.wear_life(life), "groove": groove_figure(life)}
     for name, figure in figures.items():

@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxclear.complementarity.outcome import Outcome
 from jaxclear.ground.kinds import as_given
 from jaxclear.ground.quantity import AbstractQuantified
+from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.wording import described
 
 __all__ = [
@@ -62,7 +63,7 @@ def natural_residual(z: Float[Array, " n"], w: Float[Array, " n"]) -> Float[Arra
     return jnp.max(jnp.abs(jnp.minimum(z, w)))
 
 
-class Solution(eqx.Module):
+class Solution(AbstractShown):
     """What a solver hands back: `z` [as the problem's z], `w` [as its w], and `residual`, how far
     they are from a solution [the larger of the two]. Where the outcome is not `SOLVED`, z is the
     last finite iterate and its derivative is zero.
@@ -79,7 +80,7 @@ class Solution(eqx.Module):
         """Whether the solver's tolerance was met."""
         return self.outcome == Outcome.SOLVED
 
-    def __str__(self) -> str:
+    def _shown(self):
         return self.sentence()
 
     def sentence(self) -> str:

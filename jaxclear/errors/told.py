@@ -15,10 +15,11 @@ from jaxtyping import Bool, Float
 
 from jaxclear.errors.observables import named
 from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.table import as_table
 from jaxclear.integrators.promise import PART_OF, Promise
 from jaxclear.results.abstract_response import needs_of
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.results.verification import AbstractVerification, Estimate, Unverified, with_error
+from jaxclear.results.verification import AbstractVerification, Estimate, Unverified
 
 HALF, QUARTER = 0.5, 0.25
 WORDS = {
@@ -29,7 +30,6 @@ WORDS = {
     "losses": "of the largest",
     "drawn": "of itself",
 }
-HEAD = ("answer", "value ± error", "share", "promised")
 
 
 class Told(NamedTuple):
@@ -139,30 +139,23 @@ class Verified(AbstractVerification):
         return getattr(self.promise, PART_OF.get(needs_of(response), ""), None)
 
     def table(self):
-        import pandas
-
         columns = ("name", "value", "error", "unit", "share", "promised")
         rows = [[getattr(told, column) for column in columns] for told in self.told]
-        return pandas.DataFrame(rows, columns=["answer", *columns[1:]])
+        return as_table(rows, columns=["answer", *columns[1:]], errors={"value": "error"})
 
     def attributes(self):
         rows = [f"{t.name}: {t.error:.2g} {t.unit}" for t in self.told]
         return {"numerical errors": "; ".join(rows)}
 
-    def __str__(self) -> str:
-        share = lambda each: "–" if each is None else f"{100 * each:.2g} %"
-        rows = [HEAD] + [
-            (t.name, f"{with_error(t.value, t.error)} {t.unit}", share(t.share), share(t.promised))
-            for t in self.told
-        ]
-        name, number = (max(len(row[k]) for row in rows) for k in (0, 1))
-        of = lambda told: " lost" if told.lost else " beyond" if told.beyond else ""
-        marks = ("", *map(of, self.told))
-        lines = [
-            f"{row[0]:{name}}  {row[1]:{number}}  {row[2]:>9}  {row[3]:>8}{mark}"
-            for row, mark in zip(rows, marks, strict=True)
-        ]
-        return "\n".join([*lines, f"Numerical errors are {self._how()}. {self.why}".rstrip()])
+    def _shown(self):
+        of = lambda told: "lost" if told.lost else "beyond" if told.beyond else ""
+        table = self.table().drop(columns=["share", "promised"])
+        for head in ("share", "promised"):
+            parts = [100 * part for part in self.table()[head]]
+            table[f"{head} [%]"] = [float(f"{part:.2g}") for part in parts]
+        marks = [of(told) for told in self.told]
+        table = table.assign(remark=marks) if any(marks) else table
+        return table, f"Numerical errors are {self._how()}. {self.why}".rstrip()
 
 
 class Failed(AbstractVerification):
@@ -170,7 +163,7 @@ class Failed(AbstractVerification):
 
     result: str = eqx.field(static=True)
 
-    def __str__(self) -> str:
+    def _shown(self):
         return self.warnings[0]
 
     @property

@@ -71,7 +71,7 @@ class Scene(AbstractQuantified):
         by_name("variables", self.variables)
         expect(self.responses, Mapping, "responses of a Scene", "a dictionary from names")
 
-    def __str__(self) -> str:
+    def _shown(self):
         """What it is of, how it is run, and what is asked of it."""
         known = self.mechanism
         lines = [f"Scene{f': {self.description}' if self.description else ''}"]

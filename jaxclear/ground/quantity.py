@@ -191,7 +191,7 @@ class AbstractQuantified(AbstractShown, metaclass=AnsweringMeta):
     that. `print` shows its numbers with their units.
     """
 
-    def __str__(self) -> str:
+    def _shown(self):
         return part_in_words(self)
 
     def __check_init__(self):

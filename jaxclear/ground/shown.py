@@ -3,6 +3,7 @@ not the arrays it is made of. What is shown is read-only: it stays as it was bui
 """
 
 import dataclasses
+import html
 import inspect
 import math
 from abc import abstractmethod
@@ -12,19 +13,27 @@ import equinox as eqx
 
 from jaxclear.ground.wording import public_name, unknown
 
+# Numbers between these need no exponent; an error that is a smaller share is none to be seen.
+SMALL, PLAIN, GIVEN = 1e-3, 1e6, 1e-6
+# Columns of a terminal; lines of a text from which on a notebook folds it.
+WIDTH, MOST_LINES = 80, 12
 # Of a float64; and of a number that a user gave, without the rounding of a sum.
 MOST_DIGITS, GIVEN_DIGITS = 15, 10
 
 
 class AbstractShown(eqx.Module):
-    """What is shown in words."""
+    """What is shown in words and tables."""
 
     @abstractmethod
+    def _shown(self) -> Any:
+        """A text, or texts and tables in their order. The first line of a long one says what it
+        is of."""
+
     def __str__(self) -> str:
-        """The words."""
+        return "\n".join(map(str, self._parts()))
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
-        """IPython's way to ask for them."""
+        """What a console of IPython shows."""
         printer.text(str(self))
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -35,6 +44,14 @@ class AbstractShown(eqx.Module):
 
     def __delattr__(self, name: str) -> NoReturn:
         raise dataclasses.FrozenInstanceError(_read_only(type(self), name))
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        return "".join(map(_in_html, self._parts()))
+
+    def _parts(self) -> tuple[Any, ...]:
+        shown = self._shown()
+        return (shown,) if isinstance(shown, str) else tuple(shown)
 
 
 def _read_only(kind: type, name: str) -> str:
@@ -52,9 +69,25 @@ def _read_only(kind: type, name: str) -> str:
     )
 
 
-def in_rows(table: Any) -> str:
-    """All of a pandas table as text, numbers to seven digits: micrometres beside a metre."""
-    return table.to_string(float_format="{:.7g}".format)
+def shown_in_words(kind: Any) -> Any:
+    """Decorates a class of few words (`__str__`): whatever shows it, a list that it is in too,
+    shows these."""
+    kind.__repr__ = kind.__str__
+    kind._repr_html_ = lambda self: _in_html(str(self))
+    return kind
+
+
+def _in_html(part: Any) -> str:
+    """A part of what is shown; the lines of a long text but the first fold out."""
+    if not isinstance(part, str):
+        return part._repr_html_()
+    first, *others = html.escape(part).split("\n")
+    if not others:
+        return f"<p>{first}</p>"
+    if len(others) < MOST_LINES:
+        return f"<pre>{html.escape(part)}</pre>"
+    folded = "\n".join(others)
+    return f"<details><summary>{first}</summary><pre>{folded}</pre></details>"
 
 
 def left_out(failed: int, samples: str) -> list[str]:
@@ -73,3 +106,28 @@ def in_digits(value: float, error: float, least: int = 5) -> str:
         return f"{value:.{least}g}"
     digits = math.floor(math.log10(abs(value))) - math.floor(math.log10(abs(error))) + 2
     return f"{value:.{min(max(digits, least), MOST_DIGITS)}g}"
+
+
+def in_few(value: float, digits: int) -> str:
+    """A number with so many digits; no exponent for being large below a million, and no -0."""
+    if math.isnan(value):
+        return "–"
+    told = f"{value or 0.0:.{digits}g}"
+    return f"{float(told):.0f}" if "e+" in told and abs(value) < PLAIN else told
+
+
+def with_error(value: float, error: float) -> str:
+    """A number beside its error, with so many digits that two of the error are among them; one
+    exponent for both."""
+    size = max(abs(value), error)
+    if not (math.isfinite(size) and error > GIVEN * size):
+        known = error > 0 and math.isfinite(size)
+        digits = GIVEN_DIGITS if known else 4 if error else 6
+        return f"{in_few(value, digits)} ± {in_few(abs(error), 2)}"
+    power = math.floor(math.log10(size))
+    power = 0 if SMALL <= size < PLAIN else power
+    places = power + 1 - math.floor(math.log10(error))
+    told = [f"{round(own / 10.0**power, places):.{max(places, 0)}f}" for own in (value, error)]
+    if float(told[0]) == 0:
+        told[0] = told[0].lstrip("-")
+    return "({} ± {})e{:+03d}".format(*told, power) if power else " ± ".join(told)

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
 from jaxclear.integrators.checks import Check
 
 # So large a figure is that of a run which grew without bound.
@@ -128,9 +129,7 @@ class Checks(AbstractShown):
     def table(self) -> Any:
         """A pandas table: figure, unit, limit, where and when [s] the worst was met, what it
         concerns, whether it is within its limit."""
-        import pandas
-
-        return pandas.DataFrame(
+        return as_table(
             [
                 {
                     "check": check.label,
@@ -146,20 +145,10 @@ class Checks(AbstractShown):
             ]
         )
 
-    def __str__(self) -> str:
-        rows = self.rows()
-        if not rows:
+    def _shown(self):
+        if not self.named:
             return "This run had nothing to check."
-        labels = [c.label if c.unit == "1" else f"{c.label} [{c.unit}]" for c, *_ in rows]
-        width, places = max(map(len, labels)), max(5, *(len(place) for _, _, place, _ in rows))
-        lines = [f"{'check':{width}}{'figure':>10}{'limit':>10}  {'joint':{places}}  concerns"]
-        for label, (check, worst, place, _) in zip(labels, rows, strict=True):
-            mark = "  <- beyond" if worst > check.limit else ""
-            lines.append(
-                f"{label:{width}}{worst:10.2g}{check.limit:10.2g}  {place or '-':{places}}  "
-                f"{check.concerns}{mark}"
-            )
-        return "\n".join(lines)
+        return (self.table().drop(columns="time [s]"),)
 
 
 def _sentence(check: Check, worst: float, place: str) -> str:

@@ -1,5 +1,6 @@
 """A list of the ways in which a mechanism can be assembled: `assemblies`."""
 
+import itertools
 from typing import Any
 
 import equinox as eqx
@@ -11,12 +12,14 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced
-from jaxclear.ground.shown import AbstractShown, in_rows
+from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import listed
 from jaxclear.multibody import assembly_modes, start_check
 from jaxclear.multibody.assembly import FirstFound, first_found
 from jaxclear.multibody.assembly_modes import Mode
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
+from jaxclear.multibody.own_numbers import coordinate_units
 from jaxclear.multibody.topology import joint_of
 from jaxclear.multibody.turned_round import at_start
 
@@ -52,6 +55,16 @@ class Assemblies(AbstractShown):
             out += [branch.name if count == 1 else f"{branch.name} {i}" for i in range(count)]
         return tuple(out)
 
+    @property
+    def _units(self) -> dict[str, str]:
+        """Units of the columns of the table."""
+        joints = [
+            branch.name for branch in self.mechanism.topology.branches if branch.coordinate_count
+        ]
+        each = itertools.chain(*(coordinate_units(self.mechanism, name) for name in joints))
+        own = {"distance": "rad, arms", "smallest singular value": "1"}
+        return own | dict(zip(self.names, each, strict=True))
+
     def guess(self, index: int) -> dict[str, tuple[float, ...]]:
         """What to give as `Mechanism(guess=)` for a mode: all coordinates of the tree that `start`
         does not give, by joint or floating body [rad, m, parts of a quaternion]. Raises
@@ -63,17 +76,17 @@ class Assemblies(AbstractShown):
 
     def table(self) -> Any:
         """A pandas table: distance, sign, smallest singular value, how often found, coordinates."""
-        import pandas
-
         columns: dict[str, Any] = {
             "distance": self.distance,
             "sign": self.sign,
             "smallest singular value": self.smallest,
             "found": self.found,
         }
-        return pandas.DataFrame(columns | dict(zip(self.names, self.coordinates.T, strict=True)))
+        return as_table(
+            columns | dict(zip(self.names, self.coordinates.T, strict=True)), units=self._units
+        )
 
-    def __str__(self) -> str:
+    def _shown(self):
         many = f"{len(self)} way{'s' * (len(self) != 1)} to assemble"
         said = f"{many}, found by {self.samples} searches; there may be more."
         if not len(self):
@@ -81,7 +94,7 @@ class Assemblies(AbstractShown):
         if self.mechanism.guess:
             guessed = listed(self.mechanism.guess)
             said += f" Distance from the guess of {guessed} in radians and longest arms."
-        return f"{said}\n{in_rows(self.table())}"
+        return said, self.table()
 
 
 @answering

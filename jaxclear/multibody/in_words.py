@@ -24,8 +24,10 @@ AS_NEEDED = "as the integrator needs it: by Projection where its steps open them
 
 
 def in_words(mechanism: Any) -> str:
-    """Bodies, connections, loads, start and speeds, a line each."""
-    lines = []
+    """What it has in the first line; bodies, connections, loads, start and speeds, a line each."""
+    parts = ((p, getattr(mechanism, p)) for p in ("bodies", "connections", "loads", "couplings"))
+    counts = [_counted(part, names) for part, names in parts if names]
+    lines = [f"Mechanism: {', '.join(counts)}"]
     for part, entry in (
         ("bodies", lambda name, body: _numbers(body)),
         ("connections", lambda name, connection: _connection(mechanism, name)),
@@ -46,6 +48,12 @@ def in_words(mechanism: Any) -> str:
     if mechanism.topology.overconstrained:
         lines.append(str(mechanism.topology.redundancy))
     return "\n".join(lines)
+
+
+def _counted(part: str, names: Any) -> str:
+    """How many there are of a part, such as "2 loads"."""
+    one = {"bodies": "body"}.get(part, part.removesuffix("s"))
+    return f"{len(names)} {one if len(names) == 1 else part}"
 
 
 def _load(mechanism: Any, load: Any) -> str:

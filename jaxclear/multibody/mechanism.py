@@ -22,6 +22,7 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractLoad
 from jaxclear.ground.arguments import check_known, expect
 from jaxclear.ground.quantity import IF_ANY, AbstractQuantified, as_number
+from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described
 from jaxclear.multibody import validation
 from jaxclear.multibody.coupled import check_couplings
@@ -148,7 +149,7 @@ class Mechanism(AbstractQuantified):
             for part, own in parts.items()
         }
 
-    def __str__(self) -> str:
+    def _shown(self):
         return in_words(self)
 
     @property
@@ -228,9 +229,7 @@ class Mechanism(AbstractQuantified):
 
     def parameters(self) -> Any:
         """All numbers of the mechanism with unit and meaning, as a pandas table."""
-        import pandas
-
-        return pandas.DataFrame(
+        return as_table(
             [
                 {
                     "name": name,

@@ -14,6 +14,8 @@ from jaxtyping import Array, Bool, Float
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.least_change import Change, least_change, of_rank
+from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.shown import shown_in_words
 from jaxclear.multibody import constraints, given, kinematics
 from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.mechanism import Mechanism
@@ -32,6 +34,7 @@ DAMPING = 1e-2
 LEAST_DAMPING = 1e-12
 
 
+@shown_in_words
 class Start(NamedTuple):
     """Consistent coordinates and speeds, and by name how they meet what is asked of them: what is
     left of each closure [m, 1], its Jacobian, what is left of the loops' rates [m/s, 1/s], by how
@@ -51,6 +54,25 @@ class Start(NamedTuple):
     depths: dict[str, Float[Array, " 2"]]
     away: dict[str, Float[Array, " numbers"]]
     rows: Float[Array, "rows v"]
+
+    def __str__(self) -> str:
+        """How many coordinates there are, and how far it is from what is asked of it."""
+        many = f"A start of {len(self.coordinates)} coordinates and {len(self.speeds)} speeds"
+        if is_traced(self):
+            return f"{many}, traced."
+        left = {
+            "loops are open by {} [m, 1]": self.residuals,
+            "their rates are {} [m/s, 1/s]": self.rates,
+            "given coordinates are missed by {} [rad, longest arms]": self.missed,
+            "given speeds by {} [the same in 1 s]": self.missed_speeds,
+            "guesses are {} away [rad, longest arms]": self.away,
+        }
+        told = [words.format(f"{_largest(own):.2g}") for words, own in left.items() if own]
+        return f"{many}; at the most {', '.join(told)}." if told else f"{many}."
+
+
+def _largest(parts: dict[str, Array]) -> float:
+    return max(float(np.max(np.abs(own), initial=0.0)) for own in parts.values())
 
 
 class Ask(NamedTuple):

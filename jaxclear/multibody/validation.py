@@ -228,7 +228,8 @@ def check_start(bodies: dict, connections: dict, places: dict, speeds: dict) -> 
         joint = _with_coordinates("speeds", name, bodies, connections)
         width = len(joint.columns(joint.home))
         if len(values) != width:
-            raise ValueError(f'speeds of "{name}" need {width} numbers, not {len(values)}.')
+            many = f"{width} number{'s' * (width != 1)}"
+            raise ValueError(f'speeds of "{name}" need {many}, not {len(values)}.')
 
 
 def _with_coordinates(what: str, name: str, bodies: dict, connections: dict) -> AbstractJoint:

@@ -12,6 +12,7 @@ from jaxtyping import Array, Int
 
 from jaxclear.components.clearance import SITUATIONS, situation
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.table import as_table
 from jaxclear.results.histories import check_contact_joint
 from jaxclear.results.state_history import StateHistory, over_time
 
@@ -62,8 +63,6 @@ def switchings(history: StateHistory, name: str) -> Any:
     known to an interval. A line that changes sides within an interval becomes a line again, at the
     instant of no force.
     """
-    import pandas
-
     codes, products, sums, time = (
         np.asarray(x) for x in (situations(history, name), *_sides(history, name), history.time)
     )
@@ -83,4 +82,4 @@ def switchings(history: StateHistory, name: str) -> Any:
             instant = middles[i - 1] + (middles[i] - middles[i - 1]) * before / (before - turned)
         other = ", on the other side" if codes[i] == codes[i - 1] else ""
         rows.append((instant, SITUATIONS[codes[i - 1]], SITUATIONS[codes[i]] + other))
-    return pandas.DataFrame(rows, columns=["time [s]", "from", "to"])
+    return as_table(rows, columns=["time [s]", "from", "to"])

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxclear.ground.table import as_table
 from jaxclear.ground.warning import warn
 from jaxclear.integrators.events import Events
 from jaxclear.results.histories import check_contact_joint
@@ -16,8 +17,6 @@ COLUMNS = ["time [s]", "joint", "contact", "event", "speed [m/s]"]
 def table(history: StateHistory, noted: Events | None, names: tuple[str, ...]) -> Any:
     """The events of joints in the order of time. Raises `ValueError` for a run that kept none, or
     an unknown joint; warns where some were not kept."""
-    import pandas
-
     if noted is None:
         raise ValueError(
             "this run kept no touches and releases; simulate(..., save=Saving(events=10)) keeps 10 "
@@ -34,7 +33,7 @@ def table(history: StateHistory, noted: Events | None, names: tuple[str, ...]) -
             event = "touch" if rate > 0 else "release"
             rows.append((time, own.joint, own.contact, event, abs(rate)))
     warn_of_lost(lost, noted)
-    return pandas.DataFrame(sorted(rows), columns=COLUMNS)
+    return as_table(sorted(rows), columns=COLUMNS)
 
 
 class ContactEvents(NamedTuple):

@@ -17,17 +17,48 @@ from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import AbstractBodyCoupling
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
+from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
 from jaxclear.ground.warning import warn
+from jaxclear.ground.wording import public_name
 from jaxclear.multibody import constraints, dynamics, energy, kinematics, tree
 from jaxclear.multibody.tree import NOTHING
 from jaxclear.results.state_history import StateHistory, check_known, columns, over_time
 
-# Vectors of a clearance joint and numbers of each of its contacts, with their units.
-OF_JOINT = {"offset": "m", "force": "N", "torque": "N m"}
-OF_CONTACT = {"indentation": "m", "normal_force": "N", "slip_speed": "m/s", "traction": "N"}
+# Vectors of a clearance joint and numbers of each of its contacts.
+OF_JOINT = ("offset", "force", "torque")
+OF_CONTACT = ("indentation", "normal_force", "slip_speed", "traction")
 
 
-class BodyHistory(eqx.Module):
+def measured(unit: str) -> Any:
+    """A field of numbers over time, with their unit."""
+    return eqx.field(metadata={"unit": unit})
+
+
+class AbstractHistory(AbstractShown):
+    """Numbers over time: what is shown of each is its shape, and its least and largest."""
+
+    def _shown(self):
+        if is_traced(self):
+            return f"a traced {public_name(type(self))}"
+        units = units_of(type(self)).items()
+        return (as_table([_range(name, np.asarray(getattr(self, name)), u) for name, u in units]),)
+
+
+def units_of(kind: type) -> dict[str, str]:
+    """Unit of each field that has one."""
+    fields: Any = dataclasses.fields(kind)  # type: ignore[arg-type]
+    return {own.name: own.metadata["unit"] for own in fields if "unit" in own.metadata}
+
+
+def _range(name: str, values: np.ndarray, unit: str) -> dict[str, Any]:
+    least, largest = (values.min(), values.max()) if values.size else (np.nan, np.nan)
+    row = {"numbers": name, "unit": unit, "shape": " x ".join(map(str, values.shape))}
+    return row | {"least": float(least), "largest": float(largest)}
+
+
+class BodyHistory(AbstractHistory):
     """Motion of a body in the ground frame: `com` place [m] and `velocity` [m/s] of its centre of
     mass, `rotation` its axes in the ground's (time, 3, 3), `spin` angular velocity [rad/s] in
     ground axes, `origin` place of the body frame [m].
@@ -37,11 +68,11 @@ class BodyHistory(eqx.Module):
     touch), what these add to an acceleration is such a mean too, impacts included.
     """
 
-    com: Float[Array, "time 3"]
-    rotation: Float[Array, "time 3 3"]
-    velocity: Float[Array, "time 3"]
-    spin: Float[Array, "time 3"]
-    origin: Float[Array, "time 3"]
+    com: Float[Array, "time 3"] = measured("m")
+    rotation: Float[Array, "time 3 3"] = measured("1")
+    velocity: Float[Array, "time 3"] = measured("m/s")
+    spin: Float[Array, "time 3"] = measured("rad/s")
+    origin: Float[Array, "time 3"] = measured("m")
     history: StateHistory = eqx.field(repr=False)
     name: str = eqx.field(static=True)
 
@@ -61,14 +92,14 @@ class BodyHistory(eqx.Module):
         return quaternion_from_rotation(np.asarray(self.rotation))
 
 
-class MarkerHistory(eqx.Module):
+class MarkerHistory(AbstractHistory):
     """Motion of a marker in the ground frame: `position` [m] and `rotation`, its axes in the
     ground's; `body`: that of its body. Over the positions of a mechanism that does not move there
     are these alone.
     """
 
-    position: Float[Array, "time 3"]
-    rotation: Float[Array, "time 3 3"]
+    position: Float[Array, "time 3"] = measured("m")
+    rotation: Float[Array, "time 3 3"] = measured("1")
     body: Any
 
     @property
@@ -124,7 +155,7 @@ def marker(read: Callable[[str], Any], body: str | Marker, at: Any) -> MarkerHis
     )
 
 
-class ContactHistory(eqx.Module):
+class ContactHistory(AbstractHistory):
     """A clearance joint over time, in the bearing's axes (the parent's marker); one column per
     possible contact.
 
@@ -135,34 +166,32 @@ class ContactHistory(eqx.Module):
     `table()` has everything under labels with units, over `time` [s].
     """
 
-    time: Float[Array, " time"]
-    offset: Float[Array, "time 3"]
-    axis: Float[Array, "time 3"]
-    indentation: Float[Array, "time contacts"]
-    normal_force: Float[Array, "time contacts"]
-    slip_speed: Float[Array, "time contacts"]
-    traction: Float[Array, "time contacts"]
-    place: Float[Array, "time contacts 3"]
-    force: Float[Array, "time 3"]
-    torque: Float[Array, "time 3"]
+    time: Float[Array, " time"] = measured("s")
+    offset: Float[Array, "time 3"] = measured("m")
+    axis: Float[Array, "time 3"] = measured("1")
+    indentation: Float[Array, "time contacts"] = measured("m")
+    normal_force: Float[Array, "time contacts"] = measured("N")
+    slip_speed: Float[Array, "time contacts"] = measured("m/s")
+    traction: Float[Array, "time contacts"] = measured("N")
+    place: Float[Array, "time contacts 3"] = measured("m")
+    force: Float[Array, "time 3"] = measured("N")
+    torque: Float[Array, "time 3"] = measured("N m")
     names: tuple[str, ...] = eqx.field(static=True)
 
     def table(self) -> Any:
         """A pandas table over time [s], a column for each number, labelled with its unit."""
-        import pandas
-
-        columns = {}
-        for field, unit in OF_JOINT.items():
+        columns = {"time [s]": np.asarray(self.time)}
+        units = units_of(ContactHistory)
+        for field in OF_JOINT:
             for axis, values in zip("xyz", np.asarray(getattr(self, field)).T, strict=True):
-                columns[f"{field} {axis} [{unit}]"] = values
-        for field, unit in OF_CONTACT.items():
+                columns[f"{field} {axis} [{units[field]}]"] = values
+        for field in OF_CONTACT:
             for name, values in zip(self.names, np.asarray(getattr(self, field)).T, strict=True):
-                columns[f"{field.replace('_', ' ')}, {name} [{unit}]"] = values
-        index = pandas.Index(np.asarray(self.time), name="time [s]")
-        return pandas.DataFrame(columns, index=index)
+                columns[f"{field.replace('_', ' ')}, {name} [{units[field]}]"] = values
+        return as_table(columns, index="time [s]")
 
 
-class ReactionHistory(eqx.Module):
+class ReactionHistory(AbstractHistory):
     """`force` [N] and `torque` [N m] that the child receives from the parent at the child's marker,
     in ground axes; those of loads and couplings on the joint's own coordinate included. `unique`:
     False where overconstrained loops leave open how they share what they carry; these reactions
@@ -170,26 +199,26 @@ class ReactionHistory(eqx.Module):
     longest arm.
     """
 
-    force: Float[Array, "time 3"]
-    torque: Float[Array, "time 3"]
+    force: Float[Array, "time 3"] = measured("N")
+    torque: Float[Array, "time 3"] = measured("N m")
     unique: bool = eqx.field(static=True, default=True)
 
 
-class EnergyHistory(eqx.Module):
+class EnergyHistory(AbstractHistory):
     """Energy balance [J]: kinetic + potential + contact_stored + losses = start + input + error.
 
     `contact_stored` [J] in the springs of contacts; lost since the start: `contact_loss` [J] in
     contacts, `friction_loss` [J], `damping_loss` [J] in dampers.
     """
 
-    kinetic: Float[Array, " time"]
-    potential: Float[Array, " time"]
-    contact_stored: Float[Array, " time"]
-    contact_loss: Float[Array, " time"]
-    friction_loss: Float[Array, " time"]
-    damping_loss: Float[Array, " time"]
-    input: Float[Array, " time"]
-    error: Float[Array, " time"]
+    kinetic: Float[Array, " time"] = measured("J")
+    potential: Float[Array, " time"] = measured("J")
+    contact_stored: Float[Array, " time"] = measured("J")
+    contact_loss: Float[Array, " time"] = measured("J")
+    friction_loss: Float[Array, " time"] = measured("J")
+    damping_loss: Float[Array, " time"] = measured("J")
+    input: Float[Array, " time"] = measured("J")
+    error: Float[Array, " time"] = measured("J")
 
 
 def body(history: StateHistory, name: str) -> BodyHistory:

@@ -17,6 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
+from jaxclear.ground.shown import shown_in_words
+from jaxclear.ground.table import as_table
 from jaxclear.integrators.events import Events
 from jaxclear.results.contact_paths import SAVES, START, contact_path
 from jaxclear.results.histories import check_contact_joint, contact
@@ -39,6 +41,7 @@ class Mode(enum.IntEnum):
         return self.name.lower().replace("_", " ")
 
 
+@shown_in_words
 class Phase(NamedTuple):
     """A mode from `start` to `stop` [s]; `approach` [m/s]: speed at the touch, of an impact;
     `known_by`: what tells of its start: an event of the run, its saving times, or that the run
@@ -49,6 +52,10 @@ class Phase(NamedTuple):
     mode: Mode
     approach: float
     known_by: str
+
+    def __str__(self) -> str:
+        speed = f" at {self.approach:.4g} m/s" if self.mode == Mode.IMPACT else ""
+        return f"{self.mode.label}{speed} from {self.start:.6g} to {self.stop:.6g} s"
 
 
 INSTANTS = {
@@ -83,18 +90,14 @@ def phases(history: StateHistory, name: str, noted: Events | None = None) -> lis
 
 def table(history: StateHistory, name: str, noted: Events | None = None) -> Any:
     """The phases as a pandas table."""
-    import pandas
-
     found = phases(history, name, noted)
     rows = [(p.start, p.stop, p.mode.label, p.approach, p.known_by) for p in found]
     labels = ["from [s]", "to [s]", "mode", "approach speed [m/s]", "start known by"]
-    return _told(pandas.DataFrame(rows, columns=labels), noted)
+    return _told(as_table(rows, columns=labels), noted)
 
 
 def combined(history: StateHistory, names: tuple[str, ...], noted: Events | None = None) -> Any:
     """The modes of several joints side by side, as a pandas table: a row whenever one changes."""
-    import pandas
-
     own = {name: phases(history, name, noted) for name in names}
     starts = np.unique([phase.start for each in own.values() for phase in each])
     columns: dict[str, Any] = {
@@ -104,7 +107,7 @@ def combined(history: StateHistory, names: tuple[str, ...], noted: Events | None
     for name, each in own.items():
         place = np.searchsorted([phase.start for phase in each], starts, side="right") - 1
         columns[name] = [each[i].mode.label for i in place]
-    return _told(pandas.DataFrame(columns), noted)
+    return _told(as_table(columns), noted)
 
 
 def _told(found: Any, noted: Events | None) -> Any:

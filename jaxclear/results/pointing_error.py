@@ -15,6 +15,7 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.datasets import Column, dataset
 from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
 from jaxclear.multibody.chain import Chain
 from jaxclear.multibody.product_of_exponentials import TipError
 from jaxclear.results.tip import checked_through, checked_tip, tip_errors
@@ -63,15 +64,13 @@ class PointingError(AbstractShown):
         by the mean square of the latter: shares add up to 1, and one below zero marks a joint that
         makes up for others.
         """
-        import pandas
-
         check_flags("budget", by_play=by_play)
         parts = self._parts(by_play)
         rows = {name: self._row(twist) | self._shares(twist) for name, twist in parts}
         rows["model"] = self._row(self.model) | self._shares(self.model)
         unshared = dict.fromkeys(self._shares(self.model), np.nan)
         rows["exact"] = _sizes(self.pointing_angle, self.position_error) | unshared
-        return pandas.DataFrame.from_dict(rows, orient="index").rename_axis("joint")
+        return as_table([{"joint": name} | row for name, row in rows.items()], index="joint")
 
     def to_dataset(self) -> Any:
         """Everything over the saving times as an xarray Dataset with units and provenance: errors,
@@ -142,7 +141,7 @@ class PointingError(AbstractShown):
             f"largest exact error.{''.join(f' {warning}' for warning in self.warnings)}"
         )
 
-    def __str__(self) -> str:
+    def _shown(self):
         return self.sentence()
 
 

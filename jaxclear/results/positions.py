@@ -24,7 +24,7 @@ from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.given import source
 from jaxclear.multibody.kinematics import relative_motion
-from jaxclear.results.histories import MarkerHistory, marker
+from jaxclear.results.histories import AbstractHistory, MarkerHistory, marker, measured
 from jaxclear.results.state_history import single
 
 # Share of a free motion from which on a freedom takes part in it [1].
@@ -33,13 +33,13 @@ LOOSE = 1e-3
 __all__ = ["Positions"]
 
 
-class BodyPoses(eqx.Module):
+class BodyPoses(AbstractHistory):
     """Bodies in the ground frame at each position: `com` place [m] of the centre of mass,
     `rotation` the body's axes in the ground's, `origin` place of the body frame [m]."""
 
-    com: Float[Array, "positions 3"]
-    rotation: Float[Array, "positions 3 3"]
-    origin: Float[Array, "positions 3"]
+    com: Float[Array, "positions 3"] = measured("m")
+    rotation: Float[Array, "positions 3 3"] = measured("1")
+    origin: Float[Array, "positions 3"] = measured("m")
 
 
 class Positions(AbstractShown):
@@ -89,7 +89,7 @@ class Positions(AbstractShown):
             )
         return tuple(said)
 
-    def __str__(self) -> str:
+    def _shown(self):
         places = ", ".join(
             f"{name} from {own.min():.4g} to {own.max():.4g} {self._unit(name)}"
             for name, own in zip(self.scene.held, np.asarray(self.position).T, strict=True)

@@ -68,7 +68,7 @@ class State(AbstractQuantified):
         """Time [s] at which a run from it begins."""
         return 0.0 if self.motion is None else self.motion.time
 
-    def __str__(self) -> str:
+    def _shown(self):
         if self.motion is not None:
             many, when = len(self.motion.coordinates), float(self.motion.time)
             where = f"State of a motion of {many} coordinates, at {when:.6g} s"

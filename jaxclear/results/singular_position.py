@@ -4,9 +4,12 @@ are not determined."""
 
 import equinox as eqx
 
+from jaxclear.ground.shown import shown_in_words
+
 __all__ = ["SingularPosition", "in_sentences"]
 
 
+@shown_in_words
 class SingularPosition(eqx.Module):
     """A singular position of a run, at the `time` [s]: the loop is the one that `joint` closes.
 

@@ -18,6 +18,7 @@ from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground.arguments import check_count, check_flags, check_known
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
 from jaxclear.integrators.events import Events
 from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.outcome import Outcome
@@ -43,7 +44,7 @@ from jaxclear.results.verification import (
 )
 
 
-class RunStats(eqx.Module):
+class RunStats(AbstractShown):
     """What a run took: steps accepted and rejected; `verdict` on its time loops is a number,
     `loops` its sentence.
     """
@@ -52,13 +53,19 @@ class RunStats(eqx.Module):
     rejected_steps: Int[Array, ""]
     verdict: Int[Array, ""]
 
+    def _shown(self):
+        if is_traced(self) or np.ndim(self.verdict):
+            return "what traced runs, or several, took"
+        taken, tried = int(self.accepted_steps), int(self.rejected_steps)
+        return f"{taken} steps, {tried} more taken back. {self.loops}"
+
     @property
     def loops(self) -> str:
         """Whether the time loops ran as machine code, or why not."""
         return explain(np.max(self.verdict))
 
 
-class Extremes(eqx.Module):
+class Extremes(AbstractShown):
     """The largest of all steps, whatever the saving times: `indentation` [m] of every possible
     contact and normal `force` [N] (None: no contact damps, so that it follows from the
     indentation); `contacts`: their joints."""
@@ -66,6 +73,13 @@ class Extremes(eqx.Module):
     indentation: Float[Array, "*batch contacts"]
     force: Float[Array, "*batch contacts"] | None
     contacts: tuple[str, ...] = eqx.field(static=True)
+
+    def _shown(self):
+        if is_traced(self) or np.ndim(self.indentation) != 1:
+            return "the largest of traced runs, or of several"
+        columns = {"contact in": self.contacts, "indentation": np.asarray(self.indentation)}
+        columns |= {} if self.force is None else {"normal force": np.asarray(self.force)}
+        return (as_table(columns, units={"indentation": "m", "normal force": "N"}),)
 
 
 class Trajectory(AbstractShown):
@@ -172,21 +186,21 @@ class Trajectory(AbstractShown):
 
         Source: Richardson 1911, doi:10.1098/rsta.1911.0009; Roache 1994, J. Fluids Eng. 116, 405.
         """
-        return self.verification.estimate(self, checked(response))
+        return self.verification.estimate(self, checked(response)).of(response, self.mechanism)
 
-    def __str__(self) -> str:
+    def _shown(self):
         if is_traced(self.outcome):
             return repr(self)
         if np.ndim(self.outcome):
             many, ended = np.size(self.outcome), int(np.sum(self.succeeded))
             return f"A batch of {many} runs, of which {ended} reached their end; run[i] is one."
         steps = f"{int(self.accepted_steps)} steps, {len(self.time)} saved instants"
-        lines = [self.result, f"{float(self.ended):.6g} s in {steps}.", str(self.verification)]
+        lines = [self.result, f"{float(self.ended):.6g} s in {steps}."]
         topology = self.mechanism.topology
         known = [f"The loops are {topology.redundancy}"] if topology.overconstrained else []
         if self.succeeded:
             known += in_sentences(tuple(one for one in self.singular_positions if one.passed))
-        return "\n".join([*lines, *known])
+        return *lines, *self.verification._parts(), *known
 
     def state_names(self) -> list[str]:
         """Names of the columns of `states`."""

@@ -5,6 +5,7 @@ tell it, and by which standard answers, is the room `errors`.
 import math
 from abc import abstractmethod
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -12,32 +13,40 @@ import jax
 import numpy as np
 
 from jaxclear.ground.quantity import is_traced
-from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.shown import AbstractShown, in_few, shown_in_words, with_error
+from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described
 
-# Digits of a value beyond the first of its error.
-DIGITS = 2
 
-
+@shown_in_words
 class Estimate(AbstractShown):
     """What was drawn from a run: its `value`, its numerical `error` (nan: not known) in the same
-    unit, and, in `why`, what the error comes from or why it is not known. Of arrays and of
-    collections of numbers the error has their form."""
+    `unit` ("": not told), and, in `why`, what the error comes from or why it is not known. Of
+    arrays and of collections of numbers the error has their form."""
 
     value: Any
     error: Any
     why: str = eqx.field(static=True, default="")
+    unit: str = eqx.field(static=True, default="")
 
-    def __str__(self) -> str:
+    def of(self, response: Any, mechanism: Any) -> "Estimate":
+        """The same with the unit of a response of this mechanism; a plain function has none."""
+        unit_in = getattr(response, "unit_in", None)
+        return self if unit_in is None else replace(self, unit=unit_in(mechanism))
+
+    def _shown(self):
+        unit = "" if self.unit in ("", "1") else f" {self.unit}"
         values, errors = jax.tree.leaves(self.value), jax.tree.leaves(self.error)
         if is_traced((values, errors)):
-            return repr(self)
+            return "a traced number"
         most = max((float(np.max(each, initial=0.0)) for each in errors), default=math.nan)
         if len(values) == 1 and np.ndim(values[0]) == 0 and not isinstance(values[0], str):
             value = float(values[0])
-            return with_error(value, most) if math.isfinite(most) else f"{value:.6g} ({self.why})"
+            if math.isfinite(most):
+                return f"{with_error(value, most)}{unit}"
+            return f"{in_few(value, 6)}{unit} ({self.why})"
         count = sum(np.size(each) for each in values)
-        told = f"each ± {most:.2g} at the most" if math.isfinite(most) else self.why
+        told = f"each ± {most:.2g}{unit} at the most" if math.isfinite(most) else self.why
         return f"{count} numbers ({told})"
 
 
@@ -49,14 +58,6 @@ def checked(response: Any) -> Any:
         f"{described(response)} was given to be estimated; it must be a response, such as "
         'jaxclear.response.MeanContactForce("B"), or a function of a run.'
     )
-
-
-def with_error(value: float, error: float) -> str:
-    """A number beside its error, no more digits of it than the error lets stand."""
-    if not (error > 0 and value != 0 and math.isfinite(value)):
-        return f"{value:.6g} ± {error:.2g}"
-    known = math.floor(math.log10(abs(value))) - math.floor(math.log10(error)) + DIGITS
-    return f"{value:.{min(max(known, 1), 15)}g} ± {error:.2g}"
 
 
 class AbstractVerification(AbstractShown):
@@ -91,7 +92,7 @@ class Unverified(AbstractVerification):
 
     why: str = eqx.field(static=True, default="it has no replicas")
 
-    def __str__(self) -> str:
+    def _shown(self):
         return f"Not verified: {self.why}."
 
     @property
@@ -106,9 +107,7 @@ class Unverified(AbstractVerification):
         return Estimate(response(run), math.nan, f"not verified: {self.why}")
 
     def table(self):
-        import pandas
-
-        return pandas.DataFrame(columns=["answer", "value", "error", "unit", "share", "promised"])
+        return as_table(columns=["answer", "value", "error", "unit", "share", "promised"])
 
     def attributes(self):
         return {"verification": str(self)}

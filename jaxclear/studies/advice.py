@@ -27,6 +27,7 @@ from jaxclear.ground.in_words import as_typed
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, count, inside, numbers
 from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.simulation.beginning import beginning
@@ -297,9 +298,9 @@ class Advice(AbstractShown):
             least = f"at least {FEWEST}" if copies < FEWEST else "more"
             yield f"Where single runs part, as chaotic ones do, ask means over {least} copies."
 
-    def __str__(self) -> str:
+    def _shown(self):
         others = (f"Not {name}: {why}" for name, why in self.why_not().items())
-        return "\n".join([self.sentence(), *others])
+        return self.sentence(), *others
 
     def warnings(self) -> list[str]:
         """What the runs of the recommended setting warn of, in sentences."""
@@ -333,9 +334,7 @@ class Advice(AbstractShown):
     def table(self) -> Any:
         """All trials as a pandas table: work in evaluations of forces in a run, errors as shares of
         the size of a response."""
-        import pandas
-
-        return pandas.DataFrame([self._row(trial) for trial in self.trials])
+        return as_table([self._row(trial) for trial in self.trials])
 
     def _row(self, trial: Trial) -> dict[str, Any]:
         which, error = trial.worst

@@ -74,7 +74,7 @@ class AbstractProblem(AbstractQuantified):
         # By identity, not by its arrays: `jax.jit(problem.evaluate)` looks up its programs by it.
         return id(self)
 
-    def __str__(self) -> str:
+    def _shown(self):
         """How it is asked, the responses and the variables with their units."""
         units, nominal = self.units(), self.nominal()
         lines = [f"{public_name(type(self))} {self.asked_how()}".rstrip(), "responses"]

@@ -32,7 +32,13 @@ from jaxclear.studies.statistics.scrambled import (
     jackknifed,
     quantile,
 )
-from jaxclear.studies.statistics.summary import failure, in_sentences, summary_row, table_of
+from jaxclear.studies.statistics.summary import (
+    failure,
+    in_sentences,
+    summary_of,
+    summary_row,
+    table_of,
+)
 from jaxclear.studies.statistics.tolerance_interval import (
     SIDES,
     ToleranceInterval,
@@ -138,8 +144,8 @@ class MonteCarlo(AbstractShown):
         )
         return " ".join(filter(None, told))
 
-    def __str__(self) -> str:
-        return "\n".join([self.sentence(), *in_sentences(self.summary())])
+    def _shown(self):
+        return self.sentence(), *in_sentences(self.summary())
 
     def table(self) -> Any:
         """All samples as a pandas table: variables, responses, result, warnings and the responses
@@ -166,16 +172,19 @@ class MonteCarlo(AbstractShown):
 
     def mean(self, response: str) -> Statistic:
         """Mean of a response."""
-        return self.statistic(np.mean, response)
+        return self.statistic(np.mean, response).in_unit(self._unit(response))
 
     def standard_deviation(self, response: str) -> Statistic:
         """Standard deviation of a response."""
-        return self.statistic(deviation, response)
+        return self.statistic(deviation, response).in_unit(self._unit(response))
+
+    def _unit(self, response: str) -> str:
+        return self.problem.units()[response]
 
     def quantile(self, response: str, share: float) -> Statistic:
         """The value that a `share` [1] of the samples does not exceed."""
         check_number("share of quantile", share, above=0, below=1)
-        return quantile(*self.good(response), share)
+        return quantile(*self.good(response), share).in_unit(self._unit(response))
 
     def share_within(self, limits: Mapping[str, Limits]) -> Statistic:
         """The yield [1]: the share of samples all of whose responses keep their `limits`, {name:
@@ -216,7 +225,7 @@ class MonteCarlo(AbstractShown):
         kind, (values, group) = normal_interval if normal else free_interval, self.good(response)
         if normal:
             refuse_endless(self.problem, {response: values}, "normal distribution")
-        return kind(values, group, content, confidence, side)
+        return kind(values, group, content, confidence, side).in_unit(self._unit(response))
 
     def error_budget(self, response: str) -> dict[str, Statistic]:
         """What each variable contributes to the variance of a response [its unit squared], and what
@@ -224,7 +233,10 @@ class MonteCarlo(AbstractShown):
         responses, group = self.good(response)
         refuse_endless(self.problem, {response: responses}, "variance")
         values = np.delete(self.values, self.failed, axis=0)
-        return error_budget(values, responses, group, self.problem.names)
+        unit = self._unit(response)
+        squared = f"{unit if unit.isalnum() else f'({unit})'}^2" if unit != "1" else unit
+        parts = error_budget(values, responses, group, self.problem.names)
+        return {name: part.in_unit(squared) for name, part in parts.items()}
 
     def summary(self, limits: Mapping[str, Limits] | None = None) -> Any:
         """Mean, standard deviation and percentiles of each response as a pandas table, each with
@@ -234,11 +246,9 @@ class MonteCarlo(AbstractShown):
         "warned" counts the samples with a warning that concerns the response; the last two columns
         leave them out, all others take them in.
         """
-        import pandas
-
         limits = {} if limits is None else limits
         check_limits(limits, self.responses)
-        return pandas.DataFrame([summary_row(self, name, limits) for name in self.responses])
+        return summary_of([summary_row(self, name, limits) for name in self.responses])
 
 
 @answering
@@ -257,7 +267,7 @@ def monte_carlo(
     """Responses over a random sample of the variables.
 
     `sampling`: "sobol" (scrambled, quasi-random) or "random". The sample consists of independent
-    `scramblings`, by default near its root and at most 16, whose differences tell the error of
+    `scramblings`, by default near its root and at most 8, whose differences tell the error of
     every statistic. `accuracy`: half of the 95 % interval of each mean, as a share of the
     response's root mean square [1], or by response in its unit; samples are then doubled until it
     is reached, and `samples` are the most. `chunk`: samples run together, by

@@ -23,7 +23,8 @@ import scipy
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
-from jaxclear.ground.shown import AbstractShown, in_rows
+from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.figures import Checks
 from jaxclear.studies.base import AbstractProblem
@@ -43,7 +44,7 @@ MOST_CORNERS = 2**10
 SHORTEST, MOST_ROUNDS = 1e-3, 60
 
 
-class Extreme(eqx.Module):
+class Extreme(AbstractShown):
     """The least or largest value found of a response [its unit], `values` (variables,) where it
     occurs, and the value of first order there: nominal and slopes times deviations, nan where
     there are no slopes."""
@@ -51,6 +52,9 @@ class Extreme(eqx.Module):
     value: float
     values: np.ndarray
     first_order: float
+
+    def _shown(self):
+        return f"{self.value:.6g} (of first order {self.first_order:.6g})"
 
 
 class WorstCase(AbstractShown):
@@ -69,8 +73,8 @@ class WorstCase(AbstractShown):
     runs: int = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
-    def __str__(self) -> str:
-        return "\n".join([in_rows(self.table()), *self.warnings])
+    def _shown(self):
+        return self.table(), *self.warnings
 
     def to_dataset(self) -> Any:
         """Everything as an xarray Dataset by response, end and variable, with provenance."""
@@ -79,8 +83,6 @@ class WorstCase(AbstractShown):
     def table(self) -> Any:
         """A pandas table, a row a response: nominal, least and largest, of first order and found,
         and where."""
-        import pandas
-
         rows = []
         for name, nominal in self.nominal.items():
             row = {"response": name, "unit": self.problem.units()[name], "nominal": nominal}
@@ -90,7 +92,9 @@ class WorstCase(AbstractShown):
                 places = zip(self.problem.names, found.values, strict=True)
                 row |= {f"{label}: {variable}": value for variable, value in places}
             rows.append(row)
-        return pandas.DataFrame(rows)
+        places = zip(self.problem.names, self.problem.variable_units, strict=True)
+        units = {f"{end}: {n}": unit for n, unit in places for end in ("least", "largest")}
+        return as_table(rows, units=units)
 
 
 @answering

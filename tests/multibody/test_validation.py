@@ -345,8 +345,11 @@ def out_of_reach():
 
 
 STARTS = {
-    "coordinates": (lambda: rig(start={"pin": (1.0, 2.0)}), 'start of "pin" needs 1 numbers'),
-    "speeds": (lambda: rig(speeds={"pin": (1.0, 2.0)}), 'speeds of "pin" need 1 numbers, not 2'),
+    "coordinates": (
+        lambda: rig(start={"pin": (1.0, 2.0)}),
+        'start of "pin" needs 1 number [rad]',
+    ),
+    "speeds": (lambda: rig(speeds={"pin": (1.0, 2.0)}), 'speeds of "pin" need 1 number, not 2'),
     "loop that cannot close": (
         lambda: four_bar(last=(3.0, 0.0, 0.0)),
         'loop through joint "." cannot be closed',

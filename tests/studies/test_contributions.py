@@ -71,18 +71,49 @@ def test_indices_are_those_of_salib(indices):
 
 
 def test_intervals_of_indices_hold():
-    """Three linear parts in a ratio of 1, 4, 9: of 40 studies fewer than 32 by chance never."""
+    """Three parts with kinks and a jump: of 40 studies fewer than 32 by chance never."""
     stack = jc.FunctionProblem(
-        lambda a, b, c: a + 2 * b + 3 * c, {n: jc.Dimension(0.0, D.Normal(1.0)) for n in "abc"}
+        lambda a, b, c: a + 2 * jnp.abs(b) + 3 * jnp.sign(c),
+        {n: jc.Dimension(0.0, D.Normal(1.0)) for n in "abc"},
     )
+    variances = np.array([1.0, 4.0 * (1.0 - 2.0 / np.pi), 9.0])
     held = np.zeros(6)
     for seed in range(40):
         found = jc.sobol_indices(stack, 256, seed=seed)
         told = [found.first["response", n] for n in "abc"]
         told += [found.total["response", n] for n in "abc"]
-        exact = np.tile(np.array([1, 4, 9]) / 14, 2)
+        exact = np.tile(variances / variances.sum(), 2)
         held += [one.low <= e <= one.high for one, e in zip(told, exact, strict=True)]
     assert held.min() >= 32
+
+
+def test_what_a_polynomial_explains_has_exact_indices():
+    """Of bounded and single sizes too; the surface by itself needs no runs."""
+    laws = {"a": D.Normal(1.0), "b": D.Uniform(0.5), "c": D.Discrete((-0.1, 0.0, 0.4))}
+    problem = jc.FunctionProblem(
+        lambda a, b, c: a * (1.0 + b) + 3.0 * c**2,
+        {name: jc.Dimension(0.0, own) for name, own in laws.items()},
+    )
+    sizes = np.array([-0.1, 0.0, 0.4])
+    parts = np.array([1.0, 0.0, 9.0 * np.var(sizes**2)])
+    product = 0.5**2 / 3.0
+    whole = parts.sum() + product
+    first, total = parts / whole, (parts + np.array([product, product, 0.0])) / whole
+    for found in (jc.sobol_indices(problem, 64), jc.sobol_indices(jc.surface(problem, 64))):
+        for i, name in enumerate("abc"):
+            # Single sizes are summed up to a share of 1e-4.
+            assert found.first["response", name].value == pytest.approx(first[i], abs=1e-4)
+            assert found.total["response", name].value == pytest.approx(total[i], abs=1e-4)
+    assert found.runs == 0 and found.first["response", "a"].error < 1e-6
+
+
+def test_a_surface_says_what_its_indices_leave_out():
+    """The polynomial of degree 4 explains two thirds of Ishigami's function."""
+    found = jc.sobol_indices(jc.surface(ISHIGAMI, 256))
+    for i, name in enumerate("xyz"):
+        for told, exact in ((found.first, FIRST), (found.total, TOTAL)):
+            own = told["response", name]
+            assert own.low <= exact[i] <= own.high and own.error > 0.1
 
 
 def test_indices_of_correlated_variables_are_refused():

@@ -9,7 +9,7 @@ from scipy import stats
 
 import jaxclear as jc
 from jaxclear.studies.sampling import draw, groups
-from jaxclear.studies.sensitivity.derivative import combined, confirmed, from_parts
+from jaxclear.studies.sensitivity.derivative import confirmed, from_parts
 from jaxclear.studies.sensitivity.differences import differences, moved
 from jaxclear.studies.sensitivity.direction import directions
 from jaxclear.studies.sensitivity.functional import Functional
@@ -152,24 +152,18 @@ def test_correlated_variables_move_one_by_one():
     assert "correlated" in told.estimates["regression"].refusal
 
 
-def test_methods_that_agree_are_combined_with_the_least_variance():
-    rng = np.random.default_rng(0)
-    errors = {"one": [], "other": [], "both": []}
-    inside = 0
-    for _ in range(300):
-        estimates = {
-            "one": from_parts(1.0 + rng.normal(size=16)),
-            "other": from_parts(1.0 + 1.5 * rng.normal(size=16)),
-        }
-        joined = combined(estimates) or estimates["one"]
-        inside += abs(joined.value - 1.0) <= joined.error
-        for name, e in (estimates | {"both": joined}).items():
-            errors[name].append(e.value - 1.0)
-    rms = {name: np.sqrt(np.mean(np.square(e))) for name, e in errors.items()}
-    # 0.83 of the better one at best.
-    assert rms["both"] < 0.95 * rms["one"] and inside / 300 > 0.91
-    found = confirmed("r", "v", estimates)
-    assert found.method in ("one and other", "other and one", "one", "other")
+def test_differences_of_few_samples_confirm_and_do_not_replace():
+    """What states the smaller error may lack a branch: sixteen differences of 0.2 % beside a
+    regression of 1 %. Of 10 000 samples they are the answer, with what none of these may have
+    seen."""
+    wide = from_parts(np.linspace(0.9, 1.1, 16), 1024)
+    few, many = (from_parts(np.linspace(0.98, 1.02, 16), count) for count in (16, 10_000))
+    assert few.error < wide.error and few.unseen == pytest.approx(6 / 16, rel=1e-2)
+    found = confirmed("r", "v", {"regression": wide, "differences": few})
+    assert found.method == "regression" and found.error == wide.error and found.trustworthy
+    found = confirmed("r", "v", {"regression": wide, "differences": many})
+    assert found.method == "differences"
+    assert found.error == pytest.approx(np.hypot(many.error, many.unseen))
 
 
 def test_a_verdict_is_right():
@@ -178,18 +172,12 @@ def test_a_verdict_is_right():
     rng = np.random.default_rng(1)
     right = wrong = 0
     for _ in range(200):
-        one, other = (from_parts(1.0 + rng.normal(size=16)) for _ in range(2))
+        one, other = (from_parts(1.0 + rng.normal(size=16), 256) for _ in range(2))
         right += confirmed("r", "v", {"a": one, "b": other}).trustworthy
         off = 3 * np.hypot(one.error, other.error)
-        biased = from_parts(np.array(other.parts) + off)
+        biased = other._replace(value=other.value + off)
         wrong += not confirmed("r", "v", {"a": one, "b": biased}).trustworthy
     assert right >= 194 and wrong >= 190
-
-
-def test_a_biased_method_is_not_combined():
-    sure = from_parts(np.linspace(0.9, 1.1, 16))
-    biased = from_parts(np.linspace(0.9, 1.1, 16), bias=0.1)
-    assert combined({"a": sure, "b": biased}) is None and biased.error > 0.1
 
 
 @pytest.mark.parametrize(
@@ -240,7 +228,7 @@ def test_a_confirmation_costs_a_quarter_of_what_it_confirms(rough):
     the first 16 of them are enough to show that nothing is wrong with it."""
     found = [answer.estimates for answer in rough]
     assert [own["differences"].runs for own in found].count(64) >= 7
-    assert all(own["regression"].runs == 256 for own in found)
+    assert all(own["regression"].runs == 320 for own in found)
     assert all(answer.value == answer.estimates["regression"].value for answer in rough)
     # Of a cubic through so many samples the part that is known is exact.
     assert sum(abs(answer.value - 1.0) <= answer.error for answer in rough) >= 7
@@ -267,16 +255,18 @@ def test_differences_go_on_where_they_are_the_more_certain():
     found = jc.sensitivity(waves, "x").derivatives["response", "x"]
     assert found.estimates["differences"].runs == 512 and found.method == "differences"
     assert found.trustworthy and found.value == pytest.approx(1.0, abs=1e-9)
+    # None of 128 samples may have seen a branch of 3/128 that turns round.
+    assert found.error == pytest.approx(6 / 128, rel=1e-2)
 
 
 def test_agreement_that_says_little_is_told():
     estimates = {
-        "regression": from_parts(np.linspace(0.5, 1.5, 16)),
-        "differences": from_parts(np.linspace(-3.0, 5.0, 16)),
+        "regression": from_parts(np.linspace(0.5, 1.5, 16), 256),
+        "differences": from_parts(np.linspace(-3.0, 5.0, 16), 128),
     }
     found = confirmed("r", "v", estimates)
     assert found.trustworthy and found.value == pytest.approx(1.0)
-    told = f"Agreement is within ±{estimates['differences'].error:.2g} only."
+    told = f"Agreed by regression and differences within ±{estimates['differences'].error:.2g}."
     assert told in found.verdict and estimates["differences"].error > 1.0
 
 

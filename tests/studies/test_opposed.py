@@ -70,8 +70,7 @@ def rattling(x, y):
 
 
 def test_what_rattles_is_confirmed_by_whole_distributions_and_not_by_ever_more_small_steps():
-    """Small steps are vague whatever the sample; pairs confirm with 32 runs more, and the answer
-    is more certain than that of either method by itself."""
+    """Small steps are vague whatever the sample; pairs confirm with 32 runs more."""
     plain = jc.distribution.Normal(1.0)
     problem = jc.FunctionProblem(
         rattling, {"x": jc.Dimension(0.0, plain), "y": jc.Dimension(0.0, plain)}
@@ -79,7 +78,7 @@ def test_what_rattles_is_confirmed_by_whole_distributions_and_not_by_ever_more_s
     off, runs, sure, held = [], [], [], []
     for seed in range(16):
         found = jc.sensitivity(problem, "x", seed=seed).derivatives["response", "x"]
-        off.append({n: e.value - 0.5 for n, e in found.estimates.items()} | {"": found.value - 0.5})
+        off.append({n: e.value - 0.5 for n, e in found.estimates.items()})
         runs.append(found.estimates["differences"].runs)
         sure.append(found.trustworthy)
         held.append(abs(found.value - 0.5) <= found.error)
@@ -89,7 +88,6 @@ def test_what_rattles_is_confirmed_by_whole_distributions_and_not_by_ever_more_s
     # Of 400 seeds the variance times runs is 1.9 that of the regression, in which the 64 runs of
     # the first look count.
     assert np.mean(runs) * scatter["differences"] ** 2 < 2.5 * 256 * scatter["regression"] ** 2
-    assert scatter[""] < scatter["regression"]
 
 
 def test_pairs_of_a_skewed_variable_know_how_far_they_are_off():

@@ -73,7 +73,7 @@ def test_standard_errors_are_the_scatter_of_means(studies):
 
 
 def test_a_sample_consists_of_scramblings_of_equal_length(studies):
-    assert np.bincount(studies[0].scrambling).tolist() == [16] * 16
+    assert np.bincount(studies[0].scrambling).tolist() == [32] * 8
     assert np.bincount(jc.monte_carlo(STACK, 100).scrambling).tolist() == [13] * 4 + [12] * 4
     assert len(np.unique(jc.monte_carlo(STACK, 64, scramblings=4).scrambling)) == 4
 

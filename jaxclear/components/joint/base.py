@@ -133,7 +133,9 @@ def drive_of(joint: Any) -> AbstractDrive | None:
 def complete(joint: AbstractJoint, given: tuple) -> tuple:
     """The coordinates given, if there is one for each of the joint's."""
     if len(given) != len(joint.home):
-        raise ValueError(f"needs {len(joint.home)} numbers {joint.units}, not {len(given)}.")
+        many = len(joint.home)
+        units = f" [{', '.join(joint.units)}]" if many else ""
+        raise ValueError(f"needs {many} number{'s' * (many != 1)}{units}, not {len(given)}.")
     return given
 
 

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from jaxclear.ground.arguments import check_known
+from jaxclear.ground.shown import shown_in_words
 from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.dataset import dataset_of
@@ -19,7 +20,7 @@ from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.limits import Limits, check_limits
 from jaxclear.studies.statistics.numerical_error import NumericalError
 from jaxclear.studies.statistics.scrambled import Statistic
-from jaxclear.studies.statistics.summary import summary_row
+from jaxclear.studies.statistics.summary import summary_of, summary_row
 from jaxclear.studies.statistics.tolerance_interval import ToleranceInterval
 from jaxclear.studies.store import first_difference
 from jaxclear.studies.texts import in_texts
@@ -30,6 +31,7 @@ __all__ = ["READ", "Campaign"]
 READ = 1 << 16
 
 
+@shown_in_words
 class Campaign:
     """The finished samples in a folder. Statistics are those of `MonteCarlo`, computed from one
     response at a time; `sample` is the whole study in memory, with all that it can be asked.
@@ -164,12 +166,10 @@ class Campaign:
 
     def summary(self, limits: Mapping[str, Limits] | None = None) -> Any:
         """The table of `MonteCarlo.summary`, one response at a time."""
-        import pandas
-
         names = self.problem.response_names
         limits = {} if limits is None else limits
         check_limits(limits, names)
-        return pandas.DataFrame([summary_row(self._reduced(n), n, limits) for n in names])
+        return summary_of([summary_row(self._reduced(n), n, limits) for n in names])
 
     def to_dataset(self) -> Any:
         """All samples as an xarray Dataset that is read when it is used: variables and responses by

@@ -6,7 +6,8 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.shown import AbstractShown, as_written, in_digits
+from jaxclear.ground.shown import AbstractShown, as_written, in_digits, in_few
+from jaxclear.ground.table import as_table
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_design
 from jaxclear.studies.design.abstract_limit import AbstractLimit
@@ -146,8 +147,8 @@ class Design(AbstractShown):
         ]
         return " ".join([*said, ENDINGS[self.ended]]).rstrip()
 
-    def __str__(self) -> str:
-        return self.sentence()
+    def _shown(self):
+        return self.table(), self.sentence()
 
     def unit(self, i: int) -> str:
         """Unit of a limited number."""
@@ -181,13 +182,12 @@ class Design(AbstractShown):
             step = 0.01 * abs(float(limit.bound())) or 1.0
             named = f"{step:.3g} {self.unit(i)}".removesuffix(" 1")
         way = "more" if limit.upper() else "less"
-        return f"The limit on the {limit.words()} decides: {named} {way} saves {price * step:.3g}."
+        saved = in_few(price * step, 3)
+        return f"The limit on the {limit.words()} decides: {named} {way} saves {saved}."
 
     def table(self) -> Any:
         """A pandas table of all variables: nominal value, tolerance, whether each was chosen, and
         its catalogue's name."""
-        import pandas
-
         freedom = self.question.freedom
         rows = []
         for variable, name in enumerate(freedom.names):
@@ -203,7 +203,7 @@ class Design(AbstractShown):
                     "catalogue": " ".join(filter(None, labels)),
                 }
             )
-        return pandas.DataFrame(rows)
+        return as_table(rows)
 
     def to_dataset(self) -> Any:
         """Variables, limits and rounds as an xarray Dataset, with provenance."""
@@ -212,8 +212,6 @@ class Design(AbstractShown):
     def limit_table(self) -> Any:
         """A pandas table of the limits: number, 95 % error, bound, whether it holds, price of a
         unit of the bound."""
-        import pandas
-
         rows = []
         for i, limit in enumerate(self.limits):
             rows.append(
@@ -228,13 +226,12 @@ class Design(AbstractShown):
                     "price": self.prices[i],
                 }
             )
-        return pandas.DataFrame(rows)
+        units = {"price": "cost a unit"}
+        return as_table(rows, units=units, errors={"number": "error"})
 
     def history(self) -> Any:
         """A pandas table, a row a round: cost, largest excess by new runs, runs so far, what the
         surface covered of the bounds, the least leave-one-out R2 of a limited response."""
-        import pandas
-
         limited = {limit.response for limit in self.limits}
         rows = []
         for one in self.rounds:
@@ -249,7 +246,8 @@ class Design(AbstractShown):
                     "least R2": min(quality, default=1.0),
                 }
             )
-        return pandas.DataFrame(rows)
+        units = dict.fromkeys(("largest excess", "region", "least R2"), "1")
+        return as_table(rows, units=units)
 
 
 def prices_of(question: Question, multipliers: np.ndarray, samples: list) -> np.ndarray:

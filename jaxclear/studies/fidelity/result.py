@@ -7,10 +7,12 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.shown import AbstractShown, in_rows
+from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_rows
 from jaxclear.studies.statistics.scrambled import Statistic
+from jaxclear.studies.statistics.summary import ERRORS
 
 
 class MultiFidelity(AbstractShown):
@@ -101,8 +103,8 @@ class MultiFidelity(AbstractShown):
             "jaxclear.monte_carlo of the cheaper problem says why."
         )
 
-    def __str__(self) -> str:
-        return f"{self.sentence()}\n{in_rows(self.table())}"
+    def _shown(self):
+        return self.sentence(), self.table()
 
     def to_dataset(self) -> Any:
         """The table as an xarray Dataset by response, with provenance."""
@@ -113,8 +115,6 @@ class MultiFidelity(AbstractShown):
     def table(self) -> Any:
         """A pandas table: one row a response; mean and standard deviation with 95 % errors, how
         much was gained, and the correlation with each cheaper model."""
-        import pandas
-
         units = self.problem.units()
         rows = []
         for name, mean in self.means.items():
@@ -132,7 +132,7 @@ class MultiFidelity(AbstractShown):
                 f"correlation with {m}": c for (m, r), c in self.correlations.items() if r == name
             }
             rows.append(row | told)
-        return pandas.DataFrame(rows).set_index("response")
+        return as_table(rows, index="response", errors=ERRORS)
 
 
 def _work(cost: float) -> str:

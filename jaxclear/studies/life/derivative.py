@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_known, check_number, expect
+from jaxclear.ground.shown import shown_in_words
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.life.living import Living
@@ -29,6 +30,7 @@ AGREED = 0.1
 POWER = 4
 
 
+@shown_in_words
 class LifeDerivative(NamedTuple):
     """Derivative of a life with respect to a variable, in `unit`: its `value`, half the width of a
     95 % interval (nan where there is none), and a sentence."""

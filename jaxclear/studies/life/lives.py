@@ -13,6 +13,7 @@ import numpy as np
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
 from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.datasets import of_rows
@@ -66,7 +67,7 @@ class WearLives(AbstractShown):
             f"warnings.{worst}"
         )
 
-    def __str__(self) -> str:
+    def _shown(self):
         return self.sentence()
 
     def to_dataset(self) -> Any:
@@ -78,8 +79,6 @@ class WearLives(AbstractShown):
     def table(self) -> Any:
         """A pandas table, a row a life: variables, cycles reached, the quantities at the end, the
         error of the depth, how it ended, warnings."""
-        import pandas
-
         rows = []
         ended = self.ended
         for i, (values, life) in enumerate(zip(self.values, self.lives, strict=True)):
@@ -92,7 +91,8 @@ class WearLives(AbstractShown):
                 row["error of depth"] = life.error
             warnings = " ".join(life.warnings) if life else ""
             rows.append(row | {"ended": ended.get(i, ""), "warnings": warnings})
-        return pandas.DataFrame(rows)
+        units = dict(zip(self.problem.names, self.problem.variable_units, strict=True))
+        return as_table(rows, units=units | {"error of depth": "1"})
 
 
 @answering

@@ -13,7 +13,8 @@ from jax.flatten_util import ravel_pytree
 
 from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.ground.datasets import provenance
-from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.shown import AbstractShown, shown_in_words
+from jaxclear.ground.table import as_table
 from jaxclear.integrators.figures import Checks
 from jaxclear.results.response import concerned
 from jaxclear.results.saved_state import State
@@ -32,6 +33,7 @@ DEPTH, VOLUME = "depth", "volume"
 TINY = np.finfo(float).tiny
 
 
+@shown_in_words
 class Lifetime(NamedTuple):
     """Cycles after which a limit is reached (`inf` where it is not within the life that was asked
     for), half the width of a 95 % interval, and a sentence."""
@@ -242,8 +244,8 @@ class WearLife(AbstractShown):
             )
         return text
 
-    def __str__(self) -> str:
-        return "\n".join([self.sentence(), *self.warnings])
+    def _shown(self):
+        return self.sentence(), *self.warnings
 
     def concerned(self, response: str) -> bool:
         """Whether a warning concerns this response."""
@@ -256,21 +258,22 @@ class WearLife(AbstractShown):
     def table(self) -> Any:
         """A pandas table, a row a stage: cycles, depths, volumes, the error of the depth [1],
         whether the motion is periodic, responses with their standard errors."""
-        import pandas
-
         columns: dict[str, Any] = {"cycles": self.cycles}
+        shares = ("error of depth", "error of volume", "by saving times")
+        errors = {}
         for name, unit in self.quantities.items():
             label = name if unit == "1" else f"{name} [{unit}]"
             columns[label] = self.over_life(name)
             if name in self.problem.response_names:
-                columns[f"{name} error"] = [
+                errors[label] = f"{name} error"
+                columns[errors[label]] = [
                     stage.settled.responses()[name][1] for stage in self.stages
                 ]
         columns["error of depth"] = self.errors
         columns["error of volume"] = self.errors_of_volume
         columns["by saving times"] = self.by_saves
         columns["periodic"] = [stage.settled.periodic for stage in self.stages]
-        return pandas.DataFrame(columns)
+        return as_table(columns, units=dict.fromkeys(shares, "1"), errors=errors)
 
     def to_dataset(self) -> Any:
         """Everything as an xarray Dataset over cycles: maps and rates of all surfaces, responses,

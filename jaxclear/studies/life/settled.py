@@ -13,6 +13,7 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
@@ -110,8 +111,8 @@ class Settled(AbstractShown):
         error = correlation_factor(lost) * standard_error(lost) / lost.mean()
         return f"{means}; the volume worn in a cycle is known to {100 * error:.2g} % (one sigma)."
 
-    def __str__(self) -> str:
-        return "\n".join([self.sentence(), *self.warnings])
+    def _shown(self):
+        return self.sentence(), *self.warnings
 
     def to_dataset(self) -> Any:
         """The table as an xarray Dataset over the cycles, with provenance."""
@@ -126,8 +127,6 @@ class Settled(AbstractShown):
     def table(self) -> Any:
         """A pandas table, a row a cycle: how far its ends are apart and where most, the volume
         [m^3] lost by each surface, the responses, whether it is taken as the motion."""
-        import pandas
-
         rows = []
         for number, one in enumerate(self.settling.cycles, 1):
             lost = {
@@ -143,7 +142,7 @@ class Settled(AbstractShown):
                 for name, value in one.responses.items()
             }
             rows.append(row | lost | told)
-        return pandas.DataFrame(rows)
+        return as_table(rows, units={"apart": "1"})
 
 
 @answering

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from jaxclear.ground.shown import shown_in_words
 from jaxclear.studies.reliability.models import AbstractModel
 
 # A point is found where the limit and the nearest point are this near, in deviations.
@@ -38,6 +39,7 @@ FLAT = 1e-6
 STARTS, AGAIN, START_RADIUS, OFF_MIDDLE = 6, 3, 2.5, 0.3
 
 
+@shown_in_words
 class DesignPoint(NamedTuple):
     """A likeliest failing part: `normal` z (variables,), `beta` its distance from the middle,
     negative where the middle fails; the limits of `cut` that are broken at once, their `directions`
@@ -50,6 +52,9 @@ class DesignPoint(NamedTuple):
     directions: np.ndarray
     betas: np.ndarray
     slopes: np.ndarray
+
+    def __str__(self) -> str:
+        return f"a design point {self.beta:.4g} standard deviations from the middle"
 
     @property
     def importance(self) -> np.ndarray:

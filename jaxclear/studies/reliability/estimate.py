@@ -4,9 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxclear.ground.shown import shown_in_words
 from jaxclear.studies.statistics.scrambled import student
 
 
+@shown_in_words
 class Probability(NamedTuple):
     """Probability of failing [1] by one method. `variation` is its coefficient of variation, the
     standard error over the value; nan where a method does not know its own error. It is that of
@@ -29,6 +31,13 @@ class Probability(NamedTuple):
             return np.nan, np.nan
         width = student(self.blocks) * self.variation * self.value
         return max(self.value - width, 0.0), min(self.value + width, 1.0)
+
+    def __str__(self) -> str:
+        if self.refusal:
+            return f"no answer: {self.refusal}"
+        low, high = self.interval
+        known = f", 95 %: {low:.3g} to {high:.3g}" if np.isfinite(low) else ", its error not known"
+        return f"{self.value:.3g} ({self.runs} runs{known})"
 
 
 def refused(why: str, runs: int = 0, failed: int = 0) -> Probability:

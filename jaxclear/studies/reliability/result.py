@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 
 from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_reliability
 from jaxclear.studies.limit_state import AbstractLimitState
@@ -89,8 +90,6 @@ class Reliability(AbstractShown):
 
     def table(self) -> Any:
         """A pandas table: one row a method."""
-        import pandas
-
         rows = [
             {
                 "method": name,
@@ -104,7 +103,7 @@ class Reliability(AbstractShown):
             }
             for name, own in self.estimates.items()
         ]
-        return pandas.DataFrame(rows).set_index("method")
+        return as_table(rows, index="method", units={"probability": "1"})
 
     def to_dataset(self) -> Any:
         """Methods and design points as an xarray Dataset, with provenance."""
@@ -112,8 +111,6 @@ class Reliability(AbstractShown):
 
     def design_points(self) -> Any:
         """A pandas table: one row a design point; beta, values, and importance [1] by variable."""
-        import pandas
-
         rows = []
         for i, point in enumerate(self.points):
             shares = _shares(self.problem, point)
@@ -122,7 +119,8 @@ class Reliability(AbstractShown):
                 f"importance of {n}": s for n, s in zip(self.problem.names, shares, strict=True)
             }
             rows.append(row)
-        return pandas.DataFrame(rows)
+        units = dict(zip(self.problem.names, self.problem.variable_units, strict=True))
+        return as_table(rows, units=units)
 
     def sentence(self) -> str:
         """The answer with its error and cost, where FORM and sampling disagree, and what is to be
@@ -153,7 +151,7 @@ class Reliability(AbstractShown):
         said = [f"{text}; {self.runs} runs in all.", *self._comparison(own), *self._lost(own)]
         return " ".join([*said, *self._refusals(), *self.notes, *self.warnings])
 
-    def __str__(self) -> str:
+    def _shown(self):
         return self.sentence()
 
     def _answers(self, name: str) -> bool:

@@ -1,9 +1,9 @@
 """A derivative as an answer: a value, its error, the method that gave it, and a verdict.
 
 At least two methods agree within their errors, or the verdict says that they do not. An error is
-half the width of a 95 % interval, in the derivative's own unit. Methods that agree are combined:
-each independent part of the sample is weighed by what the other parts tell of the methods'
-variances and covariances, so that weights and what they weigh are never of one sample.
+half the width of a 95 % interval, in the derivative's own unit. A regression has seen the most
+parts, and runs further out than these. What has seen fewer confirms it, and takes its place only
+where it is the more certain with all that it may not have seen (the rule of three).
 """
 
 from typing import Any, NamedTuple
@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.shown import AbstractShown, shown_in_words, with_error
+from jaxclear.ground.table import as_table
 from jaxclear.studies.datasets import of_derivatives
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.scrambled import skewed_half
@@ -26,23 +27,22 @@ ROUNDING = 1e-9
 # Share of a derivative by which methods of vanishing scatter differ because of the runs' own steps.
 STEPS = 1e-6
 # Methods that are both right differ by more than this many times the 95 % error of their difference
-# once in a hundred; what is called a disagreement should be one. Beyond 1 they are not combined.
+# once in a hundred; what is called a disagreement should be one.
 TOGETHER = 2.576 / 1.96
-# Weights from fewer scramblings are chance.
-FEWEST = 8
-# What is less certain than the best by more than this factor is not combined with it: it would add
-# a fifth of its certainty at most, and chance in the weights, and choosing what looks better.
-COMPARABLE = 2.0
+# The method that has seen the most parts, and runs further out than these.
+WIDEST = "regression"
+# The 95 % bound of Poisson's distribution for none seen, of parts whose slope is the opposite.
+UNSEEN = 2.0 * 3.0
 
 
+@shown_in_words
 class Estimate(NamedTuple):
     """A derivative by one method. `error` is half the width of its 95 % interval, bias included;
     `refusal` says why a method has no answer (then value and error are nan). `doubt` says what its
     error leaves out: such an estimate stands only beside one without doubt that agrees with it.
     `warned` [1] is the share of its runs with warnings that concern the response, `warnings` what
-    they are. `parts` are the contributions of its independent scramblings, whose mean is the value;
-    `bias` [the value's unit] is what the error holds besides their scatter; `runs` is how many it
-    took."""
+    they are; `unseen` [the value's unit] is what parts may add that none of its samples has seen,
+    which the error leaves out; `runs` is how many it took."""
 
     value: float
     error: float
@@ -50,17 +50,21 @@ class Estimate(NamedTuple):
     doubt: str = ""
     warned: float = 0.0
     warnings: str = ""
-    parts: tuple[float, ...] = ()
-    bias: float = 0.0
+    unseen: float = 0.0
     runs: int = 0
 
+    def __str__(self) -> str:
+        return f"no answer: {self.refusal}" if self.refusal else with_error(self.value, self.error)
 
-def from_parts(parts: np.ndarray, bias: float = 0.0) -> Estimate:
-    """The mean of contributions (scramblings,), with their interval and a bias."""
+
+def from_parts(parts: np.ndarray, samples: int, bias: float = 0.0) -> Estimate:
+    """The mean of contributions (scramblings,) of so many samples, with their interval and a
+    bias."""
     if len(parts) < 2 or not np.all(np.isfinite(parts)):
         return refused("the sample has too few independent scramblings to tell an error.")
     error = float(np.hypot(skewed_half(parts), bias))
-    return Estimate(float(parts.mean()), error, parts=tuple(parts.tolist()), bias=float(bias))
+    unseen = UNSEEN / samples * float(np.sqrt(np.mean(parts**2)))
+    return Estimate(float(parts.mean()), error, unseen=unseen)
 
 
 def refused(why: str) -> Estimate:
@@ -68,7 +72,7 @@ def refused(why: str) -> Estimate:
     return Estimate(np.nan, np.nan, why)
 
 
-class Derivative(eqx.Module):
+class Derivative(AbstractShown):
     """Derivative of a statistic of a response over the tolerances (by default its mean) with
     respect to one variable or the width of its distribution, with its 95 % error.
 
@@ -85,6 +89,14 @@ class Derivative(eqx.Module):
     verdict: str = eqx.field(static=True)
     trustworthy: bool = eqx.field(static=True)
     estimates: dict[str, Estimate]
+
+    def _shown(self):
+        return self.sentence()
+
+    def sentence(self, unit: str = "") -> str:
+        """The derivative, in a `unit`, and its verdict."""
+        value = f"{with_error(self.value, self.error)} {unit}".rstrip()
+        return f"d({self.response})/d({self.variable}) = {value}. {self.verdict}"
 
 
 class Sensitivity(AbstractShown):
@@ -103,10 +115,9 @@ class Sensitivity(AbstractShown):
         above = self.units.get(response) or problem.units()[response]
         return f"({above})/({known[variable]})"
 
-    def __str__(self) -> str:
+    def _shown(self):
         lines = [
-            f"d({response})/d({variable}) = {found.value:.4g} ± {found.error:.2g} "
-            f"{self.unit(response, variable)}. {found.verdict}"
+            found.sentence(self.unit(response, variable))
             for (response, variable), found in self.derivatives.items()
         ]
         failed, count = len(self.sample.failed), self.sample.count
@@ -125,8 +136,6 @@ class Sensitivity(AbstractShown):
     def table(self) -> Any:
         """A pandas table: one row a derivative, by response and variable; first the answer, then
         the verdict and each method's own answer."""
-        import pandas
-
         rows = []
         for (response, variable), found in self.derivatives.items():
             row = {
@@ -145,13 +154,19 @@ class Sensitivity(AbstractShown):
                 row[f"{name} warnings"] = estimate.warnings
             rows.append(row)
         # As the index, the names leave the first columns, which print always shows, to the answer.
-        return pandas.DataFrame(rows).set_index(["response", "variable"])
+        return as_table(rows, index=["response", "variable"], errors={"derivative": "error (95 %)"})
 
 
 def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> Derivative:
     """One answer from the methods' answers: the most certain one without doubt that another method
-    confirms. Estimates in doubt that none confirms are refused."""
+    confirms. Estimates in doubt that none confirms are refused. Beside a regression the others
+    count with what they may not have seen."""
     estimates = _without_unconfirmed(estimates)
+    beside = WIDEST in estimates and np.isfinite(estimates[WIDEST].value)
+
+    def half(name):
+        own = estimates[name]
+        return float(np.hypot(own.error, own.unseen)) if beside and name != WIDEST else own.error
 
     def answer(value, error, method, verdict, trustworthy=False):
         verdict += "".join(
@@ -161,7 +176,7 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
             verdict, trustworthy = f"{verdict} Too many for agreement to count.", False
         return Derivative(response, variable, value, error, method, verdict, trustworthy, estimates)
 
-    order = _by_certainty(estimates)
+    order = sorted(_by_certainty(estimates), key=lambda n: (bool(estimates[n].doubt), half(n)))
     for name in order:
         best = estimates[name]
         if best.doubt:
@@ -169,12 +184,7 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
         partners = [other for other in order if other != name and _agree(best, estimates[other])]
         if partners:
             verdict = _agreement(estimates, name, partners, order)
-            near = [name, *(p for p in partners if _joins(best, estimates[p]))]
-            joined = combined({own: estimates[own] for own in near})
-            if joined is not None:
-                names = " and ".join(n for n in near if estimates[n].parts)
-                return answer(joined.value, joined.error, names, verdict, trustworthy=True)
-            return answer(best.value, best.error, name, verdict, trustworthy=True)
+            return answer(best.value, half(name), name, verdict, trustworthy=True)
     why = "".join(f" No {name}: {e.refusal}" for name, e in estimates.items() if e.refusal)
     if not order:
         return answer(np.nan, np.nan, "none", f"No method has an answer.{why}")
@@ -199,33 +209,6 @@ def _covering(estimates: list[Estimate]) -> tuple[float, float]:
     weights = np.maximum(errors, max(ROUNDING * errors.max(), np.finfo(float).tiny)) ** -2.0
     middle = float(weights @ values / weights.sum())
     return middle, float(np.max(np.abs(values - middle) + errors))
-
-
-def combined(estimates: dict[str, Estimate]) -> Estimate | None:
-    """The estimates without doubt or bias in one, weighed so that their common variance is least;
-    None where fewer than two have parts, or they cannot be paired."""
-    sound = [e for e in estimates.values() if e.parts and not e.doubt and e.bias == 0.0]
-    if len(sound) < 2 or len({len(e.parts) for e in sound}) > 1 or len(sound[0].parts) < FEWEST:
-        return None
-    parts = np.array([e.parts for e in sound])
-    count = parts.shape[1]
-    joined = np.array([_weights(np.delete(parts, i, axis=1)) @ parts[:, i] for i in range(count)])
-    found = from_parts(joined)
-    # Weights that do not help are left out: another half's scatter may have misled them.
-    return found if found.error < min(e.error for e in sound) else None
-
-
-def _weights(parts: np.ndarray) -> np.ndarray:
-    """Weights (methods,) of the least variance, from contributions (methods, scramblings); none is
-    negative, because covariances of few parts are themselves uncertain."""
-    covariance = np.atleast_2d(np.cov(parts))
-    variances = np.diag(covariance)
-    if np.any(variances <= 0):
-        return (variances == variances.min()) / np.sum(variances == variances.min())
-    found = np.clip(np.linalg.pinv(covariance) @ np.ones(len(parts)), 0.0, None)
-    if found.sum() <= 0:
-        found = 1.0 / variances
-    return found / found.sum()
 
 
 def _without_unconfirmed(estimates: dict[str, Estimate]) -> dict[str, Estimate]:
@@ -253,15 +236,10 @@ def _by_certainty(estimates: dict[str, Estimate]) -> list[str]:
     return [name for name in order if largest <= least or answers[name].error <= largest]
 
 
-def _agree(a: Estimate, b: Estimate, times: float = TOGETHER) -> bool:
+def _agree(a: Estimate, b: Estimate) -> bool:
     """Whether the difference of two estimates is chance, or rounding."""
     rounding = ROUNDING * max(abs(a.value), abs(b.value))
-    return bool(abs(a.value - b.value) <= times * np.hypot(a.error, b.error) + rounding)
-
-
-def _joins(best: Estimate, other: Estimate) -> bool:
-    """Whether another estimate makes the best one more certain."""
-    return other.error <= COMPARABLE * best.error and _agree(best, other, 1.0)
+    return bool(abs(a.value - b.value) <= TOGETHER * np.hypot(a.error, b.error) + rounding)
 
 
 def confirms(estimates: dict[str, Estimate], name: str) -> bool:
@@ -279,10 +257,9 @@ def _agreement(
     best = estimates[name]
     others = [other for other in order if other != name and other not in partners]
     verdict = f"Agreed by {name} and {' and '.join(partners)}"
+    nearest = min(estimates[other].error for other in partners)
+    verdict += f" within ±{nearest:.2g}" if nearest > ROUNDING * abs(best.value) else ""
     verdict += f"; not by {' and '.join(others)}." if others else "."
-    nearest = min((estimates[other] for other in partners), key=lambda own: own.error)
-    if nearest.error > COMPARABLE * best.error and nearest.error > abs(best.value):
-        verdict += f" Agreement is within ±{nearest.error:.2g} only."
     if best.error > abs(best.value):
         verdict += " Not distinguishable from zero."
     return verdict

@@ -4,7 +4,8 @@ and the score function for what it leaves.
 Moving a variable's distribution weighs the samples anew, so the derivative of a mean is the mean of
 the response times the score function, whatever the response: rough, kinked or chaotic. That alone
 is noisy; the polynomial takes up what it explains, whose mean derivative is known from as many
-evaluations as wanted. Where a distribution is cut off, as inspected parts are, its ends move too:
+evaluations as wanted. Runs further out join the sample, so that what few parts do is seen
+(`outer`). Where a distribution is cut off, as inspected parts are, its ends move too:
 what the polynomial leaves there is found by runs at the ends.
 
 Source: score functions with control variates: Rubinstein & Shapiro 1993, Discrete Event Systems,
@@ -28,6 +29,7 @@ from jaxclear.studies.sampling import by_scrambling, draw
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
 from jaxclear.studies.sensitivity.direction import Direction, weights
 from jaxclear.studies.sensitivity.functional import Functional
+from jaxclear.studies.sensitivity.outer import Outer, mixture_weights, widened
 from jaxclear.studies.warned import concern
 
 # Points at which the polynomial's mean derivative is taken, and what draws them.
@@ -131,9 +133,13 @@ class Fit:
 
 
 def regressions(
-    sample: MonteCarlo, direction: Direction, wanted: list[Functional], ends: Ends | None
+    sample: MonteCarlo,
+    direction: Direction,
+    wanted: list[Functional],
+    ends: Ends | None,
+    outer: Outer,
 ) -> dict[str, Estimate]:
-    """Estimates by label of the statistics."""
+    """Estimates by label of the statistics, from a sample and the runs further `outer`."""
     problem, i = sample.problem, direction.variable
     good = np.isin(np.arange(sample.count), sample.failed, invert=True)
     values, group = sample.values[good], sample.scrambling[good]
@@ -146,7 +152,6 @@ def regressions(
         return {one.label: refused(why) for one in wanted}
     fit = Fit(problem, i, len(values))
     normal = np.asarray(normal_scores_of(problem.inputs, jnp.asarray(values)))
-    weight = weights(problem, direction, normal)
     many = Many.drawn(problem, direction, fit, len(np.unique(group)), MANY_SEED + sample.seed)
     answers = {}
     for one in wanted:
@@ -155,18 +160,50 @@ def regressions(
         if few:
             answers[one.label] = refused(few)
             continue
-        responses = one.bounded(responses)
-        own = Slope(one, responses, fit.basis(values), weight, many)
+        joined = _Joined.of(one, (values, normal, responses, group), outer)
+        weight = weights(problem, direction, joined.normal)
+        own = Slope(one, joined, fit.basis(joined.values), weight, many)
         ending = None if ends is None else ending_of(ends, fit, direction, one)
-        slope = lambda kept, own=own, ending=ending: own.of(kept, group, ending)
+        slope = lambda kept, own=own, ending=ending: own.of(kept, ending)
         # What the many points do not know of the polynomial's slope is shared out to the parts.
-        parts = pseudo_values(slope, group) + own.scatter()
+        parts = pseudo_values(slope, joined.group) + own.scatter()
         told = concern(problem, one.response, sample.checks, good)
         bias = abs(parts.mean()) * own.unknown
-        answer = from_parts(parts, bias)
-        runs = sample.count + (0 if ends is None else ends.values[..., 0].size)
+        answer = from_parts(parts, len(values), bias)
+        left = own.left
+        answer = answer._replace(
+            error=widened(
+                answer.error, joined.ratio * left, left[~joined.inside], len(left), len(parts)
+            )
+        )
+        runs = sample.count + len(outer.values) + (0 if ends is None else ends.values[..., 0].size)
         answers[one.label] = answer._replace(warned=told[0], warnings=told[1], runs=runs)
     return answers
+
+
+class _Joined(NamedTuple):
+    """A sample and the runs further out, one after the other: values and independent standard
+    normal numbers (samples, variables), responses, scramblings, which are of the sample (`inside`)
+    and their weights `ratio` [1], (samples,)."""
+
+    values: np.ndarray
+    normal: np.ndarray
+    responses: np.ndarray
+    group: np.ndarray
+    inside: np.ndarray
+    ratio: np.ndarray
+
+    @classmethod
+    def of(cls, one: Functional, sample: tuple[np.ndarray, ...], outer: Outer) -> "_Joined":
+        """As a statistic sees the responses."""
+        further, responses = outer.of(one.response)
+        more = further.values, further.normal, responses, further.scrambling
+        values, normal, both, group = (
+            np.concatenate(pair) for pair in zip(sample, more, strict=True)
+        )
+        count = len(sample[0])
+        inside = np.arange(len(values)) < count
+        return cls(values, normal, one.bounded(both), group, inside, mixture_weights(normal, count))
 
 
 class Many(NamedTuple):
@@ -210,10 +247,12 @@ def normal_scores_of(inputs: Inputs, values):
     return inputs.normal(values)
 
 
-def fitted(basis: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Coefficients (terms,) of the least squares; terms of deviations are well conditioned, so the
-    normal equations serve, which are small."""
-    return np.linalg.lstsq(basis.T @ basis, basis.T @ target, rcond=None)[0]
+def fitted(basis: np.ndarray, target: np.ndarray, ratio: np.ndarray | None = None) -> np.ndarray:
+    """Coefficients (terms,) of the least squares, whose equations may have weights `ratio`
+    (samples,); terms of deviations are well conditioned, so the normal equations serve, which are
+    small."""
+    weighed = basis if ratio is None else basis * ratio[:, None]
+    return np.linalg.lstsq(weighed.T @ basis, weighed.T @ target, rcond=None)[0]
 
 
 class Slope:
@@ -221,32 +260,38 @@ class Slope:
 
     Where parts are told apart (a limit, a quantile) and how dense they are there is read from the
     whole sample once: both jump as samples come and go. `unknown` [1] is what half of the 95 %
-    interval of the density leaves unknown of the derivative.
+    interval of the density leaves unknown of the derivative; `left` (samples,) is what each adds
+    beside the polynomial.
     """
 
-    def __init__(self, one: Functional, responses, basis, weight, many: Many):
-        self.one, self.responses, self.basis, self.weight = one, responses, basis, weight
+    def __init__(self, one: Functional, joined: _Joined, basis, weight, many: Many):
+        self.one, self.joined, self.basis, self.weight = one, joined, basis, weight
         self.many, self.last = many, np.zeros(len(many.basis))
-        surface = fitted(basis, responses)
-        larger = self._larger(surface)
+        self.left = np.zeros(len(basis))
+        responses, inner = joined.responses[joined.inside], basis[joined.inside]
+        surface = fitted(inner, responses)
+        larger = self._larger(surface, responses, inner)
         self.place, self.unknown = one.place(larger), one.unknown(larger)
         self.whole = one.influence(larger)
 
-    def of(self, kept: np.ndarray, group: np.ndarray, ending: Ending | None) -> float:
+    def of(self, kept: np.ndarray, ending: Ending | None) -> float:
         """From the samples `kept` (samples,)."""
-        y, basis = self.responses[kept], self.basis[kept]
-        surface = fitted(basis, y)
+        joined, inner = self.joined, kept & self.joined.inside
+        y, basis = joined.responses[inner], self.basis[inner]
         influence = self.one.influence(y) if self.place is None else self.whole
-        step = self._step(y, basis, surface)
-        target, own = influence(y), step(basis)
-        found = fitted(own, target)
+        step = self._step(y, basis)
+        target, own, ratio = (
+            influence(joined.responses[kept]), step(self.basis[kept]), joined.ratio[kept],
+        )  # fmt: skip
+        found = fitted(own, target, ratio)
+        left = (target - own @ found) * self.weight[kept]
         each = np.array([np.mean(step(b, d) @ found) for b, d in zip(*self.many, strict=True)])
         if kept.all():
-            self.last = each - each.mean()
-        total = each.mean() + np.mean((target - own @ found) * self.weight[kept])
+            self.last, self.left = each - each.mean(), left
+        total = each.mean() + np.average(left, weights=ratio)
         if ending is None:
             return total
-        chosen = np.isin(ending.scrambling, group[kept]) | (ending.scrambling < 0)
+        chosen = np.isin(ending.scrambling, joined.group[kept]) | (ending.scrambling < 0)
         for factor, terms, runs in zip(*ending[:3], strict=True):
             left = influence(runs[chosen]) - step(terms[chosen]) @ found
             left = left[np.isfinite(runs[chosen])]
@@ -257,12 +302,13 @@ class Slope:
         """How the slope of what was fitted differs between the scramblings of the many points."""
         return self.last
 
-    def _step(self, y, basis, surface):
+    def _step(self, y, basis):
         """What is fitted to the influence function, from the polynomial's terms, or by its slopes:
         these terms, and for a share of parts a smooth step where the surface passes its limit."""
         place = self.place
         if place is None:
             return lambda terms, slopes=None: terms if slopes is None else slopes
+        surface = fitted(basis, y)
         width = np.hypot(np.std(y - basis @ surface), LEAST_STEP * np.std(y))
 
         def columns(terms, slopes=None):
@@ -275,12 +321,12 @@ class Slope:
 
         return columns
 
-    def _larger(self, surface) -> np.ndarray:
+    def _larger(self, surface, responses, basis) -> np.ndarray:
         """A larger sample like this one where the surface explains it: what it leaves, spread over
         many points; the sample itself elsewhere."""
-        left = self.responses - self.basis @ surface
-        if np.var(left) > (1.0 - EXPLAINED) * np.var(self.responses):
-            return self.responses
+        left = responses - basis @ surface
+        if np.var(left) > (1.0 - EXPLAINED) * np.var(responses):
+            return responses
         smooth = (self.many.basis @ surface).ravel()
         return smooth + np.resize(left, len(smooth))
 

@@ -41,6 +41,7 @@ from jaxclear.studies.sensitivity.opposed import (
     opposed_of,
     paired,
 )
+from jaxclear.studies.sensitivity.outer import runs_outside
 from jaxclear.studies.sensitivity.pathwise import pathwise
 from jaxclear.studies.sensitivity.regression import regressions, runs_at_ends
 
@@ -72,7 +73,8 @@ def sensitivity(
     for it. `of`: any of "mean", "standard deviation", ("quantile", share [1]), ("above", limit),
     ("below", limit), for every response, or {response: statistics}; limits in the response's unit,
     the share of parts beyond one is a probability of failure; what fewer than 4 samples decide is
-    refused. `methods`: any of "regression" (a polynomial, corrected by the score function),
+    refused. `methods`: any of "regression" (a polynomial, corrected by the score function; takes a
+    quarter of the sample's runs more, 128 at the most, further out than the sample reaches),
     "differences" (by small steps over a first 16 of `difference_samples` where these confirm a more
     certain answer, else between values that become likelier and such as become less so, or by steps
     over all), "pathwise" (fixed-step integrators only; the cheapest where nothing opens and closes;
@@ -91,11 +93,13 @@ def sensitivity(
     found: dict[Direction, dict] = {}
     ends: dict[int, Any] = {}
     bar = {"progress_bar": progress_bar}
+    if "regression" in methods:
+        outer = runs_outside(problem, drawn.scrambling, seed_of(seed, SEEDS, 4), **bar)
     for direction in wanted:
         answers: dict[str, dict[str, Estimate]] = {}
         if "regression" in methods:
             own = _ends(drawn, direction, ends, seed, **bar)
-            answers["regression"] = regressions(drawn, direction, asked, own)
+            answers["regression"] = regressions(drawn, direction, asked, own, outer)
         sampled = lambda own: _shared(problem, difference_samples, seed_of(seed, SEEDS, own))
         if "pathwise" in methods:
             answers["pathwise"] = pathwise(problem, sampled(2), direction, asked, **bar)

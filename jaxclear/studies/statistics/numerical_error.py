@@ -10,11 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxclear.ground.shown import shown_in_words
 from jaxclear.studies.statistics.scrambled import student
 
 __all__ = ["NumericalError", "bias_of"]
 
 
+@shown_in_words
 class NumericalError(NamedTuple):
     """How far a statistic is off by what discretises its runs, in its unit: told by so many
     `replicas`, it is too large by `bias`, known to ± `uncertainty` (95 %); `sampling` is half of

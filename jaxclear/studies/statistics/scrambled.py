@@ -13,13 +13,13 @@ Johnson 1978, J. Am. Stat. Assoc. 73, 536, doi:10.1080/01621459.1978.10480051; q
 Pearson 1934, Biometrika 26, 404, doi:10.1093/biomet/26.4.404.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
 
+import equinox as eqx
 import numpy as np
 import scipy
 
-from jaxclear.ground.shown import in_digits
+from jaxclear.ground.shown import shown_in_words, with_error
 
 # A 95 % interval leaves half of 5 % on each side.
 CONFIDENCE = 0.95
@@ -27,13 +27,16 @@ CONFIDENCE = 0.95
 ROUNDING = 1e-12
 
 
-class Statistic(NamedTuple):
+@shown_in_words
+class Statistic(eqx.Module):
     """A statistic of a response: its `value`, and the 95 % interval from `low` to `high`, in the
-    statistic's unit; infinite where the sample is too small to bound it."""
+    statistic's `unit` ("": not told); infinite where the sample is too small to bound it. A row of
+    three numbers to whoever takes it apart."""
 
     value: float
     low: float
     high: float
+    unit: str = eqx.field(static=True, default="")
 
     @property
     def error(self) -> float:
@@ -42,9 +45,19 @@ class Statistic(NamedTuple):
             return np.inf
         return max(self.high - self.value, self.value - self.low)
 
+    def in_unit(self, unit: str) -> "Statistic":
+        """The same with its unit told."""
+        return Statistic(*self, unit)
+
+    def __iter__(self) -> Iterator[float]:
+        return iter((self.value, self.low, self.high))
+
     def __str__(self) -> str:
-        numbers = (in_digits(own, self.error) for own in (self.value, self.low, self.high))
-        return "{} ({} to {})".format(*numbers)
+        unit = "" if self.unit in ("", "1") else f" {self.unit}"
+        ends = [float(end) for end in self]
+        if np.isfinite(self.value) and np.isfinite(self.low) != np.isfinite(self.high):
+            return "{:.6g}{} ({:.6g} to {:.6g})".format(ends[0], unit, *ends[1:])
+        return f"{with_error(ends[0], float(self.error))}{unit}"
 
 
 UNKNOWN = Statistic(np.nan, np.nan, np.nan)

@@ -21,7 +21,8 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags
-from jaxclear.ground.shown import AbstractShown, in_rows, left_out
+from jaxclear.ground.shown import AbstractShown, left_out
+from jaxclear.ground.table import as_table
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
@@ -56,9 +57,9 @@ class ShapleyEffects(AbstractShown):
     remark: str = eqx.field(static=True, default="")
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
-    def __str__(self) -> str:
+    def _shown(self):
         said = [*left_out(self.failed, "samples"), *self.warnings]
-        return "\n".join([in_rows(self.table()), *said])
+        return self.table(), *said
 
     def to_dataset(self) -> Any:
         """Effects with their intervals as an xarray Dataset by response and variable, with
@@ -67,8 +68,6 @@ class ShapleyEffects(AbstractShown):
 
     def table(self) -> Any:
         """A pandas table by response and variable: each effect with its error."""
-        import pandas
-
         rows = [
             {
                 "response": response,
@@ -78,7 +77,8 @@ class ShapleyEffects(AbstractShown):
             }
             for (response, variable), own in self.effects.items()
         ]
-        return pandas.DataFrame(rows).set_index(["response", "variable"])
+        errors = {"effect": "error (95 %)"}
+        return as_table(rows, index=["response", "variable"], units={"effect": "1"}, errors=errors)
 
 
 @answering

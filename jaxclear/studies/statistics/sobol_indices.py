@@ -2,31 +2,47 @@
 
 The first-order index of a variable is the share of the variance that goes if it is fixed; the total
 index is the share that stays if all others are fixed, interplay counted in. Estimated by exchanging
-one column between two samples, with errors from independent scramblings.
+one column between two samples, with errors from independent scramblings. A polynomial takes up what
+it explains, whose shares are exact: the samples of a scrambling are corrected by the polynomial
+through all the others, so that no run judges a polynomial that it helped to find.
 
 Source: first order: Saltelli et al. 2010, Comput. Phys. Commun. 181, 259,
 doi:10.1016/j.cpc.2009.09.018, eq. (b) of table 2; total: Jansen 1999, Comput. Phys. Commun. 117,
-35, doi:10.1016/S0010-4655(98)00154-4.
+35, doi:10.1016/S0010-4655(98)00154-4; polynomials: Sudret 2008, Reliab. Eng. Syst. Saf. 93, 964,
+doi:10.1016/j.ress.2007.04.002; as control variates whose coefficients come from other samples:
+Avramidis & Wilson 1993, Manage. Sci. 39, 1094, doi:10.1287/mnsc.39.9.1094.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags
-from jaxclear.ground.shown import AbstractShown, in_rows, left_out
+from jaxclear.ground.shown import AbstractShown, left_out
+from jaxclear.ground.table import as_table
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_indices
 from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, jackknifed
+from jaxclear.studies.surface.fitting import HIGHEST
+from jaxclear.studies.surface.polynomials import levels, orthonormal, powers, products
+from jaxclear.studies.surface.response_surface import ResponseSurface
+from jaxclear.studies.surface.variances import Expansion
 from jaxclear.studies.warned import told
+
+# Runs for each term of a polynomial: as in `jaxclear.sensitivity`.
+RUNS_A_TERM = 6
+# Terms at the most: their equations are solved once for each scrambling.
+MOST_TERMS = 300
 
 
 class SobolIndices(AbstractShown):
@@ -40,9 +56,9 @@ class SobolIndices(AbstractShown):
     failed: int = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
-    def __str__(self) -> str:
+    def _shown(self):
         said = [*left_out(self.failed, "base samples"), *self.warnings]
-        return "\n".join([in_rows(self.table()), *said])
+        return self.table(), *said
 
     def to_dataset(self) -> Any:
         """Both indices with their intervals as an xarray Dataset by response and variable, with
@@ -51,8 +67,6 @@ class SobolIndices(AbstractShown):
 
     def table(self) -> Any:
         """A pandas table by response and variable: both indices with their errors."""
-        import pandas
-
         rows = [
             {
                 "response": response,
@@ -64,23 +78,29 @@ class SobolIndices(AbstractShown):
             }
             for (response, variable), first in self.first.items()
         ]
-        return pandas.DataFrame(rows).set_index(["response", "variable"])
+        units = {"first order": "1", "total": "1"}
+        return as_table(rows, index=["response", "variable"], units=units)
 
 
 @answering
 def sobol_indices(
-    problem: AbstractProblem,
+    of: AbstractProblem | ResponseSurface,
     samples: int = 512,
     *,
     seed: int = 0,
     scramblings: int | None = None,
     progress_bar: bool = False,
 ) -> SobolIndices:
-    """Sobol' indices of every response by every variable, from `samples` (variables + 2) runs.
+    """Sobol' indices of every response by every variable.
+
+    `of`: a problem, which is run `samples` (variables + 2) times; or its `jaxclear.surface`, whose
+    indices take no run, and whose error is what it does not explain of the variance.
 
     Raises `ValueError` for correlated variables: their shares of a variance are not defined, and
     `jaxclear.shapley_effects` are what to ask instead.
     """
+    surface = of if isinstance(of, ResponseSurface) else None
+    problem: Any = of if surface is None else surface.problem
     check_sampled(problem, samples, seed)
     check_flags("sobol_indices", progress_bar=progress_bar)
     parts = checked_scramblings("sobol_indices", samples, scramblings)
@@ -90,6 +110,8 @@ def sobol_indices(
             "that a variance has no shares. Shapley effects tell what each then contributes: "
             "jaxclear.shapley_effects."
         )
+    if surface is not None:
+        return _of_surface(surface)
     count = len(problem.names)
     group = np.sort(groups(samples, parts))
     normal = scores_by_scrambling(np.bincount(group, minlength=parts), 2 * count, seed)
@@ -103,27 +125,137 @@ def sobol_indices(
     found = evaluate_all(problem, values, progress_bar=progress_bar, label="Sobol' indices")
     reached = (np.asarray(found.outcome) == Outcome.REACHED).reshape(len(columns), -1)
     refuse_endless(problem, found.responses, "variance")
-    first, total = {}, {}
     good = np.all(reached, axis=0)
-    for name in problem.response_names:
-        rows = np.asarray(found.responses[name]).reshape(len(columns), -1)[:, good].T
+    rows = np.stack([found.responses[name] for name in problem.response_names], axis=-1)
+    rows = rows.reshape(len(columns), len(group), -1)[:, good]
+    at = np.asarray(values).reshape(len(columns), len(group), -1)[:, good]
+    first, total = {}, {}
+    every = _parts(problem.inputs, at, rows, group[good])
+    for name, own in zip(problem.response_names, every, strict=True):
         for i, variable in enumerate(problem.names):
-            three = rows[:, [0, 1, 2 + i]]
-            first[name, variable] = jackknifed(_first, three, group[good])
-            total[name, variable] = jackknifed(_total, three, group[good])
+            first[name, variable] = _share(own, i)
+            total[name, variable] = _share(own, count + i)
     warnings = told(problem, found.checks, reached.ravel())
     return SobolIndices(problem, first, total, len(values), int(np.sum(~good)), warnings)
 
 
-def _first(rows: np.ndarray) -> float:
-    """From responses (samples, 3) of both samples and of the mixed one."""
-    base, other, mixed = rows.T
-    variance = np.var(rows[:, :2])
-    mean = rows[:, :2].mean()
-    return float(np.mean((other - mean) * (mixed - base)) / variance) if variance > 0 else 0.0
+def _of_surface(surface: ResponseSurface) -> SobolIndices:
+    """Indices of polynomials: what they do not explain may belong to any variable."""
+    problem = surface.problem
+    table = np.asarray(surface.powers)
+    expansion = Expansion.of(surface.polynomials, table, problem.inputs)
+    indices: tuple[dict, dict] = ({}, {})
+    for name in problem.response_names:
+        own = expansion.variances(np.asarray(surface.coefficients[name]))
+        left = surface.error(name) ** 2
+        whole = own.variance + left
+        for kind, shares in zip(indices, (own.first, own.total), strict=True):
+            for variable, share in zip(problem.names, shares, strict=True):
+                low, open_ = (part / whole if whole > 0 else 0.0 for part in (share, left))
+                kind[name, variable] = Statistic(float(low), float(low - open_), float(low + open_))
+    return SobolIndices(problem, *indices, 0, 0, surface.warnings)
 
 
-def _total(rows: np.ndarray) -> float:
-    base, _, mixed = rows.T
-    variance = np.var(rows[:, :2])
-    return float(0.5 * np.mean((base - mixed) ** 2) / variance) if variance > 0 else 0.0
+class _Parts(NamedTuple):
+    """What each scrambling says: numerators of all indices, second moment and mean about one place
+    as columns (scramblings, 2 variables + 2), and how many samples it has (scramblings,)."""
+
+    columns: np.ndarray
+    samples: np.ndarray
+
+
+def _share(parts: _Parts, place: int) -> Statistic:
+    """An index from its numerator's place among the columns."""
+
+    def of(rows: np.ndarray) -> float:
+        numerator, second, mean = np.average(rows[:, :3], axis=0, weights=rows[:, 3])
+        variance = second - mean**2
+        return float(numerator / variance) if variance > 0 else 0.0
+
+    rows = np.column_stack([parts.columns[:, [place, -2, -1]], parts.samples])
+    return jackknifed(of, rows, np.arange(len(rows)), skewed=True)
+
+
+def _parts(inputs: Inputs, at: np.ndarray, rows: np.ndarray, group: np.ndarray) -> list[_Parts]:
+    """For each response what the scramblings say, from values (columns, samples, variables) and
+    responses (columns, samples, responses)."""
+    scramblings = [group == own for own in np.unique(group)]
+    samples = np.array([own.sum() for own in scramblings])
+    centre = rows[:2].mean(axis=(0, 1))
+    away = rows - centre
+    plain = np.array([_numbers(away[:, own]) for own in scramblings])
+    fitted = _Polynomial.through(inputs, at, away, scramblings)
+    found = plain if fitted is None else plain + fitted.corrections(scramblings)
+    return [_Parts(found[:, :, i], samples) for i in range(rows.shape[2])]
+
+
+def _numbers(rows: np.ndarray) -> np.ndarray:
+    """Numerators of first-order and total indices, second moment and mean (2 variables + 2,
+    responses) from responses (variables + 2, samples, responses) about one place."""
+    base, other, mixed = rows[0], rows[1], rows[2:]
+    first = np.mean(other * (mixed - base), axis=1)
+    total = 0.5 * np.mean((base - mixed) ** 2, axis=1)
+    second = 0.5 * np.mean(base**2 + other**2, axis=0)
+    return np.concatenate([first, total, second[None], 0.5 * np.mean(base + other, axis=0)[None]])
+
+
+class _Polynomial(NamedTuple):
+    """Polynomials that stand in for responses: terms at all runs (columns, samples, terms), for
+    each scrambling the coefficients (terms, responses) through all others, and what turns these
+    into shares of a variance."""
+
+    terms: np.ndarray
+    coefficients: np.ndarray
+    expansion: Expansion
+
+    @classmethod
+    def through(
+        cls, inputs: Inputs, at: np.ndarray, rows: np.ndarray, scramblings: list[np.ndarray]
+    ) -> "_Polynomial | None":
+        """Of the degree that predicts the left out scramblings best, for each response; None where
+        runs are too few for a line."""
+        runs = rows.shape[0] * (rows.shape[1] - max(int(own.sum()) for own in scramblings))
+        most = min(runs // RUNS_A_TERM, MOST_TERMS)
+        if len(scramblings) < 2 or most < at.shape[2] + 1:
+            return None
+        polynomials = orthonormal(at[:2].reshape(-1, at.shape[2]), HIGHEST)
+        highest, degree = levels(polynomials), 1
+        while degree < HIGHEST and len(powers(highest, degree + 1, 1.0)) <= most:
+            degree += 1
+        table = powers(highest, degree, 1.0)
+        own = lambda values: products(polynomials, jnp.asarray(table), values)
+        terms = np.asarray(jax.jit(jax.vmap(jax.vmap(own)))(jnp.asarray(at)))
+        matrices = np.array([_equations(terms[:, own], terms[:, own]) for own in scramblings])
+        aims = np.array([_equations(terms[:, own], rows[:, own]) for own in scramblings])
+        best = np.full(rows.shape[2], np.inf)
+        coefficients = np.zeros((len(scramblings), len(table), rows.shape[2]))
+        for kept in (table.sum(axis=1) <= d for d in range(1, degree + 1)):
+            found = np.zeros_like(coefficients)
+            for i in range(len(scramblings)):
+                matrix = (matrices.sum(axis=0) - matrices[i])[np.ix_(kept, kept)]
+                aim = (aims.sum(axis=0) - aims[i])[kept]
+                found[i, kept] = np.linalg.lstsq(matrix, aim, rcond=None)[0]
+            missed = sum(
+                np.sum((rows[:, own] - terms[:, own] @ each) ** 2, axis=(0, 1))
+                for own, each in zip(scramblings, found, strict=True)
+            )
+            coefficients = np.where(missed < best, found, coefficients)
+            best = np.minimum(missed, best)
+        return cls(terms, coefficients, Expansion.of(polynomials, table, inputs))
+
+    def corrections(self, scramblings: list[np.ndarray]) -> np.ndarray:
+        """What to add to the numbers of each scrambling (scramblings, 2 variables + 2, responses):
+        those of the polynomials exactly less those at the samples."""
+        found = []
+        for own, coefficients in zip(scramblings, self.coefficients, strict=True):
+            exact = []
+            for each in coefficients.T:
+                mean, variance, first, total = self.expansion.variances(each)
+                exact.append(np.concatenate([first, total, [variance + mean**2, mean]]))
+            found.append(np.array(exact).T - _numbers(self.terms[:, own] @ coefficients))
+        return np.array(found)
+
+
+def _equations(terms: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Sums over runs (columns, samples) of terms times others."""
+    return np.einsum("cst,csr->tr", terms, other, optimize=True)

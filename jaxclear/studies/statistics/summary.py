@@ -6,11 +6,14 @@ from typing import Any
 import numpy as np
 
 from jaxclear.ground.shown import in_digits
+from jaxclear.ground.table import as_table
 from jaxclear.integrators import Outcome
 from jaxclear.studies.statistics.limits import Limits
 from jaxclear.studies.statistics.numerical_error import NumericalError
 from jaxclear.studies.statistics.scrambled import UNKNOWN, deviation, standard_error
 
+# Columns of means and deviations, and those of their errors, in tables of other studies.
+ERRORS = {"mean": "error of mean (95 %)", "standard deviation": "error of deviation (95 %)"}
 PERCENTILES = {"5 %": 0.05, "median": 0.5, "95 %": 0.95}
 
 
@@ -71,8 +74,6 @@ def failure(study: Any, i: int) -> str:
 
 def table_of(study: Any) -> Any:
     """All samples of a study as a pandas table, as `MonteCarlo.table`."""
-    import pandas
-
     columns: dict[str, Any] = dict(zip(study.problem.names, study.values.T, strict=True))
     columns |= study.responses
     sentences = study.failures()
@@ -86,7 +87,13 @@ def table_of(study: Any) -> Any:
         ", ".join(name for name, samples in concerned.items() if i in samples)
         for i in range(study.count)
     ]
-    return pandas.DataFrame(columns)
+    units = dict(zip(study.problem.names, study.problem.variable_units, strict=True))
+    return as_table(columns, units=units | study.problem.units())
+
+
+def summary_of(rows: list[dict[str, Any]]) -> Any:
+    """The table of such rows."""
+    return as_table(rows, units={"yield": "1", "Cpk": "1"})
 
 
 def in_sentences(summary: Any) -> list[str]:

@@ -12,11 +12,13 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from jaxclear.ground.shown import shown_in_words
 from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed, quantile
 
 SIDES = ("both", "lower", "upper")
 
 
+@shown_in_words
 class ToleranceInterval(NamedTuple):
     """At least a share `content` [1] of all parts lies from `low` to `high` (infinite where that
     side is open), with a `confidence` [1]. Limits carry the interval that the scramblings tell."""
@@ -25,6 +27,10 @@ class ToleranceInterval(NamedTuple):
     high: Statistic
     content: float
     confidence: float
+
+    def in_unit(self, unit: str) -> "ToleranceInterval":
+        """The same with the unit of its limits told."""
+        return self._replace(low=self.low.in_unit(unit), high=self.high.in_unit(unit))
 
     def __str__(self) -> str:
         ends = {"above": self.low, "below": self.high}

@@ -18,13 +18,15 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
-from jaxclear.ground.shown import AbstractShown, in_rows
+from jaxclear.ground.shown import AbstractShown, shown_in_words, with_error
+from jaxclear.ground.table import as_table
 from jaxclear.integrators import Outcome
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_corrected
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
+from jaxclear.studies.statistics.summary import ERRORS
 from jaxclear.studies.surface.drawing import all_values, scrambled_normal
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
@@ -35,6 +37,7 @@ SURFACE_SCRAMBLINGS, SURFACE_POINTS, TOGETHER = 16, 8192, 1024
 FEWEST = 4
 
 
+@shown_in_words
 class CorrectedStatistic(NamedTuple):
     """A number and half the width of its 95 % interval, in one unit; `gain` [1] says how many times
     its variance is below that of the same runs without the surface."""
@@ -42,6 +45,9 @@ class CorrectedStatistic(NamedTuple):
     value: float
     error: float
     gain: float
+
+    def __str__(self) -> str:
+        return with_error(self.value, self.error)
 
 
 class Corrected(AbstractShown):
@@ -71,8 +77,8 @@ class Corrected(AbstractShown):
             text += f"{self.surface.quality[name]:.2f} and is not used; its numbers are sampled."
         return text
 
-    def __str__(self) -> str:
-        return "\n".join([self.sentence(), *self.warnings, in_rows(self.table())])
+    def _shown(self):
+        return self.sentence(), *self.warnings, self.table()
 
     def to_dataset(self) -> Any:
         """Means and deviations by response and probabilities by limit as an xarray Dataset, with
@@ -81,8 +87,6 @@ class Corrected(AbstractShown):
 
     def table(self) -> Any:
         """A pandas table: one row a response, mean and standard deviation with 95 % errors."""
-        import pandas
-
         units = self.surface.problem.units()
         rows = [
             {
@@ -97,7 +101,7 @@ class Corrected(AbstractShown):
             }
             for name in self.means
         ]
-        return pandas.DataFrame(rows).set_index("response")
+        return as_table(rows, index="response", errors=ERRORS)
 
 
 @answering

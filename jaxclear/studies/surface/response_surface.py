@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxclear.ground.arguments import check_known
-from jaxclear.ground.shown import AbstractShown, in_rows
+from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_surface
 from jaxclear.studies.surface.polynomials import Polynomials, products
@@ -74,8 +75,8 @@ class ResponseSurface(AbstractShown):
             text += "." if self.trusted(name) else low
         return f"{text} {self.unreached}".rstrip()
 
-    def __str__(self) -> str:
-        return "\n".join([self.sentence(), *self.warnings, in_rows(self.table())])
+    def _shown(self):
+        return self.sentence(), *self.warnings, self.table()
 
     def to_dataset(self) -> Any:
         """Runs, coefficients and quality as an xarray Dataset, with provenance."""
@@ -83,8 +84,6 @@ class ResponseSurface(AbstractShown):
 
     def table(self) -> Any:
         """A pandas table: one row a response."""
-        import pandas
-
         rows = [
             {
                 "response": name,
@@ -96,4 +95,4 @@ class ResponseSurface(AbstractShown):
             }
             for name in self.problem.response_names
         ]
-        return pandas.DataFrame(rows).set_index("response")
+        return as_table(rows, index="response", units={"leave-one-out R2": "1"})

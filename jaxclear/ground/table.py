@@ -1,0 +1,394 @@
+"""Tables to look at: pandas tables that print whole in a terminal of 80 columns, and as HTML in a
+notebook, with four significant digits a column, units in the heads, and a number beside its error
+as value ± error. Where it takes fewer lines, rows stand as columns.
+
+Only the print is rounded: numbers stay as they are, and all that pandas does with a table works.
+"""
+
+import functools
+import html
+import itertools
+import math
+import re
+import textwrap
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxclear.ground.shown import PLAIN, SMALL, WIDTH, in_few, with_error
+
+__all__ = ["as_table"]
+
+# Spaces between columns; where the names of rows, and heads over narrow columns, are broken.
+APART, NAMES, HEAD = 2, 40, 12
+# Digits of a column, and the most where its numbers differ by less: a nanometre beside a metre.
+DIGITS, MOST_DIGITS = 4, 9
+# Numbers of a column are alike in size where the least is at least this share of the largest.
+ALIKE = 0.1
+# A longer table shows its first and its last rows, as many as stand here second.
+MOST_ROWS, ENDS = 200, 10
+# Longer texts than this stand below a table that has no room for them.
+LONG = 24
+# For a space at which no line may break, as between a number and its error.
+FIRM = "\u00a0"
+# A unit behind a name.
+UNIT = re.compile(r"\[[^\[\]]*\]$")
+# Where a line may break.
+PIECE = re.compile(r"(?<=[ .-])(?=[^ ])")
+
+
+def as_table(
+    rows: Any = None,
+    *,
+    index: str | list[str] | None = None,
+    units: Mapping[str, str] | None = None,
+    errors: Mapping[str, str] | None = None,
+    columns: Sequence[str] | None = None,
+) -> Any:
+    """A pandas table of rows (dictionaries) or columns, to be looked at.
+
+    `index`: the columns that name its rows. `units`: by column; a column "unit" has those of the
+    rows. `errors`: by column that of its error, by default "mean error" for "mean".
+    """
+    found = _kind()(rows, columns=columns)
+    found = found if index is None else found.set_index(index)
+    found.attrs |= {"units": dict(units or {}), "errors": dict(errors or {})}
+    return found
+
+
+@functools.cache
+def _kind() -> Any:
+    """The class; of a library that most runs do without."""
+    import pandas
+
+    class Table(pandas.DataFrame):
+        """A pandas table that prints as this module says."""
+
+        @property
+        def _constructor(self):
+            return Table
+
+        def __repr__(self):
+            return "\n".join(_in_lines(_cells(self)))
+
+        def _repr_html_(self):
+            return _in_html(_cells(self))
+
+        def __reduce__(self):
+            # Another process gets a plain one: it need not know this class.
+            return pandas.DataFrame, (pandas.DataFrame(self),)
+
+    return Table
+
+
+class _Column(NamedTuple):
+    """A head, the cells below it, and whether these are text."""
+
+    head: str
+    cells: list[str]
+    is_text: bool
+
+    @property
+    def long(self) -> bool:
+        """Whether it is text that wants more than a column."""
+        return self.is_text and _width(self.cells) > LONG
+
+    @property
+    def is_alike(self) -> bool:
+        """Whether all rows have the same long text, or none."""
+        texts = set(self.cells)
+        return (
+            self.is_text
+            and len(texts) == 1
+            and (texts == {""} or (self.long and len(self.cells) > 1))
+        )
+
+    @property
+    def narrowest(self) -> int:
+        """Its width where its head is broken and its cells are not."""
+        head = min(max(HEAD, _width(PIECE.split(self.head))), LONG)
+        return max(_width(self.cells), _width(_broken(self.head, head)))
+
+
+class _Cells(NamedTuple):
+    """What is shown of a table: the columns that name its rows, the others, and lines below it."""
+
+    names: list[_Column]
+    columns: list[_Column]
+    notes: list[str]
+
+    @property
+    def swapped(self) -> "_Cells":
+        """Rows as columns."""
+        name = _Column(
+            ", ".join(filter(None, (own.head for own in self.names))),
+            [column.head for column in self.columns],
+            True,
+        )
+        heads = zip(*(own.cells for own in self.names), strict=True)
+        rows = zip(*(column.cells for column in self.columns), strict=True)
+        columns = [
+            _Column(" ".join(filter(None, head)), list(row), False)
+            for head, row in zip(heads, rows, strict=True)
+        ]
+        return _Cells([name], columns, self.notes)
+
+
+def _cells(frame: Any) -> _Cells:
+    """What is shown of a table."""
+    notes = []
+    if len(frame) > MOST_ROWS:
+        notes = [f"The first and the last {ENDS} of {len(frame)} rows; .to_string() has all."]
+        frame = frame.iloc[[*range(ENDS), *range(-ENDS, 0)]]
+    labels = [" ".join(map(str, n)) if isinstance(n, tuple) else str(n) for n in frame.columns]
+    values = [frame.iloc[:, k].tolist() for k in range(len(labels))]
+    units, errors = frame.attrs.get("units", {}), frame.attrs.get("errors", {})
+    beside = {n: errors.get(n, f"{n} error") for n in labels}
+    beside = {n: labels.index(error) for n, error in beside.items() if error in labels}
+    of_rows = values[labels.index("unit")] if "unit" in labels else []
+    own = [v for n, v in zip(labels, values, strict=True) if n not in units]
+    rows = [_in_row(_floats(row)) for row in zip(*own, strict=True)] if of_rows else None
+    columns = [
+        _column(
+            _measured(label, units.get(label)),
+            values[k],
+            values[beside[label]] if label in beside else None,
+            rows if label not in units else None,
+        )
+        for k, label in enumerate(labels)
+        if label != "unit" and k not in beside.values()
+    ]
+    if columns and columns[0].is_text and frame.index.names == [None]:
+        names, columns = columns[:1], columns[1:]
+    else:
+        levels = [frame.index.get_level_values(k) for k in range(frame.index.nlevels)]
+        names = [_column(str(own.name or ""), own.tolist()) for own in levels]
+        told = [_measured(n, units.get(n)) for n in names[-1].cells]
+        names[-1] = names[-1]._replace(cells=told)
+    if of_rows:
+        told = list(map(_measured, names[-1].cells, of_rows))
+        names[-1] = names[-1]._replace(cells=told)
+    if notes:
+        names = [_parted(own, "...") for own in names]
+        columns = [_parted(own, "") for own in columns]
+    return _with_room(_Cells(names, columns, notes))
+
+
+def _with_room(cells: _Cells) -> _Cells:
+    """With texts that all rows have, and long ones where a line has no room, among the notes."""
+    alike = [own for own in cells.columns if own.is_alike]
+    columns = [own for own in cells.columns if not own.is_alike]
+    notes = [*cells.notes, *(f"{own.head}: {own.cells[0]}" for own in alike if own.long)]
+    empty = [own.head for own in alike if not own.long]
+    notes += [f"{', '.join(empty)}: none."] if empty else []
+    taken = sum(_shares(cells._replace(columns=columns))) + sum(
+        own.narrowest + APART for own in columns if not own.long
+    )
+    long = [own for own in columns if own.long]
+    if WIDTH - taken >= len(long) * (LONG + APART):
+        return _Cells(cells.names, columns, notes)
+    numbers: dict[str, int] = {}
+    kept = []
+    for own in columns:
+        if own.long:
+            marks = [f"({numbers.setdefault(x, len(numbers) + 1)})" if x else "" for x in own.cells]
+            kept.append(_Column(own.head, marks, False))
+        else:
+            kept.append(own)
+    return _Cells(cells.names, kept, notes + [f"({k}) {text}" for text, k in numbers.items()])
+
+
+def _parted(column: _Column, mark: str) -> _Column:
+    """With a cell where rows are not shown."""
+    return column._replace(cells=[*column.cells[:ENDS], mark, *column.cells[ENDS:]])
+
+
+def _measured(name: str, unit: str | None) -> str:
+    """A name with a unit, which is not broken."""
+    named = f"{name} [{unit}]" if unit else name
+    return UNIT.sub(lambda found: found[0].replace(" ", FIRM), named)
+
+
+def _column(
+    head: str, values: list, errors: list | None = None, rows: list[Callable] | None = None
+) -> _Column:
+    """Of values, with their errors; `rows`: how numbers are written in each row, of several
+    units."""
+    columns = [_as_column(_floats(values))] * len(values)
+    cells = [_cell(x, write) for x, write in zip(values, rows or columns, strict=True)]
+    if errors is not None:
+        pairs = zip(cells, values, errors, strict=True)
+        cells = [_with_error(cell, x, error) for cell, x, error in pairs]
+    return _Column(head, cells, any(isinstance(x, str) for x in values))
+
+
+def _floats(values: Iterable) -> list[float]:
+    """The numbers among values that say what digits they need."""
+    return [x for x in values if isinstance(x, float) and math.isfinite(x) and x]
+
+
+def _with_error(cell: str, value: Any, error: Any) -> str:
+    """A cell, with the error of its value where there is one."""
+    if not (_floats([value]) or value == 0) or not isinstance(error, float) or math.isnan(error):
+        return cell
+    told = with_error(value, error) if _floats([error]) else f"{cell} ± {in_few(error, 2)}"
+    return told.replace(" ", FIRM)
+
+
+def _cell(value: Any, write: Callable[[float], str]) -> str:
+    """A value in a cell; `write`: how a number is written there."""
+    if isinstance(value, (bool, np.bool_)):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return write(value) if math.isfinite(value) and value else _alone(value)
+    if isinstance(value, (list, tuple)):
+        few = len(value) <= DIGITS
+        told = f",{FIRM}".join(_cell(x, _alone) for x in value)
+        return f"({told})" if few else f"{len(value)}{FIRM}numbers"
+    return "" if value is None else " ".join(str(value).split())
+
+
+def _alone(value: float) -> str:
+    """A number that no other has to be compared with."""
+    return in_few(value, DIGITS)
+
+
+def _digits(numbers: list[float], step: float = 0.0) -> int:
+    """As many as tell apart what is alike in size, and steps."""
+    size = max(map(abs, numbers))
+    alike = [x for x in numbers if abs(x) >= ALIKE * size]
+    apart = [(max(alike) - min(alike)) / 10, step]
+    wanted = [math.ceil(math.log10(size / own)) + 1 for own in apart if own > 0]
+    return min(max([DIGITS, *wanted]), MOST_DIGITS)
+
+
+def _in_row(numbers: list[float]) -> Callable[[float], str]:
+    """How numbers of one unit beside each other are written."""
+    if not numbers:
+        return _alone
+    most, size = _digits(numbers), max(map(abs, numbers))
+    return lambda x: in_few(x, most if abs(x) >= ALIKE * size else DIGITS)
+
+
+def _as_column(numbers: list[float]) -> Callable[[float], str]:
+    """How the numbers of a column are written: without zeros in which all of them end, and with as
+    many digits behind the point where they are alike in size or rise, as times do."""
+    if not numbers:
+        return _alone
+    steps = [after - before for before, after in itertools.pairwise(numbers)]
+    least = min(steps) if len(steps) > 1 else 0.0
+    most, sizes = _digits(numbers, least), [abs(x) for x in numbers]
+    size, alike = max(sizes), least > 0 or min(sizes) >= ALIKE * max(sizes)
+    if SMALL <= size < PLAIN and alike:
+        places = max(most - 1 - math.floor(math.log10(size)), 0)
+        return _first([f".{own}f" for own in range(places + 1)], numbers)
+    found = _first([f"#.{own}g" for own in range(1, most + 1)], numbers)
+    return lambda x: f"{x:.0f}" if size < PLAIN and "e+" in found(x) else found(x)
+
+
+def _first(ways: list[str], numbers: list[float]) -> Callable[[float], str]:
+    """The first of the ways to write numbers that says as much of them as the last."""
+    said = lambda way: [float(f"{x:{way}}") for x in numbers]
+    found = next(way for way in ways if said(way) == said(ways[-1]))
+    return lambda x: f"{x:{found}}".replace(".e", "e").rstrip(".")
+
+
+def _width(texts: Sequence[str]) -> int:
+    return max(map(len, texts), default=0)
+
+
+def _broken(text: str, width: int) -> list[str]:
+    """Lines of at most so many characters, broken behind spaces and points."""
+    lines = [""]
+    for piece in PIECE.split(text):
+        if lines[-1] and len(lines[-1]) + len(piece.rstrip()) > width:
+            lines.append("")
+        while len(piece.rstrip()) > width > 0:
+            lines[-1:], piece = [piece[:width], ""], piece[width:]
+        lines[-1] += piece
+    return [line.rstrip() for line in lines]
+
+
+def _shares(cells: _Cells) -> list[int]:
+    """What columns that name the rows take of a line: what others leave, or what may be."""
+    others = sum(min(own.narrowest, LONG) + APART for own in cells.columns)
+    most = max(NAMES, WIDTH - others) // len(cells.names)
+    return [min(own.narrowest, most - APART) + APART for own in cells.names]
+
+
+class _Fitted(NamedTuple):
+    """A column in lines: its head, its cells, its width, and whether it stands at the left."""
+
+    head: list[str]
+    cells: list[list[str]]
+    width: int
+    is_left: bool
+
+
+def _fitted(column: _Column, most: int, is_left: bool) -> _Fitted:
+    """A column of at most so many characters."""
+    width = min(column.narrowest, most)
+    cells = [_broken(cell, width) for cell in column.cells]
+    return _Fitted(_broken(column.head, max(width, 1)), cells, width, is_left)
+
+
+def _best(cells: _Cells) -> _Cells:
+    """The way round that is less broken, or takes fewer lines."""
+    if len(cells.names[0].cells) > WIDTH:
+        return cells
+    ways = [(lines.count(""), len(lines)) for lines in map(_in_blocks, (cells, cells.swapped))]
+    return cells.swapped if ways[0][0] and ways[1] <= ways[0] else cells
+
+
+def _in_lines(cells: _Cells) -> list[str]:
+    """The table in lines of a terminal."""
+    notes = [textwrap.wrap(note, WIDTH, subsequent_indent="    ") for note in cells.notes]
+    lines = itertools.chain(_in_blocks(_best(cells)), *notes)
+    return [line.replace(FIRM, " ") for line in lines]
+
+
+def _in_blocks(cells: _Cells) -> list[str]:
+    """As many columns side by side as a line holds, the others below, after an empty line."""
+    shares = _shares(cells)
+    names = [_fitted(n, s - APART, True) for n, s in zip(cells.names, shares, strict=True)]
+    room = WIDTH - sum(shares)
+    long = [own for own in cells.columns if own.long]
+    free = room - sum(own.narrowest + APART for own in cells.columns if not own.long)
+    share = max(free // max(len(long), 1) - APART, LONG)
+    blocks: list[list[_Fitted]] = [[]]
+    for own in cells.columns:
+        fitted = _fitted(own, share if own.long else room, own.is_text)
+        if blocks[-1] and sum(c.width + APART for c in [*blocks[-1], fitted]) > room + APART:
+            blocks.append([])
+        blocks[-1].append(fitted)
+    lines: list[str] = []
+    for block in blocks:
+        lines += [""] * bool(lines) + _drawn([*names, *block])
+    return lines
+
+
+def _drawn(columns: list[_Fitted]) -> list[str]:
+    """Columns side by side, with their heads."""
+    deepest = max(len(own.head) for own in columns)
+    lines = [[[""] * (deepest - len(own.head)) + own.head for own in columns]]
+    lines += map(list, zip(*(own.cells for own in columns), strict=True))
+    drawn = []
+    for row in lines:
+        for parts in itertools.zip_longest(*row, fillvalue=""):
+            pairs = zip(parts, columns, strict=True)
+            placed = [x.ljust(c.width) if c.is_left else x.rjust(c.width) for x, c in pairs]
+            drawn.append((" " * APART).join(placed).rstrip())
+    return drawn
+
+
+def _in_html(cells: _Cells) -> str:
+    """The table in a page, lying as it does in a terminal."""
+    cells = _best(cells)
+    columns = [*cells.names, *cells.columns]
+    row = lambda kind, texts: "".join(f"<{kind}>{html.escape(x)}</{kind}>" for x in texts)
+    rows = zip(*(own.cells for own in columns), strict=True)
+    head = f"<thead><tr>{row('th', [own.head for own in columns])}</tr></thead>"
+    body = "".join(f"<tr>{row('td', own)}</tr>" for own in rows)
+    notes = "".join(f"<p>{html.escape(note)}</p>" for note in cells.notes)
+    return f'<table class="dataframe">{head}<tbody>{body}</tbody></table>{notes}'
