@@ -222,14 +222,20 @@ def _body(history, name):
     return tuple(map(columns, over_time(history, one)))
 
 
+def _solved(history, now):
+    """System, forces and the solution of the equations of motion at an instant."""
+    forces = history.formulation.forces(now)
+    system, stabilisation = now.model.system, now.model.stabilisation
+    return system, forces, dynamics.forward_dynamics(system, forces, stabilisation)
+
+
 @eqx.filter_jit
 def _accelerations(history):
     """By body that of its centre of mass, and the angular one."""
 
     def one(now):
-        system, found = now.model.system, {}
-        forces = history.formulation.forces(now)
-        solution = dynamics.forward_dynamics(system, forces, now.model.stabilisation)
+        system, _, solution = _solved(history, now)
+        found = {}
         every = kinematics.link_accelerations(system, now.motions, solution.accelerations)
         for name, own in history.mechanism.bodies.items():
             index = system.topology.index(name)
@@ -306,9 +312,8 @@ def reaction(history: StateHistory, name: str) -> ReactionHistory:
 @eqx.filter_jit
 def _reaction(history, name):
     def one(now):
-        forces = history.formulation.forces(now)
-        solution = dynamics.forward_dynamics(now.model.system, forces, now.model.stabilisation)
-        if now.model.system.topology.branch_of(name) is not None:
+        system, forces, solution = _solved(history, now)
+        if system.topology.branch_of(name) is not None:
             return _branch_reaction(now, forces, solution, name)
         return _closure_reaction(now, forces, solution, name)
 
@@ -358,9 +363,7 @@ def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
 @eqx.filter_jit
 def _driving(history, name):
     def one(now):
-        system = now.model.system
-        forces = history.formulation.forces(now)
-        solution = dynamics.forward_dynamics(system, forces, now.model.stabilisation)
+        system, forces, solution = _solved(history, now)
         index = system.topology.branches.index(system.topology.branch_of(name))
         wrench = dynamics.joint_wrenches(system, forces, solution)[index]
         joint = system.links[index].joint
@@ -373,9 +376,7 @@ def _driving(history, name):
 @eqx.filter_jit
 def _transmitted(history, name):
     def one(now):
-        system = now.model.system
-        forces = history.formulation.forces(now)
-        solution = dynamics.forward_dynamics(system, forces, now.model.stabilisation)
+        system, _, solution = _solved(history, now)
         wanted = system.closures[system.topology.loops.index(name)]
         every = constraints.by_closure(system, now.motions, solution.multipliers)
         own = next(own for closure, own in every if closure is wanted)
