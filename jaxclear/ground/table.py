@@ -46,14 +46,15 @@ def as_table(
     errors: Mapping[str, str] | None = None,
     columns: Sequence[str] | None = None,
 ) -> Any:
-    """A pandas table of rows (dictionaries) or columns, to be looked at.
+    """A pandas table of rows (dictionaries), columns or another table, to be looked at.
 
     `index`: the columns that name its rows. `units`: by column; a column "unit" has those of the
     rows. `errors`: by column that of its error, by default "mean error" for "mean".
     """
     found = _kind()(rows, columns=columns)
     found = found if index is None else found.set_index(index)
-    found.attrs |= {"units": dict(units or {}), "errors": dict(errors or {})}
+    told = {"units": dict(units or {}), "errors": dict(errors or {})}
+    found.attrs = told | getattr(rows, "attrs", {})
     return found
 
 
