@@ -98,12 +98,8 @@ class _Column(NamedTuple):
     @property
     def is_alike(self) -> bool:
         """Whether all rows have the same long text, or none."""
-        texts = set(self.cells)
-        return (
-            self.is_text
-            and len(texts) == 1
-            and (texts == {""} or (self.long and len(self.cells) > 1))
-        )
+        alike = self.is_text and len(set(self.cells)) == 1
+        return alike and (not self.cells[0] or (self.long and len(self.cells) > 1))
 
     @property
     def narrowest(self) -> int:
