@@ -131,4 +131,5 @@ def with_error(value: float, error: float) -> str:
     told = [f"{round(own / 10.0**power, places):.{max(places, 0)}f}" for own in (value, error)]
     if float(told[0]) == 0:
         told[0] = told[0].lstrip("-")
-    return "({} ± {})e{:+03d}".format(*told, power) if power else " ± ".join(told)
+    both = " ± ".join(told)
+    return f"({both})e{power:+03d}" if power else both

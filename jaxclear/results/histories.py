@@ -46,10 +46,10 @@ class AbstractHistory(AbstractShown):
         return (as_table([_range(name, np.asarray(getattr(self, name)), u) for name, u in units]),)
 
 
-def units_of(kind: type) -> dict[str, str]:
+def units_of(kind: Any) -> dict[str, str]:
     """Unit of each field that has one."""
-    fields: Any = dataclasses.fields(kind)  # type: ignore[arg-type]
-    return {own.name: own.metadata["unit"] for own in fields if "unit" in own.metadata}
+    own = dataclasses.fields(kind)
+    return {field.name: field.metadata["unit"] for field in own if "unit" in field.metadata}
 
 
 def _range(name: str, values: np.ndarray, unit: str) -> dict[str, Any]:
@@ -176,7 +176,7 @@ class ContactHistory(AbstractHistory):
     place: Float[Array, "time contacts 3"] = measured("m")
     force: Float[Array, "time 3"] = measured("N")
     torque: Float[Array, "time 3"] = measured("N m")
-    names: tuple[str, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
 
     def table(self) -> Any:
         """A pandas table over time [s], a column for each number, labelled with its unit."""
