@@ -73,8 +73,8 @@ class BodyHistory(AbstractHistory):
     velocity: Float[Array, "time 3"] = measured("m/s")
     spin: Float[Array, "time 3"] = measured("rad/s")
     origin: Float[Array, "time 3"] = measured("m")
-    history: StateHistory = eqx.field(repr=False)
-    name: str = eqx.field(static=True)
+    history: StateHistory = eqx.field(repr=False)  # type: ignore[misc]
+    name: str = eqx.field(static=True)  # type: ignore[misc]
 
     @property
     def acceleration(self) -> Float[Array, "time 3"]:
@@ -100,7 +100,7 @@ class MarkerHistory(AbstractHistory):
 
     position: Float[Array, "time 3"] = measured("m")
     rotation: Float[Array, "time 3 3"] = measured("1")
-    body: Any
+    body: Any = eqx.field(repr=False)  # type: ignore[misc]
 
     @property
     def velocity(self) -> Float[Array, "time 3"]:
