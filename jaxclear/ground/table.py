@@ -22,8 +22,9 @@ __all__ = ["as_table"]
 
 # Spaces between columns; where the names of rows, and heads over narrow columns, are broken.
 APART, NAMES, HEAD = 2, 40, 12
-# Digits of a column, and the most where its numbers differ by less: a nanometre beside a metre.
-DIGITS, MOST_DIGITS = 4, 9
+# Digits of a column, and the most where its numbers differ by less, as a micrometre beside a metre,
+# or rise by less, as times do.
+DIGITS, MOST_DIGITS, MOST_OF_STEPS = 4, 7, 9
 # Numbers of a column are alike in size where the least is at least this share of the largest.
 ALIKE = 0.1
 # A longer table shows its first and its last rows, as many as stand here second.
@@ -255,9 +256,9 @@ def _digits(numbers: list[float], step: float = 0.0) -> int:
     """As many as tell apart what is alike in size, and steps."""
     size = max(map(abs, numbers))
     alike = [x for x in numbers if abs(x) >= ALIKE * size]
-    apart = [(max(alike) - min(alike)) / 10, step]
-    wanted = [math.ceil(math.log10(size / own)) + 1 for own in apart if own > 0]
-    return min(max([DIGITS, *wanted]), MOST_DIGITS)
+    apart = {MOST_DIGITS: (max(alike) - min(alike)) / 10, MOST_OF_STEPS: step}
+    known = ((most, math.log10(size / own)) for most, own in apart.items() if own > 0)
+    return max([DIGITS, *(min(math.ceil(power) + 1, most) for most, power in known)])
 
 
 def _in_row(numbers: list[float]) -> Callable[[float], str]:
