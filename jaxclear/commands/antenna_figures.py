@@ -171,9 +171,11 @@ def tip_path(run: Trajectory, error: PointingError, nominal: Trajectory, scale: 
     for name, setter in zip(
         "xyz", (axis.set_xlabel, axis.set_ylabel, axis.set_zlabel), strict=True
     ):
-        setter(f"{name} [m]")
+        setter(f"{name} [m]", labelpad=10)
+    axis.locator_params(nbins=4)
     points = np.concatenate([frictionless, ideal, exaggerated])
-    axis.set_box_aspect(np.maximum(np.ptp(points, axis=0), 0.2 * np.ptp(points, axis=0).max()))
+    sides = np.ptp(points, axis=0)
+    axis.set_box_aspect(np.maximum(sides, 0.2 * sides.max()), zoom=0.85)
     axis.legend(loc="upper left", fontsize=9)
     largest = MILLI * np.linalg.norm(actual - ideal, axis=1).max()
     axis.set_title(f"Path of the tip seen from the satellite (largest departure {largest:.2f} mm)")

@@ -159,14 +159,13 @@ def surface(found: ResponseSurface, *, ax: Any = None) -> Any:
     return sheet.done()
 
 
-def _means(what: str, study: Any, problem: Any, rows: dict, ax: Any, title: str) -> Any:
-    """Mean and mean ± standard deviation of responses, each with its 95 % error; `rows` by response
-    are mean, its error, standard deviation, its error."""
-    names = list(rows)
-    sheet = panels(what, ax, 1, len(names), (WIDE * len(names), 2.4))
-    for axis, name in zip(sheet.axes.flat, names, strict=True):
-        factor, unit = readable(np.array(rows[name][:1]), problem.units()[name])
-        mean, error, spread, off = (factor * x for x in rows[name])
+def _means(what: str, means: dict, deviations: dict, problem: Any, ax: Any, title: str) -> Any:
+    """Mean and mean ± standard deviation of responses, each with its 95 % error."""
+    sheet = panels(what, ax, 1, len(means), (WIDE * len(means), 2.4))
+    for axis, (name, own) in zip(sheet.axes.flat, means.items(), strict=True):
+        factor, unit = readable([own.value], problem.units()[name])
+        mean, error = factor * own.value, factor * own.error
+        spread, off = factor * deviations[name].value, factor * deviations[name].error
         axis.barh(1, 2 * spread, 0.5, left=mean - spread, color="C1", alpha=0.4)
         _interval(axis, 0, mean, mean - error, mean + error, color="k")
         for side in (-1, 1):
@@ -183,12 +182,9 @@ def corrected(study: Corrected, *, ax: Any = None) -> Any:
     """Mean and standard deviation of each response with their 95 % errors. `ax`: axes for each
     response."""
     expect(study, Corrected, "the study", "what jaxclear.corrected returns")
-    rows = {
-        name: (mean.value, mean.error, study.deviations[name].value, study.deviations[name].error)
-        for name, mean in study.means.items()
-    }
     title = f"Surface corrected by {study.runs} runs"
-    return _means("corrected", study, study.surface.problem, rows, ax, title)
+    problem = study.surface.problem
+    return _means("corrected", study.means, study.deviations, problem, ax, title)
 
 
 @answering
@@ -197,12 +193,8 @@ def multi_fidelity(study: MultiFidelity, *, ax: Any = None) -> Any:
     response."""
     expect(study, MultiFidelity, "the study", "what jaxclear.multi_fidelity returns")
     spread = study.standard_deviations
-    rows = {
-        name: (mean.value, mean.error, spread[name].value, spread[name].error)
-        for name, mean in study.means.items()
-    }
     title = f"{study.runs[0]} runs of the problem and {sum(study.runs[1:])} of cheaper ones"
-    return _means("multi_fidelity", study, study.problem, rows, ax, title)
+    return _means("multi_fidelity", study.means, spread, study.problem, ax, title)
 
 
 @answering

@@ -18,7 +18,7 @@ __all__ = ["monte_carlo", "sensitivity", "work_precision"]
 # An error as large as the response is drawn no higher, a hundredth of the accuracy no lower.
 LARGEST_ERROR, LEAST_ERROR = 1.0, 0.01
 DIVERGED = "failed, or no digit right"
-EDGE = {"color": "k", "mfc": "none", "ms": 7, "clip_on": False, "zorder": 4}
+EDGE: dict[str, Any] = {"mfc": "none", "ms": 7, "zorder": 4}
 # Where a sentence ends.
 SENTENCES = re.compile(r"(?<=[.!?]) +(?=[A-Z0-9])")
 
@@ -117,19 +117,21 @@ def work_precision(advice: Advice, *, ax: Any = None) -> Any:
     table = advice.table()
     table = table[table["work"] > 0]
     table = table.assign(error=table["error"].clip(LEAST_ERROR * asked))
-    lost = table[~(table["error"] < LARGEST_ERROR)]
-    table = table[table["error"] < LARGEST_ERROR]
     for name, rows in table.groupby("method", sort=False):
         style: dict[str, Any] = {"ms": 4}
         if rows["left out by the model"].notna().any():
             style = {"ms": 6, "mfc": "none"}
         if name == PRESENT:
             style = {"ms": 7, "marker": "x", "color": "0.35"}
-        axis.plot(
-            rows["work"], rows["error"], **({"marker": "o", "lw": 1.2, "label": name} | style)
-        )
-    if len(lost):
-        axis.plot(lost["work"], LARGEST_ERROR + 0 * lost["work"], "^", label=DIVERGED, **EDGE)
+        right = rows["error"] < LARGEST_ERROR
+        how: dict[str, Any] = {"marker": "o", "lw": 1.2, "label": name} | style
+        (line,) = axis.plot(rows["work"][right], rows["error"][right], **how)
+        if not right.all():
+            lost = rows["work"][~right]
+            axis.plot(
+                lost, LARGEST_ERROR + 0 * lost, "^", clip_on=False, c=line.get_color(), **EDGE
+            )
+    axis.plot([], [], "^", color="k", label=DIVERGED, **EDGE)
     best = table[table["recommended"]]
     ring: dict[str, Any] = {"ms": 14, "mfc": "none", "mec": "k", "mew": 1.6}
     axis.plot(best["work"], best["error"], "o", label="recommended", **ring)
