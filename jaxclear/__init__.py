@@ -95,6 +95,7 @@ from jaxclear.studies.statistics.shapley import shapley_effects
 from jaxclear.studies.statistics.sobol_indices import sobol_indices
 from jaxclear.studies.surface.correction import corrected
 from jaxclear.studies.surface.surface import surface
+from jaxclear.studies.sweep import sweep
 from jaxclear.studies.variable import AbstractMechanismVariable, Variable
 from jaxclear.studies.worst_case import worst_case
 
@@ -192,6 +193,7 @@ __all__ = [
     "sobol_indices",
     "stiffness",
     "surface",
+    "sweep",
     "vector",
     "wear",
     "wear_life",

@@ -1,4 +1,4 @@
-"""How the book is built: `python -m sphinx -W --keep-going notebooks build/book`.
+"""How the book is built: `python -m sphinx -j 2 -W --keep-going notebooks build/book`.
 
 Nothing is fetched from a network, neither when the book is built nor when it is read. The cells of
 the notebooks run in the build; what has not changed is taken from the cache beside it.
@@ -10,9 +10,9 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_extensions"))
-# Programs that the cells compile are kept between builds.
+# Programs that the cells compile are kept between builds, small ones too: a design has a hundred.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(HERE.parent / "build" / "compiled_programs"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 project = "jaxclear"
 author = "the authors of jaxclear"
@@ -41,7 +41,7 @@ myst_heading_anchors = 3
 python_maximum_signature_line_length = 60
 python_use_unqualified_type_names = True
 nb_execution_mode = "cache"
-nb_execution_timeout = 600
+nb_execution_timeout = 1200
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 # Sliders of a notebook need a kernel; their scripts would be fetched from a network.

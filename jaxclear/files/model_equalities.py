@@ -53,10 +53,8 @@ def equalities_of(model: Any, tree: Tree) -> Equalities:
     found = Equalities({}, {}, {}, [], set(), {})
     taken = [*tree.names, *tree.joints, *tree.connections]
     for k in range(model.neq):
-        own, kind = model.eq(k).name, KINDS[model.eq_type[k]]
-        name = free_name(
-            own or f"{kind} {k}", [*taken, *found.connections, *found.couplings], " equality"
-        )
+        own, kind = model.eq(k).name or _unnamed(model, tree, k), KINDS[model.eq_type[k]]
+        name = free_name(own, [*taken, *found.connections, *found.couplings], " equality")
         if not model.eq_active0[k] or kind not in ("connect", "weld", "joint"):
             found.missing.append(_in_words(model, k, name, tree.joints))
         elif kind == "joint":
@@ -64,6 +62,14 @@ def equalities_of(model: Any, tree: Tree) -> Equalities:
         else:
             _hold(found, model, tree, name, k)
     return found
+
+
+def _unnamed(model: Any, tree: Tree, k: int) -> str:
+    """What an equality without a name is called: of joints, as URDF's `mimic`, by these."""
+    kind, follower, leader = KINDS[model.eq_type[k]], model.eq_obj1id[k], model.eq_obj2id[k]
+    if kind != "joint":
+        return f"{kind} {k}"
+    return f"{tree.joints[follower]} " + (f"by {tree.joints[leader]}" if leader >= 0 else "held")
 
 
 def _couple(found: Equalities, model: Any, tree: Tree, name: str, k: int) -> None:

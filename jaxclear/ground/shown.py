@@ -90,9 +90,10 @@ def _in_html(part: Any) -> str:
     return f"<details><summary>{first}</summary><pre>{folded}</pre></details>"
 
 
-def left_out(failed: int, samples: str) -> list[str]:
+def left_out(failed: int, sample: str) -> list[str]:
     """A sentence for samples that failed; none where none did."""
-    return [f"{failed} {samples} failed and are left out."] if failed else []
+    several = f"{failed} {sample}s failed and are left out."
+    return [several if failed > 1 else f"1 {sample} failed and is left out."] if failed else []
 
 
 def as_written(number: Any) -> str:
@@ -130,4 +131,5 @@ def with_error(value: float, error: float) -> str:
     told = [f"{round(own / 10.0**power, places):.{max(places, 0)}f}" for own in (value, error)]
     if float(told[0]) == 0:
         told[0] = told[0].lstrip("-")
-    return "({} ± {})e{:+03d}".format(*told, power) if power else " ± ".join(told)
+    both = " ± ".join(told)
+    return f"({both})e{power:+03d}" if power else both

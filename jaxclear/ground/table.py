@@ -46,14 +46,15 @@ def as_table(
     errors: Mapping[str, str] | None = None,
     columns: Sequence[str] | None = None,
 ) -> Any:
-    """A pandas table of rows (dictionaries) or columns, to be looked at.
+    """A pandas table of rows (dictionaries), columns or another table, to be looked at.
 
     `index`: the columns that name its rows. `units`: by column; a column "unit" has those of the
     rows. `errors`: by column that of its error, by default "mean error" for "mean".
     """
     found = _kind()(rows, columns=columns)
     found = found if index is None else found.set_index(index)
-    found.attrs |= {"units": dict(units or {}), "errors": dict(errors or {})}
+    told = {"units": dict(units or {}), "errors": dict(errors or {})}
+    found.attrs = told | getattr(rows, "attrs", {})
     return found
 
 
@@ -97,12 +98,8 @@ class _Column(NamedTuple):
     @property
     def is_alike(self) -> bool:
         """Whether all rows have the same long text, or none."""
-        texts = set(self.cells)
-        return (
-            self.is_text
-            and len(texts) == 1
-            and (texts == {""} or (self.long and len(self.cells) > 1))
-        )
+        alike = self.is_text and len(set(self.cells)) == 1
+        return alike and (not self.cells[0] or (self.long and len(self.cells) > 1))
 
     @property
     def narrowest(self) -> int:

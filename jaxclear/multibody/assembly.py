@@ -345,14 +345,14 @@ def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = N
         return Nearest(mechanism, *_judged(mechanism, concentric, worn)[:2])
     first = first_found(mechanism, concentric, worn)
     found = [] if first.is_taken else first.modes(assembly_modes.SEARCHES)
-    if not found:
-        return Nearest(*first[:3])
-    doubt = assembly_modes.doubt(first.mechanism, first.tree, found)
+    start, sound = (found[0].start, True) if found else (first.start, first.sound)
+    said = [assembly_modes.doubt(first.mechanism, first.tree, found)] if sound else []
+    said += [first.tree.turned(mechanism, start)] if sound else []
+    doubt = " ".join(filter(None, said))
     if doubt:
         warn(doubt)
-    start = found[0].start
     elsewhere = not np.array_equal(start.coordinates, first.start.coordinates)
-    return Nearest(first.mechanism, start, True, doubt, elsewhere)
+    return Nearest(first.mechanism, start, sound, doubt, elsewhere)
 
 
 def ready(mechanism: Mechanism, concentric: bool = True, worn: dict | None = None) -> Nearest:

@@ -252,6 +252,23 @@ class Coordinates:
             q = q - np.where(repeats, 2 * np.pi * turns, 0.0)
         return start._replace(coordinates=jnp.asarray(q))
 
+    def turned(self, mechanism: Mechanism, start: Start) -> str:
+        """A sentence for what is guessed and met but for whole turns, which couplings count; ""
+        where nothing is."""
+        apart = np.asarray(start.coordinates) - self.seed
+        turns = np.round(apart / (2 * np.pi)) * ((self.units == "rad") & self.guessed)
+        for branch in self.branches if mechanism.couplings else ():
+            most = max(turns[branch.coordinates], key=abs)
+            own = {n: c.joints() for n, c in mechanism.couplings.items()}
+            tied = [name for name, joints in own.items() if branch.name in joints]
+            if most and tied:
+                others = [one for one in own[tied[0]] if one != branch.name]
+                return (
+                    f'the guess of "{branch.name}" is met but for {abs(most):g} whole turns, which '
+                    f'coupling "{tied[0]}" counts: guess the turns of {listed(others)} too.'
+                )
+        return ""
+
     def most_apart(self, q: np.ndarray, other: np.ndarray) -> str:
         """The joint or body, in quotes, whose coordinates tell two places apart most."""
         apart = np.abs(self.apart(q, other))

@@ -2,10 +2,13 @@
 
 from typing import Any
 
+import numpy as np
+
 from jaxclear.components.coupling import AbstractCoordinateCoupling
 from jaxclear.components.joint.base import drive_of
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.meshes import drawn_pose, markers
 from jaxclear.multibody.topology import Topology, coordinate_joint
@@ -13,9 +16,13 @@ from jaxclear.multibody.validation import one_coordinate
 
 __all__ = ["check_couplings"]
 
+# Beside factors of couplings [1].
+ROUNDING = 1e-9
+
 
 def check_couplings(couplings: dict, topology: Topology, bodies: dict, connections: dict) -> None:
     """Raises `ValueError` for a coupling of joints that there are not, or that do not fit."""
+    _warn_of_locks(couplings)
     for name, coupling in couplings.items():
         if name in connections:
             raise ValueError(f'"{name}" is a coupling and a joint; give one of them another name.')
@@ -41,6 +48,28 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
                 coupling.check(drawn_pose(coupling, bodies, connections))
             except ValueError as error:
                 raise ValueError(f'coupling "{name}" {error}') from None
+
+
+def _warn_of_locks(couplings: dict) -> None:
+    """Warns where sums of coordinates, each of two or more joints, leave a joint one place only."""
+    own = {n: c.terms() for n, c in couplings.items() if isinstance(c, AbstractCoordinateCoupling)}
+    if len(own) < 2 or is_traced(own):
+        return
+    joints = list(dict.fromkeys(term.joint for terms in own.values() for term in terms))
+    rows = np.zeros((len(own), len(joints)))
+    for row, terms in zip(rows, own.values(), strict=True):
+        for joint, factor in terms:
+            row[joints.index(joint)] = float(factor)
+    for place, joint in zip(np.eye(len(joints)), joints, strict=True):
+        shares = np.linalg.lstsq(rows.T, place, rcond=None)[0]
+        tying = [n for n, share in zip(own, shares, strict=True) if abs(share) > ROUNDING]
+        if len(tying) > 1 and np.allclose(rows.T @ shares, place, atol=ROUNDING):
+            warn(
+                f'couplings {listed(tying)} together leave joint "{joint}" one place only: they '
+                "contradict each other in motion, and nothing that they tie can move. Leave one of "
+                "them out."
+            )
+            return
 
 
 def _check_moves(name: str, coupling: Any, bodies: dict, connections: dict) -> None:

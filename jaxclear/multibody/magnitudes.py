@@ -142,11 +142,13 @@ def _radius(joint: Any) -> float:
 
 def _starts(mechanism: Any) -> Iterator[str]:
     """Angles of many turns."""
-    for name, values in (*mechanism.start.items(), *mechanism.guess.items()):
-        for value, unit in zip(values, coordinate_units(mechanism, name), strict=False):
-            angle = concrete(value)
-            if unit == "rad" and angle is not None and abs(angle) > MOST_TURNS:
-                yield f'start of "{name}" is {angle:g} rad: is it in degrees? Angles are in rad.'
+    for what in ("start", "guess"):
+        for name, values in getattr(mechanism, what).items():
+            for value, unit in zip(values, coordinate_units(mechanism, name), strict=False):
+                angle = concrete(value)
+                if unit == "rad" and angle is not None and abs(angle) > MOST_TURNS:
+                    told = f'{what} of "{name}" is {angle:g} rad'
+                    yield f"{told}: is it in degrees? Angles are in rad."
 
 
 def _norm(vector: Any) -> float:

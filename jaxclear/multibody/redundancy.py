@@ -136,7 +136,8 @@ def redundancy(mechanism: Mechanism, start: Start, time: Any) -> Redundancy | No
         rank, joints = place.rank, _undetermined(mechanism, rows, place)
         new = _new(np.asarray(place.jacobian))
         follow = [row for row, says in zip(moving, new, strict=True) if not says]
-    extra = tuple((row.joint, row.name) for row in rows if row.fixed or row in follow)
+    called = lambda row: "" if row.joint in mechanism.couplings else row.name
+    extra = tuple((row.joint, called(row)) for row in rows if row.fixed or row in follow)
     return Redundancy(rank, bool(follow), extra, joints) if extra else None
 
 

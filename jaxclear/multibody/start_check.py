@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import compiled_quickly
+from jaxclear.ground.wording import listed
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.start_equations import (
     Start,
@@ -103,11 +104,18 @@ def _open_loop(mechanism: Mechanism, start: Start, name: str) -> str:
         if missed <= NEARLY * float(ask(mechanism, False).arm)
         else ""
     )
+    remedy = (
+        "Check the lengths around this loop, or give a better start={...} or guess={...} for the "
+        f"joints in it.{exactly}"
+    )
+    if name in mechanism.couplings:
+        remedy = (
+            "It counts whole turns: give start={...} or guess={...} that fit it for its joints, "
+            f"{listed(mechanism.couplings[name].joints())}."
+        )
     return (
-        f"the {_loop(mechanism, name)} cannot be closed: "
-        f"{missed:.3g} m "
-        "(or rad) remain from the given start. Check the lengths around this loop, or give a "
-        f"better start={{...}} or guess={{...}} for the joints in it.{exactly}"
+        f"the {_loop(mechanism, name)} cannot be closed: {missed:.3g} m (or rad) remain from the "
+        f"given start. {remedy}"
     )
 
 
@@ -154,9 +162,9 @@ def _missed_coordinate(mechanism: Mechanism, start: Start, name: str) -> str:
         place = float(values[0]) + float(missed[0]) * _measure(mechanism, joint)
         where = f"put it at {place:.6g} {joint.units[0]}"
     return (
-        f"start={{{given}}} is more than the mechanism leaves free: its loops, drives and what "
-        f'start gives before {where}. Leave "{name}" out, or give it as guess={{{given}}}, which '
-        "chooses between the ways to assemble without being held."
+        f"start={{{given}}} is more than the mechanism leaves free: {_holding(mechanism, name)} "
+        f'and what start gives before {where}. Leave "{name}" out, or give it as '
+        f"guess={{{given}}}, which chooses between the ways to assemble without being held."
     )
 
 
@@ -164,10 +172,19 @@ def _missed_speed(mechanism: Mechanism, start: Start, name: str) -> str:
     missed = start.missed_speeds[name]
     return (
         f'speeds={{"{name}": {_in_words(mechanism.speeds[name])}}} is more than the mechanism '
-        "leaves free: its loops, drives and the speeds given before miss it by "
+        f"leaves free: {_holding(mechanism, name)} and the speeds given before miss it by "
         f'{_most(missed):.3g} (rad/s, or longest arms a second). Leave "{name}" out; it '
         "follows from the others."
     )
+
+
+def _holding(mechanism: Mechanism, name: str) -> str:
+    """What holds a mechanism beside what is given, in words: of couplings those of this joint, or
+    all."""
+    known = mechanism.couplings
+    own = [coupling for coupling, each in known.items() if name in each.joints()]
+    word = "coupling" if len(own or known) == 1 else "couplings"
+    return f"its loops, drives, {word} {listed(own or known)}" if known else "its loops, drives"
 
 
 def _in_words(values: tuple) -> str:

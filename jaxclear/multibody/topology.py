@@ -63,19 +63,24 @@ class Redundancy:
     def __str__(self) -> str:
         """The same as a sentence."""
         rows, verb = listed_rows(self.rows), "follow" if len(self.rows) > 1 else "follows"
+        least = (
+            f"of the reactions in joints {listed(self.joints)} the least are taken that close the "
+            "loops."
+            if self.joints
+            else "of what the couplings transmit the least is taken."
+        )
         return (
             f"overconstrained: of the rows that close loops {rows} {verb} from the others. The "
-            f"motion is unique; of the reactions in joints {listed(self.joints)} the least are "
-            "taken that close the loops."
+            f"motion is unique; {least}"
         )
 
 
 def listed_rows(rows: tuple[tuple[str, str], ...]) -> str:
-    """Rows by joint, in words."""
-    joints = dict.fromkeys(joint for joint, _ in rows)
+    """Rows by joint, in words; a coupling is one row, without a name of its own."""
+    told = {joint: [own for name, own in rows if name == joint] for joint, _ in rows}
     return "; ".join(
-        f'{", ".join(own for name, own in rows if name == joint)} of joint "{joint}"'
-        for joint in joints
+        f'{", ".join(own)} of joint "{name}"' if any(own) else f'coupling "{name}"'
+        for name, own in told.items()
     )
 
 

@@ -58,6 +58,5 @@ def wear_lives(found: WearLives, *, ax: Any = None) -> Any:
             axis.plot(life.cycles, factor * curve, lw=0.8, alpha=0.7, color="C3" if early else "C0")
         axis.set_xlabel("cycles [1]")
         axis.set_ylabel(f"{'largest depth' if kind == DEPTH else 'volume lost'} [{unit}]")
-        axis.ticklabel_format(axis="x", scilimits=(0, 0))
     sheet.title(found.sentence())
     return sheet.done()

@@ -57,8 +57,7 @@ def _limits(axis: Any, found: Design) -> None:
     axis.barh(places, np.maximum(used, 0.0), 0.5, color=colours, alpha=0.7)
     axis.errorbar(used, places, xerr=errors, fmt="none", ecolor="k", capsize=3)
     axis.axvline(100.0, color="k", lw=1.0)
-    labels = [limit.words() for limit in found.limits]
-    axis.set_yticks(places, [_folded(label) for label in labels], fontsize=7)
+    axis.set_yticks(places, [limit.words() for limit in found.limits], fontsize=7)
     axis.invert_yaxis()
     axis.set_xlim(0.0, max(110.0, 1.1 * float(np.nanmax(used, initial=100.0))))
     axis.set_xlabel("limit used up [%]")
@@ -81,15 +80,6 @@ def _history(axis: Any, found: Design) -> None:
     axis.set_ylabel("cost")
     if kept.any():
         key(axis)
-
-
-def _folded(text: str, width: int = 26) -> str:
-    """Words in lines of about so many letters."""
-    lines = [""]
-    for word in text.split():
-        longer = f"{lines[-1]} {word}".strip()
-        lines = [*lines[:-1], longer] if len(longer) <= width else [*lines, word]
-    return "\n".join(lines)
 
 
 def design_front(found: Sequence[Design], limit: int = 0, *, ax: Any = None) -> Any:

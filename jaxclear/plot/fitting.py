@@ -5,6 +5,7 @@ lose nothing by it.
 Where texts end is measured after matplotlib's own layout, so that no plot counts letters.
 """
 
+import re
 import textwrap
 from collections import defaultdict
 from collections.abc import Sequence
@@ -22,7 +23,6 @@ from matplotlib.ticker import (
     LogLocator,
     MaxNLocator,
     NullFormatter,
-    ScalarFormatter,
 )
 
 __all__ = ["RAISED", "Roomy", "columns_of", "fitted", "key", "places"]
@@ -40,6 +40,8 @@ MOST_COLUMNS, SMALL = 5, 7.0
 # What names of rows may take of the width of a figure [inch].
 NAMES = 0.9
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+# As matplotlib writes a power of ten, and what is taken off numbers.
+OFFSET = re.compile(r"(?:1e(-?\d+))?([+-][-\d.e]+)?")
 # Of the room for a text, what it may take.
 TAKEN = 0.96
 
@@ -51,13 +53,14 @@ class Roomy(Locator):
         self.whole = whole
 
     def __call__(self) -> Any:
-        return self.tick_values(*self.axis.get_view_interval())
+        axis: Any = self.axis
+        return self.tick_values(*axis.get_view_interval())
 
     def tick_values(self, vmin: float, vmax: float) -> Any:
         """The places; those outside are not drawn."""
         for most in range(MOST_TICKS, 0, -1):
             round_ones = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10], integer=self.whole)
-            found = round_ones.tick_values(vmin, vmax)
+            found = np.asarray(round_ones.tick_values(vmin, vmax))
             if _has_room(self.axis, found[(found >= vmin) & (found <= vmax)]):
                 break
         return found
@@ -68,7 +71,8 @@ class Decades(Locator):
     those, within one of them round places."""
 
     def __call__(self) -> Any:
-        return self.tick_values(*self.axis.get_view_interval())
+        axis: Any = self.axis
+        return self.tick_values(*axis.get_view_interval())
 
     def tick_values(self, vmin: float, vmax: float) -> Any:
         """The places."""
@@ -94,8 +98,9 @@ def _decimal(value: float, _: int = 0) -> str:
 
 def _has_room(axis: Any, found: np.ndarray) -> bool:
     """Whether the labels of places stand apart."""
-    usual = matplotlib.rcParams[f"{axis.axis_name}tick.labelsize"]
-    size = FontProperties(size=axis.get_tick_params().get("labelsize", usual)).get_size_in_points()
+    usual: Any = matplotlib.rcParams
+    own = axis.get_tick_params().get("labelsize", usual[f"{axis.axis_name}tick.labelsize"])
+    size = FontProperties(size=own).get_size_in_points()
     box, inch = axis.axes.get_window_extent(), axis.get_figure(root=True).dpi
     labels = axis.get_major_formatter().format_ticks(found)
     if axis.axis_name == "x":
@@ -136,8 +141,11 @@ def key(axis: Any, lines: Any = None, **kwargs: Any) -> None:
         axis.legend(handles, labels, fontsize=SMALL, ncols=columns, **kwargs)
 
 
-def fitted(figure: Figure) -> Figure:
-    """The figure with texts that can be read."""
+def fitted(figure: Figure) -> None:
+    """Makes the texts of a figure such as can be read."""
+    layout, title = figure.get_layout_engine(), getattr(figure, "_suptitle", None)
+    if layout is None:
+        return
     bars = [one for one in figure.axes if one.get_label() == "<colorbar>"]
     axes = [one for one in figure.axes if one not in bars]
     flat = [one for one in axes if one.name != "3d"]
@@ -145,9 +153,9 @@ def fitted(figure: Figure) -> Figure:
         places(axis)
         _fold_rows(axis)
     _widen(figure, flat)
-    figure.get_layout_engine().execute(figure)
+    layout.execute(figure)
     before = {axis: axis.get_window_extent().height for axis in flat}
-    folded = [_fold(figure._suptitle, figure.bbox.width)] if figure._suptitle else []
+    folded = [_fold(title, figure.bbox.width)] if title else []
     folded += [_fold(axis.title, _room(axis, figure, bars)) for axis in axes]
     for axis in (*flat, *bars):
         box = axis.get_window_extent()
@@ -157,14 +165,13 @@ def fitted(figure: Figure) -> Figure:
         folded.append(_fold(axis.yaxis.label, box.height, upright=True))
     needed = {axis: max(before[axis], _rows_need(axis)) for axis in flat}
     if any(folded) or needed != before:
-        figure.get_layout_engine().execute(figure)
+        layout.execute(figure)
         lost: dict[int, float] = defaultdict(float)
         for axis in flat:
             box = axis.get_window_extent()
             row = round(box.y1)
             lost[row] = max(lost[row], needed[axis] - box.height)
         figure.set_figheight(figure.get_figheight() + sum(lost.values()) / figure.dpi)
-    return figure
 
 
 def _widen(figure: Figure, axes: list) -> None:
@@ -192,16 +199,13 @@ def _room(axis: Any, figure: Figure, bars: list) -> float:
 
 def _without_offset(axis: Any) -> None:
     """Says in the label what is taken off the numbers of an axis, and their power of ten."""
-    formatter = axis.get_major_formatter()
-    if type(formatter) is not ScalarFormatter or not formatter.get_offset():
-        return
     label, offset = axis.get_label_text(), axis.get_offset_text()
-    if not label or not offset.get_visible():
+    said = OFFSET.fullmatch(axis.get_major_formatter().get_offset().replace("\N{MINUS SIGN}", "-"))
+    if said is None or not any(said.groups()) or not label or not offset.get_visible():
         return
     what, _, unit = label.rstrip("]").partition(" [")
-    taken = f" \N{MINUS SIGN} {formatter.offset:.12g}" if formatter.offset else ""
-    power = formatter.orderOfMagnitude
-    scale = f"10{str(power).translate(RAISED)} " if power else ""
+    taken = f" \N{MINUS SIGN} {float(said[2]):.12g}" if said[2] else ""
+    scale = f"10{said[1].translate(RAISED)} " if said[1] else ""
     unit = f"{scale}{unit}".removesuffix(" 1" if scale else "").rstrip()
     axis.set_label_text(f"{what}{taken} [{unit}]" if unit else f"{what}{taken}")
     offset.set_visible(False)
@@ -218,18 +222,20 @@ def _fold(text: Any, room: float, upright: bool = False) -> bool:
 
 
 def _has_rows(axis: Any) -> bool:
-    """Whether rows have names."""
-    return isinstance(axis.yaxis.get_major_locator(), FixedLocator)
+    """Whether rows have names: they are 1 apart."""
+    named = isinstance(axis.yaxis.get_major_locator(), FixedLocator)
+    return named and np.allclose(np.abs(np.diff(axis.get_yticks())), 1.0)
 
 
 def _fold_rows(axis: Any) -> None:
     """Folds the names of rows."""
     if not _has_rows(axis):
         return
-    names = [one.get_text() for one in axis.get_yticklabels()]
-    if any(len(one) > ROW and "\n" not in one for one in names):
-        names = [one if "\n" in one else textwrap.fill(one, ROW) for one in names]
-        axis.set_yticks(axis.get_yticks(), names, fontsize=axis.get_yticklabels()[0].get_fontsize())
+    labels = axis.get_yticklabels()
+    lines = [one.get_text().split("\n") for one in labels]
+    if any(len(line) > ROW for own in lines for line in own):
+        names = ["\n".join(textwrap.fill(line, ROW) for line in own) for own in lines]
+        axis.set_yticks(axis.get_yticks(), names, fontsize=labels[0].get_fontsize())
 
 
 def _rows_need(axis: Any) -> float:

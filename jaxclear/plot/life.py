@@ -42,7 +42,6 @@ def wear_life(life: WearLife, *, ax: Any = None) -> Any:
         last = max(i for i in range(len(shown)) if i % columns == column)
         axes.flat[last].set_xlabel("cycles")
         axes.flat[last].tick_params(labelbottom=True)
-        axes.flat[last].ticklabel_format(axis="x", scilimits=(0, 0))
     short = f"{life.cycles[-1]:.4g} cycles of machine life from {life.simulated} simulated ones"
     sheet.title(short)
     said = [f"Ended early: {life.ended}"] if life.ended else []

@@ -78,7 +78,7 @@ def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
     sheet = panels("sensitivity", ax, 1, len(entries), (4.6 * len(entries), 3.6), sharey=alike)
     rest: dict[str, list[str]] = {}
     for axis, ((response, variable), derivative) in zip(sheet.axes.flat, entries, strict=True):
-        answers = {**derivative.estimates, "answer": derivative}
+        answers: dict[str, Any] = {**derivative.estimates, "answer": derivative}
         ends = [abs(one.value) + one.error for one in answers.values()]
         factor, unit = readable(ends, study.unit(response, variable))
         for row, (name, one) in enumerate(answers.items()):

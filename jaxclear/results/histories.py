@@ -46,10 +46,10 @@ class AbstractHistory(AbstractShown):
         return (as_table([_range(name, np.asarray(getattr(self, name)), u) for name, u in units]),)
 
 
-def units_of(kind: type) -> dict[str, str]:
+def units_of(kind: Any) -> dict[str, str]:
     """Unit of each field that has one."""
-    fields: Any = dataclasses.fields(kind)  # type: ignore[arg-type]
-    return {own.name: own.metadata["unit"] for own in fields if "unit" in own.metadata}
+    own = dataclasses.fields(kind)
+    return {field.name: field.metadata["unit"] for field in own if "unit" in field.metadata}
 
 
 def _range(name: str, values: np.ndarray, unit: str) -> dict[str, Any]:
@@ -73,18 +73,18 @@ class BodyHistory(AbstractHistory):
     velocity: Float[Array, "time 3"] = measured("m/s")
     spin: Float[Array, "time 3"] = measured("rad/s")
     origin: Float[Array, "time 3"] = measured("m")
-    history: StateHistory = eqx.field(repr=False)
-    name: str = eqx.field(static=True)
+    history: StateHistory = eqx.field(repr=False)  # type: ignore[misc]
+    name: str = eqx.field(static=True)  # type: ignore[misc]
 
     @property
     def acceleration(self) -> Float[Array, "time 3"]:
         """Of the centre of mass [m/s^2], ground axes."""
-        return _accelerations(self.history, self.name)[0]
+        return _accelerations(self.history)[self.name][0]
 
     @property
     def angular_acceleration(self) -> Float[Array, "time 3"]:
         """Rate of `spin` [rad/s^2], ground axes."""
-        return _accelerations(self.history, self.name)[1]
+        return _accelerations(self.history)[self.name][1]
 
     @property
     def quaternion(self) -> np.ndarray:
@@ -100,7 +100,7 @@ class MarkerHistory(AbstractHistory):
 
     position: Float[Array, "time 3"] = measured("m")
     rotation: Float[Array, "time 3 3"] = measured("1")
-    body: Any
+    body: Any = eqx.field(repr=False)  # type: ignore[misc]
 
     @property
     def velocity(self) -> Float[Array, "time 3"]:
@@ -111,7 +111,7 @@ class MarkerHistory(AbstractHistory):
     def acceleration(self) -> Float[Array, "time 3"]:
         """Of its origin [m/s^2], ground axes: the rate of `velocity`, without gravity. From the
         equations of motion, as of a `BodyHistory`."""
-        linear, angular = _accelerations(self.body.history, self.body.name)
+        linear, angular = _accelerations(self.body.history)[self.body.name]
         spin, arm = self.body.spin, self.position - self.body.com
         return linear + jnp.cross(angular, arm) + jnp.cross(spin, jnp.cross(spin, arm))
 
@@ -176,7 +176,7 @@ class ContactHistory(AbstractHistory):
     place: Float[Array, "time contacts 3"] = measured("m")
     force: Float[Array, "time 3"] = measured("N")
     torque: Float[Array, "time 3"] = measured("N m")
-    names: tuple[str, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
 
     def table(self) -> Any:
         """A pandas table over time [s], a column for each number, labelled with its unit."""
@@ -250,26 +250,33 @@ def _body(history, name):
     return tuple(map(columns, over_time(history, one)))
 
 
+def _solved(history, now):
+    """System, forces and the solution of the equations of motion at an instant."""
+    forces = history.formulation.forces(now)
+    system, stabilisation = now.model.system, now.model.stabilisation
+    return system, forces, dynamics.forward_dynamics(system, forces, stabilisation)
+
+
 @eqx.filter_jit
-def _accelerations(history, name):
-    """Of a body's centre of mass, and angular."""
-    com = sp.vec3(history.mechanism.bodies[name].com)
+def _accelerations(history):
+    """By body that of its centre of mass, and the angular one."""
 
     def one(now):
-        system = now.model.system
-        index = system.topology.index(name)
-        forces = history.formulation.forces(now)
-        solution = dynamics.forward_dynamics(system, forces, now.model.stabilisation)
+        system, _, solution = _solved(history, now)
+        found = {}
         every = kinematics.link_accelerations(system, now.motions, solution.accelerations)
-        own, twist = every[index], now.motions[index].twist
-        inner = system.links[index].frame.point(com)
-        velocity = sp.plus(twist.linear, sp.cross(twist.angular, inner))
-        felt = sp.plus(own.linear, sp.cross(own.angular, inner), sp.cross(twist.angular, velocity))
-        rotation = now.motions[index].pose.rotation
-        linear = sp.minus(sp.apply(rotation, felt), kinematics.upward(system))
-        return linear, sp.apply(rotation, own.angular)
+        for name, own in history.mechanism.bodies.items():
+            index = system.topology.index(name)
+            motion, change = now.motions[index], every[index]
+            arm, turned = system.links[index].frame.point(sp.vec3(own.com)), motion.twist.angular
+            velocity = sp.plus(motion.twist.linear, sp.cross(turned, arm))
+            felt = (change.linear, sp.cross(change.angular, arm), sp.cross(turned, velocity))
+            fallen = sp.apply(motion.pose.rotation, sp.plus(*felt))
+            angular = sp.apply(motion.pose.rotation, change.angular)
+            found[name] = sp.minus(fallen, kinematics.upward(system)), angular
+        return found
 
-    return tuple(map(columns, over_time(history, one)))
+    return {name: tuple(map(columns, own)) for name, own in over_time(history, one).items()}
 
 
 def contact(history: StateHistory, name: str) -> ContactHistory:
@@ -332,9 +339,8 @@ def reaction(history: StateHistory, name: str) -> ReactionHistory:
 @eqx.filter_jit
 def _reaction(history, name):
     def one(now):
-        forces = history.formulation.forces(now)
-        solution = dynamics.forward_dynamics(now.model.system, forces, now.model.stabilisation)
-        if now.model.system.topology.branch_of(name) is not None:
+        system, forces, solution = _solved(history, now)
+        if system.topology.branch_of(name) is not None:
             return _branch_reaction(now, forces, solution, name)
         return _closure_reaction(now, forces, solution, name)
 
@@ -384,9 +390,7 @@ def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
 @eqx.filter_jit
 def _driving(history, name):
     def one(now):
-        system = now.model.system
-        forces = history.formulation.forces(now)
-        solution = dynamics.forward_dynamics(system, forces, now.model.stabilisation)
+        system, forces, solution = _solved(history, now)
         index = system.topology.branches.index(system.topology.branch_of(name))
         wrench = dynamics.joint_wrenches(system, forces, solution)[index]
         joint = system.links[index].joint
@@ -399,9 +403,7 @@ def _driving(history, name):
 @eqx.filter_jit
 def _transmitted(history, name):
     def one(now):
-        system = now.model.system
-        forces = history.formulation.forces(now)
-        solution = dynamics.forward_dynamics(system, forces, now.model.stabilisation)
+        system, _, solution = _solved(history, now)
         wanted = system.closures[system.topology.loops.index(name)]
         every = constraints.by_closure(system, now.motions, solution.multipliers)
         own = next(own for closure, own in every if closure is wanted)

@@ -25,7 +25,7 @@ from jaxclear.ground.wording import listed
 from jaxclear.multibody.given import source
 from jaxclear.multibody.kinematics import relative_motion
 from jaxclear.results.histories import AbstractHistory, MarkerHistory, marker, measured
-from jaxclear.results.state_history import single
+from jaxclear.results.state_history import check_single, one_of, single
 
 # Share of a free motion from which on a freedom takes part in it [1].
 LOOSE = 1e-3
@@ -64,10 +64,15 @@ class Positions(AbstractShown):
     other: "Positions | None" = None
     carried: Carried | None = None
 
+    def __getitem__(self, index: int) -> "Positions":
+        """One of a batch, as `jax.vmap` makes it of `PositionProblem.positions`."""
+        return one_of(self, self.found, index)
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """What there is to say of places that are not the only ones: parts that no load presses,
         and sides of an unstable equilibrium of which one was taken."""
+        check_single(self.found)
         if self.carried is None:
             return ()
         said, count = [], len(self.position)
@@ -90,6 +95,8 @@ class Positions(AbstractShown):
         return tuple(said)
 
     def _shown(self):
+        if np.ndim(self.found) > 1:
+            return f"A batch of {len(self.found)} at positions each; found[i] is one."
         places = ", ".join(
             f"{name} from {own.min():.4g} to {own.max():.4g} {self._unit(name)}"
             for name, own in zip(self.scene.held, np.asarray(self.position).T, strict=True)
@@ -131,6 +138,7 @@ class Positions(AbstractShown):
         """Coordinate [rad, m] of a connection of the tree, of one that is held, or of a body that
         only joints with clearance hold; where energy says where it rests, of any joint. Over the
         positions; with several coordinates an array (positions, coordinates)."""
+        check_single(self.found)
         scene = self.scene
         branches = {own.name: own for own in scene.mechanism.topology.branches}
         names = [*scene.mechanism.connections, *branches]
@@ -149,6 +157,7 @@ class Positions(AbstractShown):
 
     def offset(self, joint: str) -> Float[Array, "positions 3"]:
         """Where a journal lies in its gap [m], in the bearing's axes."""
+        check_single(self.found)
         check_known("joint", joint, self.seats, " with clearance in this mechanism")
         return self.seats[joint][:, :3]
 
@@ -188,6 +197,7 @@ class Positions(AbstractShown):
         return joint.units[0]
 
     def _over(self, one: Callable[[Any], Any]) -> Any:
+        check_single(self.found)
         carried = self.carried
         if carried is not None:
 

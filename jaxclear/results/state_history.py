@@ -14,6 +14,7 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.arguments import check_count
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.wording import unknown
 from jaxclear.multibody import kinematics, state
@@ -38,13 +39,8 @@ class StateHistory(eqx.Module):
     balanced: bool = eqx.field(static=True)
 
     def check_single(self) -> None:
-        """Raises `ValueError` for the runs of a batch, whose numbers have one axis more."""
-        if len(self.time.shape) > 1:
-            count = self.time.shape[0]
-            raise ValueError(
-                f"this is a batch of {count} runs: take one of them, run[i] with i up to "
-                f"{count - 1}, or map what is read from it: jax.vmap(response)(run)."
-            )
+        """Raises `ValueError` for the runs of a batch."""
+        check_single(self.time)
 
     def model(self) -> Model:
         """The model that the states belong to, its surfaces new."""
@@ -90,6 +86,31 @@ class StateHistory(eqx.Module):
         impulses = self.states[:, layout.impulse_start : layout.energy_start]
         means = jnp.diff(impulses, axis=0) / jnp.diff(self.time)[:, None]
         return jnp.concatenate([means[:1], means])
+
+
+def check_single(along: Array) -> None:
+    """Raises `ValueError` for what `jax.vmap` has made many of; `along`: an array over the times
+    or positions of one."""
+    if len(along.shape) > 1:
+        count = along.shape[0]
+        raise ValueError(
+            f"this is a batch of {count} runs: take one of them, run[i] with i up to {count - 1}, "
+            "or map what is read from it: jax.vmap(response)(run)."
+        )
+
+
+def one_of(batch: Any, along: Array, index: int) -> Any:
+    """One of such a batch."""
+    if len(along.shape) == 1:
+        raise ValueError(
+            "this is one run, not a batch of them; saved instants are rows of what is read from "
+            "it, such as run.body(name).com[index]."
+        )
+    count = along.shape[0]
+    check_count("index of a run", index, at_least=-count)
+    if index >= count:
+        raise IndexError(f"run {index} was asked for; the batch has {count}.")
+    return jax.tree.map(lambda own: own[index] if eqx.is_array(own) else own, batch)
 
 
 def single(values: Float[Array, "time k"]) -> Float[Array, "time ..."]:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -35,7 +34,7 @@ from jaxclear.results.histories import (
 )
 from jaxclear.results.saved_state import SavedMotion, State
 from jaxclear.results.singular_position import SingularPosition, in_sentences
-from jaxclear.results.state_history import StateHistory
+from jaxclear.results.state_history import StateHistory, one_of
 from jaxclear.results.verification import (
     AbstractVerification,
     Estimate,
@@ -105,16 +104,7 @@ class Trajectory(AbstractShown):
 
     def __getitem__(self, index: int) -> "Trajectory":
         """One run of a batch, as `jax.vmap` makes it of a function that simulates."""
-        count = 0 if np.ndim(self.outcome) == 0 else len(self.outcome)
-        if not count:
-            raise ValueError(
-                "this is one run, not a batch of them; saved instants are rows of what is read "
-                "from it, such as run.body(name).com[index]."
-            )
-        check_count("index of a run", index, at_least=-count)
-        if index >= count:
-            raise IndexError(f"run {index} was asked for; the batch has {count}.")
-        return jax.tree.map(lambda own: own[index] if eqx.is_array(own) else own, self)
+        return one_of(self, self.time, index)
 
     @property
     def mechanism(self) -> Mechanism:

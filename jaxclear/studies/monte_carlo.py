@@ -34,7 +34,7 @@ from jaxclear.studies.statistics.scrambled import (
 )
 from jaxclear.studies.statistics.summary import (
     failure,
-    in_sentences,
+    spread_of,
     summary_of,
     summary_row,
     table_of,
@@ -145,7 +145,7 @@ class MonteCarlo(AbstractShown):
         return " ".join(filter(None, told))
 
     def _shown(self):
-        return self.sentence(), *in_sentences(self.summary())
+        return self.sentence(), *spread_of(self.summary())
 
     def table(self) -> Any:
         """All samples as a pandas table: variables, responses, result, warnings and the responses

@@ -23,7 +23,7 @@ import scipy
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
-from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.shown import AbstractShown, shown_in_words
 from jaxclear.ground.table import as_table
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.figures import Checks
@@ -44,6 +44,7 @@ MOST_CORNERS = 2**10
 SHORTEST, MOST_ROUNDS = 1e-3, 60
 
 
+@shown_in_words
 class Extreme(AbstractShown):
     """The least or largest value found of a response [its unit], `values` (variables,) where it
     occurs, and the value of first order there: nominal and slopes times deviations, nan where

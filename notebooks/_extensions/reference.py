@@ -160,7 +160,7 @@ def type_text(kind: object) -> str:
         return "..."
     if kind in (None, type(None)):
         return "None"
-    return paths().get(id(kind), getattr(kind, "__name__", ""))
+    return paths().get(id(kind), getattr(kind, "__name__", "").split(".")[-1])
 
 
 def fields_of(kind: object) -> list[dataclasses.Field]:

@@ -196,7 +196,8 @@ def test_mimic_of_a_urdf_is_a_ratio(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         rig = jc.read_urdf(tmp_path / "r.urdf")
-    (tie,) = rig.couplings.values()
+    ((name, tie),) = rig.couplings.items()
+    assert name == "other by one"
     assert (tie.follower, tie.leader, float(tie.ratio), tie.offset) == ("other", "one", 2.0, None)
 
 

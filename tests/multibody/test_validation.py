@@ -347,7 +347,7 @@ def out_of_reach():
 STARTS = {
     "coordinates": (
         lambda: rig(start={"pin": (1.0, 2.0)}),
-        'start of "pin" needs 1 number [rad]',
+        'start of "pin" needs 1 number',
     ),
     "speeds": (lambda: rig(speeds={"pin": (1.0, 2.0)}), 'speeds of "pin" need 1 number, not 2'),
     "loop that cannot close": (

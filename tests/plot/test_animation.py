@@ -17,8 +17,10 @@ import jaxclear as jc
 from jaxclear import plot
 from jaxclear.plot.animation.animate import Animation
 from jaxclear.plot.animation.pushes import pushes
+from jaxclear.plot.animation.sight import hiding
 from jaxclear.results.relative_motion import relative_motion
 from jaxclear.results.solids import shapes
+from jaxclear.results.solids.parts import Part
 from tests.plot import browser
 
 SLOW_INTEGRATOR = jc.integrator.ImplicitStep()
@@ -166,6 +168,29 @@ def test_a_body_without_a_mesh_is_the_cuboid_with_its_inertia(moments):
     np.testing.assert_allclose(turn @ own @ turn.T, wanted, rtol=1e-9, atol=1e-15)
 
 
+def test_a_body_is_no_larger_than_its_joints_are_apart():
+    """Whatever its inertia; where they are in one place a tenth of the mechanism."""
+    body = jc.Body(1.0, (10.0, 20.0, 25.0))
+    for joints, most in (([[0.0, 0.0, 0.0]], 0.1), ([[0.35, 0.0, 0.0], [-0.35, 0.0, 0.0]], 0.7)):
+        solid = shapes.of_body(body, np.array(joints), 1.0)
+        assert np.ptp(solid.points, axis=0).max() == pytest.approx(most, rel=1e-9)
+
+
+def test_what_lies_between_the_eye_and_a_joint_is_glass():
+    """And neither what lies beside the joint, nor behind it, nor what never comes before it."""
+    still, away = np.eye(4)[None], np.eye(4)
+    away[0, 3] = 9.0
+    cube = lambda x, y: Part(shapes.box((1, 1, 1)).moved(np.eye(3), np.array([x, y, 0.0])), {})
+    pin = Part(shapes.joined([]), {"B": shapes.rod(0.1, 0.2)})
+    own = {"pin": pin, "front": cube(2, 0), "beside": cube(2, 2), "behind": cube(-2, 0)}
+    own |= {"gone": cube(3, 0)}
+    moves = dict.fromkeys(own, still) | {"gone": away[None]}
+    found = hiding(own, moves, [("B", "pin")], np.array([6.0, 0.0, 0.0]))
+    assert found == {"front"}
+    moves["gone"] = np.stack([away, np.eye(4)])
+    assert hiding(own, moves, [("B", "pin")], np.array([6.0, 0.0, 0.0])) == {"front", "gone"}
+
+
 def test_solids_are_closed():
     """Every solid has the volume that its measures say, by Gauss's theorem."""
     volume = lambda solid: abs(
@@ -227,6 +252,14 @@ def test_the_page_plays_in_a_browser_without_a_network(run, tmp_path):
             opened.until("animation.state.playing === false")
             image = matplotlib.image.imread(io.BytesIO(opened.picture()))[..., :3]
             pictures.append(image)
+        opened.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=420, height=700, deviceScaleFactor=1, mobile=False,
+        )  # fmt: skip
+        opened.until("document.getElementById('canvasTarget').clientWidth === 420")
+        low = "document.getElementById('canvasTarget').getBoundingClientRect().bottom"
+        assert opened.run(f"document.getElementById('insets').getBoundingClientRect().top >= {low}")
+        assert opened.run("document.documentElement.scrollWidth <= 420")
         assert not opened.faults
         assert all(url.startswith(("file:", "blob:", "data:")) for url in opened.asked)
     # The scene, left, and the inset, right, hold colours, that of the wear ever more; an empty page

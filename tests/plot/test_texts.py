@@ -19,6 +19,8 @@ import jaxclear as jc
 from benchmarks.figures_text import colliding
 from jaxclear import plot
 from jaxclear.components.joint import Prismatic, Revolute
+from jaxclear.results.pointing_error import PointingError
+from jaxclear.results.positions import Positions
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.scenes.slider_crank import bearing
 from jaxclear.studies.advice import Advice
@@ -166,6 +168,48 @@ def settled():
     )  # fmt: skip
 
 
+def pointing():
+    """Errors of 1e-12, to which two joints contribute."""
+    time = np.linspace(0.0, 1e-3, 50)
+    twist = 1e-12 * np.sin(7e3 * time)[:, None] * np.arange(1, 7)
+    names = (JOINT, PIN)
+    columns = ("rms pointing [rad]", "rms position [m]")
+    shares = ("share of pointing [1]", "share of position [1]")
+    table = pandas.DataFrame(
+        {name: [1e-12, 2e-12, 3e-12, 3e-12] for name in columns}
+        | {name: [-0.123456, 1.123456, 1.0, np.nan] for name in shares},
+        index=[*names, "model", "exact"],
+    )
+    return mock.Mock(
+        spec=PointingError,
+        time=time,
+        names=names,
+        contributions=dict.fromkeys(names, twist),
+        model=twist,
+        pointing_angle=np.abs(twist[:, 3]),
+        position_error=np.abs(twist[:, 0]),
+        budget=lambda: table,
+        tip=SLIDER,
+        base=CRANK,
+        warnings=(LONG,),
+    )
+
+
+def standing():
+    """Places of bodies 1e3 m apart, and seats that differ by 1e-12 m."""
+    at = np.linspace(0.0, 1.0, 7)[:, None]
+    seat = np.hstack([2e-4 + 1e-12 * at, 1e-12 * at**2, 0 * at])
+    bodies = dict.fromkeys((CRANK, ROD, SLIDER))
+    return mock.Mock(
+        spec=Positions,
+        scene=SimpleNamespace(mechanism=SimpleNamespace(bodies=bodies)),
+        body=lambda _: SimpleNamespace(com=1e3 * np.hstack([np.cos(at), np.sin(at), 0 * at])),
+        seats={JOINT: None, PIN: None},
+        offset=lambda _: seat,
+        found=at[:, 0] > 0,
+    )
+
+
 def designed(cost=0.0123):
     limit = jc.limit.WorstCase(FORCE, at_most=1.2345e6)
     freedom = SimpleNamespace(names=(CLEARANCE, SPEED), usual=np.array([1e-12, 2e-12]))
@@ -251,12 +295,8 @@ CASES = {
     "overview": [lambda: plot.overview(run())],
     "phase_portrait": [lambda: plot.phase_portrait(run(), SLIDER)],
     "poincare_section": [lambda: plot.poincare_section(run(), JOINT, period=PERIOD)],
-    "pointing_budget": [
-        lambda: plot.pointing_budget(jc.pointing_error(run(), SLIDER, through=(PIN, JOINT)))
-    ],
-    "positions": [
-        lambda: plot.positions(jc.positions(run().mechanism, {"O": np.array([0.1, 0.5, 1.0])}))
-    ],
+    "pointing_budget": [lambda: plot.pointing_budget(pointing())],
+    "positions": [lambda: plot.positions(standing())],
     "reliability": [lambda: plot.reliability(jc.reliability(problem(), SUNK))],
     "result": [lambda: plot.result(sample(3))],
     "sensitivity": [

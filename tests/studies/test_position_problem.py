@@ -30,11 +30,22 @@ def asked():
         return jnp.max(jnp.abs(stands.coordinate("D") - ideal))
 
     def last(stands):
-        return (stands.coordinate("D") - ideal)[-1, 0]
+        return (stands.coordinate("D") - ideal)[-1]
 
     return jc.PositionProblem(
         rig(), {"largest": largest, "last": last}, VARIABLES, positions={"O": ANGLES}
     )
+
+
+def test_one_of_a_batch_is_read_as_any_other(asked):
+    nominal = asked.nominal()
+    batch = jax.vmap(asked.positions)(jnp.stack([nominal, nominal + 1e-5]))
+    alone = asked.positions(nominal)
+    for read in (lambda own: own.coordinate("D"), lambda own: own.offset("B")):
+        np.testing.assert_allclose(read(batch[0]), read(alone), atol=1e-12)
+        with pytest.raises(ValueError, match="a batch of 2 runs"):
+            read(batch)
+    assert str(batch) == "A batch of 2 at positions each; found[i] is one."
 
 
 @pytest.mark.slow  # compiles three programs

@@ -11,6 +11,7 @@ import pytest
 import scipy
 
 import jaxclear as jc
+from jaxclear.ground.shown import with_error
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.plot.studies import _warned_samples
@@ -202,7 +203,7 @@ def test_summary_and_print_tell_it(study):
     assert row["bias"] == told.bias and row["bias error"] == told.uncertainty
     assert row["replicas"] == 16 and row["mean error"] == told.sampling
     assert str(told) == f"± {told.whole:.2g} (samples {told.sampling:.2g}, steps {told.error:.2g})"
-    assert str(told) in str(study)
+    assert with_error(row["mean"], told.whole) in str(study)
     kept = study.to_dataset()["finer way"]
     np.testing.assert_array_equal(kept, study.replicas.responses["way"])
 

@@ -24,7 +24,7 @@ class Printer:
 ANSWERS = {
     "monte_carlo": (
         lambda: jc.monte_carlo(ASKED, 64),
-        ("64 samples, 0 failed", '"area" [mm2]: mean 4.0', "5 % above"),
+        ("64 samples, 0 failed", "area [mm2]  4.0", "95 %"),
     ),
     "sensitivity": (
         lambda: jc.sensitivity(ASKED, sample=64, difference_samples=32),
@@ -52,7 +52,7 @@ def test_micrometres_beside_a_metre_are_seen():
     value, _, error, unit = str(one).split()
     assert unit == "m" and repr([one]) == f"[{one}]"
     assert np.allclose([float(value), float(error)], [one.value, one.error], 0, 0.1 * one.error)
-    assert f"5 % above {1 + 1.645 * 6.72e-6:.5f}" in str(study)
+    assert f"{1 + 1.645 * 6.72e-6:.5f}" in str(study).splitlines()[-1].split()[-1]
     above = jc.limit.Probability("response", above=1.00002, at_most=1e-2)
     assert above.words() == "share of response above 1.00002"
     assert jc.limit_state.Above("response", 1.0000203).words() == "response above 1.0000203"

@@ -67,17 +67,9 @@ def _contributions(found: Any) -> list[Shown]:
 
 
 def _statistics(found: Any) -> pandas.DataFrame:
-    """The summary with a column for each response, errors behind what they are of."""
-    columns = {}
-    for row in found.summary().to_dict("records"):
-        own = {name: str(row[name]) for name in ("samples", "failed", "warned")}
-        for name in STATISTICS:
-            error = row.get(f"{name} error", np.nan)
-            own[name] = (
-                f"{row[name]:.5g} ± {error:.2g}" if np.isfinite(error) else f"{row[name]:.5g}"
-            )
-        columns[f"{row['response']} [{row['unit']}]"] = own
-    return pandas.DataFrame(columns).rename_axis("statistic").reset_index()
+    """Of the summary what has an error, and how many samples there are."""
+    known = [name for kind in STATISTICS for name in (kind, f"{kind} error")]
+    return found.summary()[["response", "unit", "samples", "failed", "warned", *known]]
 
 
 def _budget(found: Any, names: list[str]) -> Figure:
@@ -141,7 +133,7 @@ def _variables(found: Any) -> Section:
             row |= {"mean": own.mean(), "standard deviation": own.std()}
             row |= {"smallest": np.min(own), "largest": np.max(own)}
         rows.append(row)
-    return Section("What varied", [table(pandas.DataFrame(rows), digits=7)])
+    return Section("What varied", [table(pandas.DataFrame(rows))])
 
 
 def _what_was_run(found: Any) -> Section:

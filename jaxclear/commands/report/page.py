@@ -11,20 +11,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
-import numpy as np
 from matplotlib.figure import Figure
+
+from jaxclear.ground.table import as_table
 
 __all__ = ["Page", "Section", "Shown", "drawn", "figure_file", "hidden", "table"]
 
 DOTS_PER_INCH = 130
-# Rows of a table that a page shows; files beside it hold them all.
-MOST_ROWS = 200
 
 
 class Shown(NamedTuple):
     """One thing on a page. `kind`: "text", "warning", "verbatim", "table", "figure" or "hidden" (a
-    text that opens when it is asked for); `content`: the text, (head, rows), or the figure's bytes
-    as base64; `title`: its caption."""
+    text that opens when it is asked for); `content`: the text, the table as HTML, or the figure's
+    bytes as base64; `title`: its caption."""
 
     kind: str
     content: Any
@@ -77,18 +76,6 @@ def hidden(title: str, text: str) -> Shown:
     return Shown("hidden", text, title)
 
 
-def table(frame: Any, title: str = "", digits: int = 4) -> Shown:
-    """A pandas table, numbers with so many digits; the first rows of a long one."""
-    rows = [
-        [_told(value, digits) for value in row] for row in frame.head(MOST_ROWS).to_numpy(object)
-    ]
-    if len(frame) > MOST_ROWS:
-        title = f"{title} (the first {MOST_ROWS} of {len(frame)} rows)".strip()
-    return Shown("table", ([str(name) for name in frame.columns], rows), title)
-
-
-def _told(value: Any, digits: int) -> str:
-    """A cell: short, and empty where there is nothing."""
-    if isinstance(value, (float, np.floating)):
-        return "" if np.isnan(value) else f"{value:.{digits}g}"
-    return "" if value is None else str(value)
+def table(frame: Any, title: str = "") -> Shown:
+    """A pandas table."""
+    return Shown("table", as_table(frame)._repr_html_(), title)

@@ -84,7 +84,9 @@ def animate(
     saving times nearest to them. `meshes`: by the name of a body the path of a file (as meshio
     reads it) or (points [m], triangles), in the body's frame, or several of them by name
     (`jaxclear.read_shapes` reads those of a URDF or MJCF file); a body without one is the cuboid
-    that has its inertia. Needs `pip install "jaxclear[view]"`. Raises `ValueError`.
+    that has its inertia, no larger than its joints are apart. A body that hides a joint with
+    clearance in the first view is seen through. Needs `pip install "jaxclear[view]"`. Raises
+    `ValueError`.
     """
     check_run(run)
     if slower is not None:

@@ -18,7 +18,10 @@
   };
   // Below so many pixels of width the insets stand below the scene, which takes this share.
   const NARROW = 720, SCENE = 0.5;
-  const newton = (f) => (f >= 1e3 ? (f / 1e3).toPrecision(3) + ' kN' : f.toPrecision(3) + ' N');
+  const newton = (f) => {
+    const [per, unit] = [[1e9, 'GN'], [1e6, 'MN'], [1e3, 'kN']].find(([per]) => f >= per) || [1, 'N'];
+    return `${Number((f / per).toPrecision(3))} ${unit}`;
+  };
   const run = unpack(RUN), time = run.time, frames = time.length;
   const first = time[0], end = time[frames - 1];
   const make = (kind, parent, style, text) => {
@@ -36,7 +39,7 @@
 
   // Names of bodies: a list, and a label that follows each.
   const list = make('div', document.body, {
-    position: 'absolute', left: '10px', top: '8px', font, background: 'rgba(255,255,255,0.8)',
+    position: 'absolute', left: '10px', top: '8px', font, background: 'rgba(255,255,255,0.6)',
     padding: '4px 8px', borderRadius: '4px', maxWidth: '45%', zIndex: 20,
   });
   list.id = 'bodies';
@@ -56,8 +59,8 @@
     make('span', row, {}, `Contact forces, up to ${newton(run.largest)}.`);
   }
   const said = make('div', document.body, {
-    position: 'absolute', left: '10px', font: '11px sans-serif', color: '#b3261e',
-    maxHeight: '15%', overflowY: 'auto', zIndex: 20, background: 'rgba(255,255,255,0.8)',
+    left: '10px', bottom: `${LOW + 6}px`, font: '11px sans-serif', color: '#b3261e',
+    overflowY: 'auto', zIndex: 20, background: 'rgba(255,255,255,0.8)',
   });
   run.warnings.forEach((text) => make('div', said, {}, 'Warning: ' + text));
 
@@ -76,9 +79,10 @@
     Object.assign(side.style, {
       width: `${narrow ? broad : wide}px`, height: `${narrow ? tall - high : tall}px`,
     });
-    Object.assign(said.style, {
-      bottom: `${window.innerHeight - high + 6}px`, width: `${broad - 90}px`,
-    });
+    if (narrow) side.prepend(said); else document.body.append(said);
+    Object.assign(said.style, narrow
+      ? { position: 'static', width: 'auto', maxHeight: 'none', margin: '4px 10px' }
+      : { position: 'absolute', width: `${broad - 90}px`, maxHeight: '15%', margin: 0 });
     list.style.fontSize = narrow ? '11px' : '13px';
     pace.style.display = narrow ? 'none' : '';
   };
@@ -261,10 +265,8 @@
     pen.stroke();
     pen.fillStyle = '#555';
     pen.font = '11px system-ui, sans-serif';
-    pen.fillText(`Normal force over time, up to ${newton(joint.most)} at saved instants;`, left,
-      top + tall + 13);
-    pen.fillText(`a contact's largest in all steps is ${newton(joint.peak)}.`, left,
-      top + tall + 27);
+    pen.fillText(`Saved normal forces, together up to ${newton(joint.most)};`, left, top + tall + 13);
+    pen.fillText(`a contact's largest in all steps is ${newton(joint.peak)}.`, left, top + tall + 27);
   };
 
   const draw = (joint, frame, now) => {

@@ -6,7 +6,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.shown import AbstractShown, as_written, in_digits, in_few
+from jaxclear.ground.shown import AbstractShown, as_written, in_few, with_error
 from jaxclear.ground.table import as_table
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_design
@@ -158,11 +158,9 @@ class Design(AbstractShown):
         return self.limits[i].unit(units[self.limits[i].response])
 
     def _broken(self, i):
-        limit, number = self.limits[i], in_digits(self.numbers[i], self.errors[i], least=4)
-        return (
-            f"the {limit.words()} is {number} +- {self.errors[i]:.2g}, "
-            f"{'above' if limit.upper() else 'below'} {as_written(limit.bound())}"
-        )
+        limit, number = self.limits[i], with_error(float(self.numbers[i]), float(self.errors[i]))
+        side = "above" if limit.upper() else "below"
+        return f"the {limit.words()} is {number}, {side} {as_written(limit.bound())}"
 
     def _lost(self):
         check = self.rounds[-1].check

@@ -72,6 +72,7 @@ def refused(why: str) -> Estimate:
     return Estimate(np.nan, np.nan, why)
 
 
+@shown_in_words
 class Derivative(AbstractShown):
     """Derivative of a statistic of a response over the tolerances (by default its mean) with
     respect to one variable or the width of its distribution, with its 95 % error.

@@ -47,7 +47,7 @@ class Statistic(eqx.Module):
 
     def in_unit(self, unit: str) -> "Statistic":
         """The same with its unit told."""
-        return Statistic(*self, unit)
+        return Statistic(self.value, self.low, self.high, unit)
 
     def __iter__(self) -> Iterator[float]:
         return iter((self.value, self.low, self.high))

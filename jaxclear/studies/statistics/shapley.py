@@ -58,7 +58,7 @@ class ShapleyEffects(AbstractShown):
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def _shown(self):
-        said = [*left_out(self.failed, "samples"), *self.warnings]
+        said = [*left_out(self.failed, "sample"), *self.warnings]
         return self.table(), *said
 
     def to_dataset(self) -> Any:

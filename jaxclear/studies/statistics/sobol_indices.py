@@ -57,7 +57,7 @@ class SobolIndices(AbstractShown):
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def _shown(self):
-        said = [*left_out(self.failed, "base samples"), *self.warnings]
+        said = [*left_out(self.failed, "base sample"), *self.warnings]
         return self.table(), *said
 
     def to_dataset(self) -> Any:

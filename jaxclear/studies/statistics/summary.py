@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.ground.shown import in_digits
 from jaxclear.ground.table import as_table
 from jaxclear.integrators import Outcome
 from jaxclear.studies.statistics.limits import Limits
@@ -96,23 +95,15 @@ def summary_of(rows: list[dict[str, Any]]) -> Any:
     return as_table(rows, units={"yield": "1", "Cpk": "1"})
 
 
-def in_sentences(summary: Any) -> list[str]:
-    """The rows of a summary, errors at 95 %."""
-    return [_in_a_sentence(row) for row in summary.to_dict("records")]
-
-
-def _in_a_sentence(row: Mapping[str, Any]) -> str:
-    spread = row["standard deviation"]
-    low, high = (in_digits(row[share], 0.1 * spread) for share in ("5 %", "95 %"))
-    known, beside = row["mean error"], ""
-    error = f"± {known:.2g}"
-    if "bias" in row:
-        told = NumericalError(row["bias"], row["bias error"], known, row["replicas"])
-        known = told.whole if told.is_resolved else known
-        error = str(told) if told.is_resolved else error
-        beside = "" if told.is_resolved else f" {told.unresolved}"
-    return (
-        f'"{row["response"]}" [{row["unit"]}]: mean {in_digits(row["mean"], known)} {error}, '
-        f"standard deviation {spread:.4g} ± {row['standard deviation error']:.2g}; "
-        f"5 % below {low}, 5 % above {high}.{beside}"
-    )
+def spread_of(summary: Any) -> tuple[Any, ...]:
+    """Of a summary what `print` shows: means with all that they may be off, deviations, how the
+    responses spread; and a sentence for each bias that replicas do not resolve."""
+    kept = ["mean", "mean error", "standard deviation", "standard deviation error", "5 %", "95 %"]
+    if "bias" not in summary:
+        return (summary[["response", "unit", *kept]],)
+    shown = summary[["response", "unit", *kept[:2], "numerical error", *kept[2:]]].copy()
+    names = ("bias", "bias error", "mean error", "replicas")
+    found = [NumericalError(*own) for own in zip(*(summary[n] for n in names), strict=True)]
+    shown["mean error"] = [own.whole if own.is_resolved else own.sampling for own in found]
+    told = zip(summary["response"], found, strict=True)
+    return shown, *(f'"{n}": {own.unresolved}' for n, own in told if not own.is_resolved)

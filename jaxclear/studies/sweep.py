@@ -1,0 +1,142 @@
+"""Responses over a grid of a problem's variables: `jaxclear.sweep`.
+
+What curves and maps are drawn from. Nothing varies by chance: variables that are not swept stand at
+their nominal values.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_flags, check_known, expect
+from jaxclear.ground.datasets import Column, dataset
+from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
+from jaxclear.ground.wording import described
+from jaxclear.integrators import Outcome
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.endless import answered
+from jaxclear.studies.texts import in_texts
+from jaxclear.studies.warned import told
+
+__all__ = ["Sweep", "sweep"]
+
+
+class Sweep(AbstractShown):
+    """Responses over a grid. `over` are the values of each swept variable, in its unit;
+    `responses` by name, one axis for each swept variable in their order, nan where a run failed;
+    `failures` why, by the place in the grid; `warnings` of what runs warn."""
+
+    problem: AbstractProblem
+    over: dict[str, np.ndarray]
+    responses: dict[str, np.ndarray]
+    failures: dict[tuple[int, ...], str]
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
+
+    def _shown(self):
+        return self.table(), *self._lost(), *self.warnings
+
+    def table(self) -> Any:
+        """A pandas table: one row a point of the grid."""
+        grid = np.meshgrid(*self.over.values(), indexing="ij")
+        columns = {name: own.ravel() for name, own in zip(self.over, grid, strict=True)}
+        columns |= {name: own.ravel() for name, own in self.responses.items()}
+        return as_table(columns, index=list(self.over), units=self._units())
+
+    def to_dataset(self) -> Any:
+        """The responses over the swept variables as an xarray Dataset, with units and
+        provenance."""
+        units, names = self._units(), tuple(self.over)
+        return dataset(
+            {name: Column(names, own, units[name]) for name, own in self.responses.items()},
+            {name: Column((name,), own, units[name]) for name, own in self.over.items()},
+            what="sweep",
+            problem=in_texts(self.problem),
+            failed=len(self.failures),
+            warnings=" ".join(self.warnings),
+        )
+
+    def _lost(self) -> list[str]:
+        """How many points failed, and where and why the first of them did."""
+        if not self.failures:
+            return []
+        place, why = next(iter(self.failures.items()))
+        units, axes = self._units(), self.over.items()
+        at = ", ".join(
+            f"{name} {axis[k]:.6g} {units[name]}".rstrip()
+            for (name, axis), k in zip(axes, place, strict=True)
+        )
+        count = next(iter(self.responses.values())).size
+        return [f"{len(self.failures)} of {count} points failed; the first of them, {at}: {why}"]
+
+    def _units(self) -> dict[str, str]:
+        own = zip(self.problem.names, self.problem.variable_units, strict=True)
+        return dict(own) | dict(self.problem.units())
+
+
+@answering
+def sweep(
+    problem: AbstractProblem,
+    over: Mapping[str, Sequence[float]],
+    *,
+    chunk: int | None = None,
+    progress_bar: bool = False,
+) -> Sweep:
+    """Responses at every point of a grid, in one compiled program.
+
+    `over`: the values of each variable to sweep, by its name, in its unit; the others stand at
+    their nominal values. `chunk`: points run together, by default what fits memory. A point that
+    fails is kept and named, the others go on. Raises `ValueError` for names that there are not, and
+    for values that are no finite numbers.
+    """
+    expect(problem, AbstractProblem, "what is swept", "a jaxclear.Problem")
+    expect(over, Mapping, "over of sweep", "values by the names of variables")
+    check_flags("sweep", progress_bar=progress_bar)
+    axes = {name: _axis(name, own, problem) for name, own in over.items()}
+    if not axes:
+        raise ValueError("over of sweep is empty; name a variable and the values it shall take.")
+    grid = np.meshgrid(*axes.values(), indexing="ij")
+    values = np.tile(np.asarray(problem.nominal()), (grid[0].size, 1))
+    for name, own in zip(axes, grid, strict=True):
+        values[:, problem.names.index(name)] = own.ravel()
+    found = evaluate_all(
+        problem, jnp.asarray(values), chunk=chunk, progress_bar=progress_bar, label="sweep"
+    )
+    outcome, ended = np.asarray(found.outcome), np.asarray(found.ended)
+    good = (outcome == Outcome.REACHED) & answered(problem, found.responses)
+    shape = grid[0].shape
+    responses = {
+        name: np.where(good, np.asarray(found.responses[name]), np.nan).reshape(shape)
+        for name in problem.response_names
+    }
+    failures = {
+        tuple(int(k) for k in np.unravel_index(i, shape)): _why(problem, outcome[i], ended[i])
+        for i in np.flatnonzero(~good)
+    }
+    return Sweep(problem, axes, responses, failures, told(problem, found.checks, good))
+
+
+def _axis(name: str, values: Any, problem: AbstractProblem) -> np.ndarray:
+    """The values of a variable. Raises `ValueError` with a sentence."""
+    check_known("variable", name, problem.names, " in this problem")
+    try:
+        axis = np.asarray(values, float)
+    except (TypeError, ValueError):
+        axis = np.zeros(0)
+    if axis.ndim != 1 or not axis.size or not np.all(np.isfinite(axis)):
+        raise ValueError(
+            f'the values of "{name}" in sweep are {described(values)}; they must be a row of '
+            "finite numbers, such as numpy.linspace(low, high, 11)."
+        )
+    return axis
+
+
+def _why(problem: AbstractProblem, outcome: int, ended: float) -> str:
+    if outcome == Outcome.REACHED:
+        return "A response is not a number."
+    return problem.ending(int(outcome), float(ended))
