@@ -155,7 +155,10 @@ def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
     ordered = [p.name for p in parameters.values() if p.kind in ORDERED]
     if len(args) > len(ordered):
         surplus = described(args[len(ordered)])
-        return f"{name} is given {surplus} without a name; give it as one of {listed(known)}."
+        left = [one for one in known if one not in {*ordered, *kwargs}]
+        if not left:
+            return f"{name} is given {surplus} too; {takes} and nothing else."
+        return f"{name} is given {surplus} without a name; give it as one of {listed(left)}."
     twice = set(ordered[: len(args)]) & set(kwargs)
     if twice:
         return f"{name} is given {listed(sorted(twice))} twice, by place and by name; give it once."

@@ -234,7 +234,7 @@ def test_methods_that_disagree_say_so():
             'no sampling "grid"; there are "sobol", "random"',
         ),
         (lambda: jc.sensitivity(problem(), "width"), 'no variable "width"'),
-        (lambda: jc.sensitivity(problem(), methods=("magic",)), 'no method of sensitivity "magic"'),
+        (lambda: jc.sensitivity(problem(), methods=("magic",)), 'no method "magic" of sensitivity'),
     ],
 )
 def test_mistakes_get_a_sentence(call, sentence):
