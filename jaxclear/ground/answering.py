@@ -42,10 +42,10 @@ class AnsweringMeta(ModuleMeta):
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
         if cls.__name__.startswith("Abstract"):
-            known = [public_name(kind) for kind in final_members(cls)[:1]]
+            members = [public_name(kind) for kind in final_members(cls)[:1]]
             raise TypeError(
                 f"{public_name(cls)} is what a family has in common and cannot be built; it needs "
-                f"a class of its own{''.join(f', such as {one}' for one in known)}."
+                f"a class of its own{''.join(f', such as {one}' for one in members)}."
             )
         try:
             return ModuleMeta.__call__(cls, *args, **kwargs)
