@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import jax
+import numpy as np
 
 import jaxclear as jc
 
@@ -187,6 +189,20 @@ MISTAKES: list[tuple[str, Callable[[], Any]]] = [
     ("standard_deviation", lambda: jc.distribution.Normal(0.0)),
     ("bound", lambda: jc.distribution.TruncatedNormal(1.0, bound=-1.0)),
     ("copies", lambda: jc.PilotSettings(copies=0)),
+    ("mass", lambda: jc.Body(np.array("1"), 1.0)),
+    ("read-only", lambda: setattr(jc.Body(1.0, 1e-2), "mass", 2.0)),
+    ("couplings", lambda: arm(couplings=[jc.coupling.Gear("a", "b", 2.0)])),
+    ("g", lambda: arm(couplings={"g": jc.coupling.Gear("arm", "ground", 2.0)})),
+    ("push", lambda: arm(loads={"push": jc.load.Force(jc.Marker("ground"), (1.0, 0.0))})),
+    ("push", lambda: short(arm(loads={"push": jc.load.JointTorque("pin", lambda t: 1 / t)}))),
+    ("pin", lambda: short(arm(jc.joint.Revolute(drive=jc.drive.Position(jax.numpy.sqrt))))),
+    ("half_width", lambda: jc.distribution.Uniform(-1e-3, 1e-3)),
+    ("force", lambda: draft(response={"force": lambda r: float(r.ended)})),
+    ("force", lambda: draft(response={"force": jc.response.MeanContactForce("b")})),
+    ("force", lambda: draft(response={"force": lambda r: r.body("rodd").com[-1, 0]})),
+    ("force", lambda: draft(response={"force": lambda r: r.contact("B").normal_force})),
+    ("x", lambda: draft(correlation={("clearance", "x"): 0.5})),
+    ("variable", lambda: draft(variables={"c": varied(lambda r: 2 * clearance(r))})),
     ("planar", lambda: jc.scenes.four_bar("plannar")),
     ("four_bar", lambda: jc.scenes.fourbar()),
     ("clearance", lambda: jc.scenes.slider_crank("planar", 0.0)),

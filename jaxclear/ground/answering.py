@@ -38,10 +38,10 @@ class AnsweringMeta(ModuleMeta):
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
         if cls.__name__.startswith("Abstract"):
-            known = [public_name(kind) for kind in final_members(cls)[:1]]
+            members = [public_name(kind) for kind in final_members(cls)[:1]]
             raise TypeError(
                 f"{public_name(cls)} is what a family has in common and cannot be built; it needs "
-                f"a class of its own{''.join(f', such as {one}' for one in known)}."
+                f"a class of its own{''.join(f', such as {one}' for one in members)}."
             )
         try:
             return ModuleMeta.__call__(cls, *args, **kwargs)
@@ -105,7 +105,10 @@ def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
     ordered = [p.name for p in parameters.values() if p.kind in ORDERED]
     if len(args) > len(ordered):
         surplus = described(args[len(ordered)])
-        return f"{name} is given {surplus} without a name; give it as one of {listed(known)}."
+        left = [one for one in known if one not in {*ordered, *kwargs}]
+        if not left:
+            return f"{name} is given {surplus} too; {takes} and nothing else."
+        return f"{name} is given {surplus} without a name; give it as one of {listed(left)}."
     twice = set(ordered[: len(args)]) & set(kwargs)
     if twice:
         return f"{name} is given {listed(sorted(twice))} twice, by place and by name; give it once."

@@ -4,6 +4,7 @@ of a few, a thing of a kind. What is being traced was checked before.
 Each raises `ValueError` with a sentence that says what was given and what would be right.
 """
 
+import inspect
 from collections.abc import Iterable
 from typing import Any
 
@@ -29,6 +30,7 @@ def expect(thing: Any, kind: Any, what: str, wanted: str) -> None:
     if not isinstance(thing, kind):
         built = isinstance(thing, type) and isinstance(kind, type) and issubclass(thing, kind)
         hint = f": build one, {thing.__name__}(...)" if built else ""
+        hint = f": call it, {thing.__name__}(...)" if inspect.isfunction(thing) else hint
         raise ValueError(f"{what} is {described(thing)}; it must be {wanted}{hint}.")
 
 
@@ -80,4 +82,4 @@ def check_methods(owner: str, methods: Any, known: Iterable[str]) -> None:
     if not methods:
         raise ValueError(f"methods of {owner} is empty; it must hold some of {listed(known)}.")
     for method in methods:
-        check_known(f"method of {owner}", method, known)
+        check_known("method", method, known, f" of {owner}")

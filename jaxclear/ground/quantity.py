@@ -70,7 +70,7 @@ def as_number(value: Any) -> Any:
     if value is None or isinstance(value, eqx.Module):
         return value
     check_not_forked()
-    if isinstance(value, NO_NUMBERS):
+    if isinstance(value, NO_NUMBERS) or getattr(value, "dtype", FLOAT64).kind not in "fiuV":
         raise ValueError(f"expected one number, got {described(value)}.")
     try:
         number = value if isinstance(value, jax.Array) else jnp.asarray(np.asarray(value, float))

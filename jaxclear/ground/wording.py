@@ -33,7 +33,8 @@ def described(value: Any) -> str:
         text = repr(value)
     elif isinstance(value, (list, tuple, dict, set)):
         kind = type(value).__name__
-        text = f"({', '.join(map(described, value))})" if isinstance(value, tuple) else repr(value)
+        text = ", ".join(map(described, value))
+        text = f"({text})" if isinstance(value, tuple) else f"[{text}]"
         if not value:
             return f"an empty {kind}"
         if isinstance(value, (dict, set)) or len(text) > LONGEST:

@@ -96,7 +96,7 @@ def _check(mechanism: Mechanism, base: str, tip: Marker, through: tuple[str, ...
     known = (GROUND, *mechanism.bodies)
     for what, body in (("base", base), ("tip", tip.body)):
         if not isinstance(body, str) or body not in known:
-            raise ValueError(unknown(f"body for the {what}", body, known))
+            raise ValueError(unknown("body", body, known, f" for the {what}"))
     if base == tip.body:
         raise ValueError(f'the tip is on the base "{base}" itself; no joint lies between them.')
     for name in through:

@@ -32,7 +32,7 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
                 raise ValueError(
                     f'coupling "{name}" names joint "{joint}" twice; it couples different joints.'
                 )
-            check_known(f'joint of coupling "{name}"', joint, connections)
+            check_known("joint", joint, connections, f' for coupling "{name}"')
         if isinstance(coupling, AbstractCoordinateCoupling):
             _check_coordinates(name, coupling, topology, bodies, connections)
             continue

@@ -31,6 +31,8 @@ WIDE_CLEARANCE = 0.5
 # one of five times osmium's density within the length between its joints, in grams. What extends
 # beyond the joints is seen by so many radii of gyration.
 LONG, THINNEST, DENSEST, WHOLE = 10.0, 1e-3, 1e5, 3.0
+# Of a body that is this share of the longest only, as a slider's, its length says nothing of it.
+STUB = 0.1
 IN_MM = "is it in mm? Lengths are in m"
 
 
@@ -104,12 +106,17 @@ def _lengths(mechanism: Any, parts: list) -> Iterator[str]:
 
 def _masses(mechanism: Any) -> Iterator[str]:
     """Bodies that are lighter than any gas, or heavier than any metal, within their own length."""
+    ends = [end for own in mechanism.connections.values() for end in (own.parent, own.child)]
+    places = [(end.body, end.at) for end in ends] + [
+        (n, b.com) for n, b in mechanism.bodies.items()
+    ]
+    lengths = {name: 0.0 for name, _ in places}
+    for name, at in places:
+        lengths[name] = max(lengths[name], 0.0 if at is None else _norm(at))
     for name, body in mechanism.bodies.items():
-        ends = [end for own in mechanism.connections.values() for end in (own.parent, own.child)]
-        places = [body.com, *(end.at for end in ends if end.body == name)]
-        length = max((_norm(place) for place in places if place is not None), default=0.0)
+        length = lengths[name]
         mass, inertia = concrete(body.mass), [concrete(x) for x in body.inertia[:3]]
-        if not length or mass is None or None in inertia:
+        if length <= STUB * max(lengths.values()) or mass is None or None in inertia:
             continue
         # What stands out beyond the joints shows in the inertia.
         size = max(length, WHOLE * math.sqrt(max(x or 0.0 for x in inertia) / mass))

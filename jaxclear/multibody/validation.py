@@ -91,7 +91,7 @@ def _in_numpy(tree: Any) -> Any:
 
 
 def _check_load(name: str, load: Any, bodies: dict, connections: dict) -> None:
-    expect(load, AbstractLoad, f'load "{name}"', "a jaxclear.load")
+    expect(load, AbstractLoad, f'load "{name}"', "one of jaxclear.load")
     _check_slots(f'load "{name}"', load)
     check_values(f'load "{name}"', load)
     check_own_load(name, load)
@@ -105,7 +105,7 @@ def _check_load(name: str, load: Any, bodies: dict, connections: dict) -> None:
                 f"on one of the bodies {listed(bodies)}."
             )
     if isinstance(load, AbstractCoordinateLoad):
-        check_known(f'joint for load "{name}" to act on', load.connection, connections)
+        check_known("joint", load.connection, connections, f' for load "{name}" to act on')
         joint = one_coordinate(
             f'load "{name}" acts on',
             load.connection,

@@ -54,7 +54,7 @@ def signal(run: Trajectory, of: str, axis: str | None = None) -> Signal:
     time = np.asarray(run.time)
     if of in mechanism.bodies:
         axis = "x" if axis is None else axis
-        check_known(f'axis of body "{of}"', axis, (*AXES, TURN))
+        check_known("axis", axis, (*AXES, TURN), f' of body "{of}"')
         motion = run.body(of)
         if axis == TURN:
             turn = np.asarray(motion.rotation)
@@ -76,7 +76,8 @@ def _usual(run: Trajectory, of: str) -> str:
 
 def _of_joint(run: Trajectory, of: str, axis: str) -> Signal:
     touching = of in run.formulation.contact_joints(run.mechanism)
-    check_known(f'axis of joint "{of}"', axis, (*AXES, TURN, *([FORCE] if touching else [])))
+    known = (*AXES, TURN, *([FORCE] if touching else []))
+    check_known("axis", axis, known, f' of joint "{of}"')
     time = np.asarray(run.time)
     if axis == FORCE:
         force = np.asarray(run.contact(of).normal_force).sum(axis=1)

@@ -121,7 +121,7 @@ def friction_law(friction: Any) -> AbstractFrictionLaw | None:
 
 def bearing(kind: str, clearance: Any, rub: AbstractFrictionLaw | None) -> Any:
     """A joint of the antenna: "spatial" (FSRJ) or "planar" (FPRJ) with clearance, or "ideal"."""
-    check_known("kind of antenna", kind, KINDS)
+    check_known("kind", kind, KINDS, " of antenna")
     if kind == "ideal":
         return Revolute()
     contact = CarvalhoMartins(stiffness=HertzStiffness(steel(), steel()), restitution=RESTITUTION)

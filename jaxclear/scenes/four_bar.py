@@ -123,7 +123,7 @@ def four_bar(
     plane, if None; how deep it wears in space takes 144 by 320. `follower_offset` [m]: distance
     between the planes of coupler and follower (spatial only).
     """
-    check_known("kind of four_bar", kind, KINDS)
+    check_known("kind", kind, KINDS, " of four_bar")
     check_number("clearance of four_bar", clearance, "m", above=0)
     check_number("follower_offset of four_bar", follower_offset, "m")
     check_flags("four_bar", friction=friction, wear=wear)

@@ -87,7 +87,7 @@ def slider_joint(
     as this with both parts wearing, or "ideal"; `middle` of the guide [m] along it from where the
     slider starts.
     """
-    check_known("kind of guide", kind, KINDS)
+    check_known("kind", kind, KINDS, " of guide")
     if kind == "ideal":
         return Prismatic()
     walls: dict[str, Any] = {}

@@ -16,10 +16,10 @@ def slack_joints(
     """The joints that have clearance in a scene of this `kind`: one of the words of `kinds`, or
     names of its `joints`. Raises `ValueError` with a sentence."""
     if isinstance(kind, str):
-        check_known(f"kind of {scene} (beside a list of joints)", kind, kinds)
+        check_known("kind", kind, kinds, f" of {scene} (beside a list of joints)")
     slack = kinds[kind] if isinstance(kind, str) else kind
     words = ", ".join(f'"{word}"' for word in kinds)
     expect(slack, (tuple, list), f"kind of {scene}", f"{words}, or a list of joints")
     for name in slack:
-        check_known(f"joint in kind of {scene}", name, joints)
+        check_known("joint", name, joints, f" in kind of {scene}")
     return slack

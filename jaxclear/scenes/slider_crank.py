@@ -77,7 +77,7 @@ def slider_crank(
     """
     joint = kind
     if isinstance(kind, str):
-        check_known("kind of joint of slider_crank (beside one of your own)", kind, KINDS)
+        check_known("kind", kind, KINDS, " of slider_crank (beside a joint of your own)")
         check_number("clearance of slider_crank", clearance, "m", above=0)
         planar = kind == "planar"
         joint = bearing(clearance, contact, friction, wear) if planar else Revolute()

@@ -65,11 +65,11 @@ def _of_loads(history: StateHistory) -> str:
             if is_own(load):
                 found = effect_of(system, name, load, now.motions, now.time)
                 out[name] = sp.total(x for each in found.actions for x in (*each[1], *each[2]))
-        for name, effort in coordinate_loads(system):
-            branch = topology.branch_of(effort.connection)
-            if is_own(effort) and branch is not None:
+        for name, held in coordinate_loads(system):
+            branch = topology.branch_of(held.connection)
+            if is_own(held) and branch is not None:
                 place = topology.branches.index(branch)
-                out[name] = effort.force(now.time, now.q[place][0], now.v[place][0])[0]
+                out[name] = held.force(now.time, now.q[place][0], now.v[place][0])[0]
         return {name: jnp.asarray(x, float) for name, x in out.items()}
 
     seen = [history]

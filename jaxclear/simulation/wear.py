@@ -46,7 +46,7 @@ def worn_as_given(mechanism: Mechanism, given: Worn | None) -> Worn | None:
     for joint, surfaces in given.items():
         check_known("worn joint", joint, cells, " in this mechanism")
         for surface in surfaces:
-            check_known(f'worn surface of joint "{joint}"', surface, cells[joint])
+            check_known("worn surface", surface, cells[joint], f' of joint "{joint}"')
     return {
         joint: {
             surface: _depths(f'worn["{joint}"]["{surface}"]', given[joint][surface], shape)

@@ -153,6 +153,8 @@ class Problem(AbstractProblem):
         check_responses(self.response, self.variables, "a trajectory")
         check_variables(self.variables, mechanism)
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
+        self.correlation = correlation_matrix(correlation, self.names)
+        self.state = state_of(state)
         self._check_answers(integrator, times, asked.events)
         given = mechanism, self.response, times[-1]
         chosen: Any = (integrator, "", None)
@@ -167,10 +169,8 @@ class Problem(AbstractProblem):
         self.unasked = integrator is None and self.accuracy is None
         self.events = checked_saving(asked, self.integrator).events
         self.duration, self.shares = times[-1], times / times[-1]
-        self.correlation = correlation_matrix(correlation, self.names)
         check_run(mechanism, self.integrator)
         check_steps(integrator, times)
-        self.state = state_of(state)
         seen = self.integrator.formulation.seen(mechanism)
         self.past = past_of(seen, self.integrator.formulation, self.state)
         self.updates = jnp.asarray(1)

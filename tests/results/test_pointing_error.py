@@ -433,9 +433,9 @@ def test_way_through_a_loop_is_the_one_named():
     [
         (
             ("ground", jc.Marker("nothing")),
-            'no body for the tip "nothing"; there are "ground", "arm", "dish"',
+            'no body "nothing" for the tip; there are "ground", "arm", "dish"',
         ),
-        (("nothing", TIP), 'no body for the base "nothing"'),
+        (("nothing", TIP), 'no body "nothing" for the base'),
         (("dish", TIP), 'the tip is on the base "dish" itself'),
         (
             ("ground", TIP),

@@ -232,7 +232,7 @@ def test_compiled_steps_are_machine_code(caplog):
     [
         (
             lambda: antenna("loose"),
-            'no kind of antenna "loose"; there are "spatial", "planar", "ideal"',
+            'no kind "loose" of antenna; there are "spatial", "planar", "ideal"',
         ),
         (
             lambda: antenna(drive="ramp"),

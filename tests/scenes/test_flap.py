@@ -82,7 +82,7 @@ def test_clearance_takes_up_the_play_joint_by_joint(run):
 
 
 def test_bad_input_is_refused_by_name():
-    with pytest.raises(ValueError, match='no joint in kind of flap "J5"'):
+    with pytest.raises(ValueError, match='no joint "J5" in kind of flap'):
         flap(("J5",))
     with pytest.raises(ValueError, match="lever_ratio of flap"):
         flap(lever_ratio=0.0)

@@ -372,7 +372,7 @@ def test_the_command_writes_figures_and_tables(tmp_path, capsys, keep_settings):
 @pytest.mark.parametrize(
     "arguments, words",
     [
-        ({"kind": "slot"}, '"slot"; there are "guide", "wearing", "ideal"'),
+        ({"kind": "slot"}, '"slot" of guide; there are "guide", "wearing", "ideal"'),
         ({"friction": "viscous"}, "set_valued"),
         ({"torque": 3.0}, "drive=None"),
     ],

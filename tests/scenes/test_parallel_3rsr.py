@@ -118,7 +118,7 @@ def test_the_multiplier_of_an_ideal_ball_is_the_force_of_the_closed_form(ideal):
 
 
 def test_bad_input_is_refused_by_name():
-    with pytest.raises(ValueError, match='no joint in kind of parallel_3rsr "S4"'):
+    with pytest.raises(ValueError, match='no joint "S4" in kind of parallel_3rsr'):
         parallel_3rsr(("S4",))
     with pytest.raises(ValueError, match="period of parallel_3rsr"):
         parallel_3rsr(period=0.0)

@@ -115,7 +115,7 @@ def test_what_does_not_belong_is_refused_by_name():
     other = jc.simulate(slider_crank("ideal"), 1e-3, save=2)
     for state, sentence in (
         (worn({"C": {}}), 'no worn joint "C" in this mechanism; there is "B"'),
-        (worn({"B": {"bore": 0.0}}), 'no worn surface of joint "B" "bore"'),
+        (worn({"B": {"bore": 0.0}}), 'no worn surface "bore" of joint "B"'),
         (worn({"B": {"bearing": jnp.zeros(3)}}), r'"bearing"\] has the shape \(3,\)'),
         (worn({"B": {"bearing": -one.worn["B"]["bearing"]}}), "below 0 m"),
         (worn(one), "worn of a State is a Trajectory"),

@@ -55,7 +55,7 @@ RESPONSES = {
     "a method": (lambda run: run.bodie("rod"), "fails in .*AttributeError: .*bodie"),
     "a surface": (jc.response.PeakWornDepth("B"), 'fails: surface "bearing" of joint "B" does not'),
     "a path": (jc.response.PositionError("rod", PATH), "11 saving times, the run has 21"),
-    "a tip": (jc.response.PointingAngle("rodd"), 'no body for the tip "rodd"'),
+    "a tip": (jc.response.PointingAngle("rodd"), 'no body "rodd" for the tip'),
     "several": (lambda run: run.body("rod").com, r"gives an array of shape \(21, 3\)"),
     "nothing": (lambda run: None, "is a `return` missing"),
     "events that nobody kept": (lambda run: run.events(), "kept no touches"),

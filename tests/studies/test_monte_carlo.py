@@ -238,7 +238,7 @@ def test_methods_that_disagree_say_so():
             lambda: jc.sensitivity(problem(), "tolerance of length"),
             'no "tolerance of length" in this problem; there is "standard deviation of length"',
         ),
-        (lambda: jc.sensitivity(problem(), methods=("magic",)), 'no method of sensitivity "magic"'),
+        (lambda: jc.sensitivity(problem(), methods=("magic",)), 'no method "magic" of sensitivity'),
     ],
 )
 def test_mistakes_get_a_sentence(call, sentence):

@@ -302,7 +302,7 @@ def test_design_points_are_those_of_openturns(name):
         ({"limit": 3.0}, "it must be a limit state, such as"),
         ({"limit": Above("gup", 0.1)}, 'no response "gup" in this problem.*gap'),
         ({"methods": ()}, "methods of reliability is empty"),
-        ({"methods": ("fosm",)}, 'no method of reliability "fosm"'),
+        ({"methods": ("fosm",)}, 'no method "fosm" of reliability'),
         ({"variation": 0.0}, "variation of reliability is 0"),
         ({"surface": 3}, "what jaxclear.surface gives"),
     ],
