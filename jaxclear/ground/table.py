@@ -161,7 +161,8 @@ def _cells(frame: Any) -> _Cells:
         names, columns = columns[:1], columns[1:]
     else:
         levels = [frame.index.get_level_values(k) for k in range(frame.index.nlevels)]
-        names = [_column(str(own.name or ""), own.tolist()) for own in levels]
+        heads = [_measured(str(own.name or ""), units.get(own.name)) for own in levels]
+        names = [_column(head, own.tolist()) for head, own in zip(heads, levels, strict=True)]
         told = [_measured(n, units.get(n)) for n in names[-1].cells]
         names[-1] = names[-1]._replace(cells=told)
     if of_rows:

@@ -2,6 +2,7 @@
 at once, by shapes alone, where a mechanism is built.
 """
 
+import itertools
 from typing import Any
 
 import jax
@@ -18,7 +19,7 @@ from jaxclear.components.load import (
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.given_functions import asked, shape_of
 from jaxclear.ground.pose import Pose
-from jaxclear.ground.quantity import is_one_number
+from jaxclear.ground.quantity import is_one_number, is_traced
 
 __all__ = ["check_own_drive", "check_own_load", "is_own"]
 
@@ -27,6 +28,8 @@ VECTOR = (NUMBER,) * 3
 SEEN = MarkerMotion(Pose((VECTOR,) * 3, VECTOR), VECTOR, VECTOR)
 ON_COORDINATE = ("generalised force", "stored energy", "dissipated power", "external power")
 MOTION = ("position", "speed", "acceleration")
+# Instants [s] at which rates are looked at, which no period divides; and how near they are.
+INSTANTS, CLOSE = (0.0137, 0.113, 0.371), 1e-6
 
 
 def check_own_drive(name: str, drive: AbstractDrive | None) -> None:
@@ -35,6 +38,24 @@ def check_own_drive(name: str, drive: AbstractDrive | None) -> None:
     if drive is not None and is_own(drive):
         what = f'the drive of joint "{name}", its motion(time),'
         shape_of(lambda time: _numbers(what, asked(what, drive.motion, time), MOTION), NUMBER)
+        if not is_traced(drive):
+            _check_rates(name, drive)
+
+
+def _check_rates(name: str, drive: AbstractDrive) -> None:
+    """Raises `ValueError` where the speed of a drive is not the rate of its position, or its
+    acceleration not that of its speed, at any of a few instants."""
+    motion = lambda time: tuple(jnp.asarray(own, float) for own in drive.motion(time))
+    looks = [jax.jvp(motion, (time,), (1.0,)) for time in INSTANTS]
+    for below, above in itertools.pairwise(range(3)):
+        rates = [(float(found[above]), float(rate[below])) for found, rate in looks]
+        if all(abs(told - rate) > CLOSE * (abs(told) + abs(rate)) for told, rate in rates):
+            (told, rate), time = rates[0], INSTANTS[0]
+            raise ValueError(
+                f'the drive of joint "{name}", its motion(time), returns the {MOTION[above]} '
+                f"{told:.6g} at {time:g} s, where its {MOTION[below]} changes by {rate:.6g} a "
+                "second; each must be the rate of the one before."
+            )
 
 
 def check_own_load(name: str, load: Any) -> None:

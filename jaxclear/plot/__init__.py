@@ -25,7 +25,7 @@ from jaxclear.plot.shares import (
     worst_case,
 )
 from jaxclear.plot.spectrum import spectrum
-from jaxclear.plot.studies import monte_carlo, sensitivity, work_precision
+from jaxclear.plot.studies import monte_carlo, sensitivity, sweep, work_precision
 from jaxclear.plot.wear import wear_surface, wear_unrolled
 
 __all__ = [
@@ -57,6 +57,7 @@ __all__ = [
     "sobol_indices",
     "spectrum",
     "surface",
+    "sweep",
     "wear_life",
     "wear_lives",
     "wear_surface",

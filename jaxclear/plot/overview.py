@@ -24,7 +24,7 @@ from jaxclear.plot.shares import (
     worst_case,
 )
 from jaxclear.plot.signal import reached
-from jaxclear.plot.studies import monte_carlo, sensitivity, work_precision
+from jaxclear.plot.studies import monte_carlo, sensitivity, sweep, work_precision
 from jaxclear.results.pointing_error import PointingError
 from jaxclear.results.positions import Positions
 from jaxclear.results.response import PeakContactForce
@@ -43,6 +43,7 @@ from jaxclear.studies.statistics.shapley import ShapleyEffects
 from jaxclear.studies.statistics.sobol_indices import SobolIndices
 from jaxclear.studies.surface.correction import Corrected
 from jaxclear.studies.surface.response_surface import ResponseSurface
+from jaxclear.studies.sweep import Sweep
 from jaxclear.studies.worst_case import WorstCase
 
 __all__ = ["overview", "positions", "result"]
@@ -144,6 +145,7 @@ FIGURES: dict[type, Callable] = {
     Settled: settled,
     ShapleyEffects: shapley_effects,
     SobolIndices: sobol_indices,
+    Sweep: sweep,
     Trajectory: overview,
     WearLife: wear_life,
     WearLives: wear_lives,

@@ -8,17 +8,20 @@ import numpy as np
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.in_words import as_typed
 from jaxclear.plot.canvas import panels, readable
-from jaxclear.plot.fitting import Roomy
+from jaxclear.plot.fitting import Roomy, key
 from jaxclear.studies.advice import PRESENT, Advice
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.sensitivity.derivative import Sensitivity
+from jaxclear.studies.sweep import Sweep
 
-__all__ = ["monte_carlo", "sensitivity", "work_precision"]
+__all__ = ["monte_carlo", "sensitivity", "sweep", "work_precision"]
 
 # An error as large as the response is drawn no higher, a hundredth of the accuracy no lower.
 LARGEST_ERROR, LEAST_ERROR = 1.0, 0.01
 DIVERGED = "failed, or no digit right"
 EDGE: dict[str, Any] = {"mfc": "none", "ms": 7, "zorder": 4}
+# Panels side by side; and values of a second variable up to which each has a line.
+MOST_BESIDE, MOST_CURVES = 3, 8
 # Where a sentence ends.
 SENTENCES = re.compile(r"(?<=[.!?]) +(?=[A-Z0-9])")
 
@@ -75,9 +78,14 @@ def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
     expect(study, Sensitivity, "the study", "what jaxclear.sensitivity returns")
     entries = list(study.derivatives.items())
     alike = len({tuple(found.estimates) for _, found in entries}) == 1
-    sheet = panels("sensitivity", ax, 1, len(entries), (4.6 * len(entries), 3.6), sharey=alike)
+    columns = len(entries) if ax is not None else min(len(entries), MOST_BESIDE)
+    rows, size = -(-len(entries) // columns), (4.6 * columns, 3.6)
+    size = size[0], size[1] * rows
+    sheet = panels("sensitivity", ax, rows, columns, size, sharey=alike)
+    for empty in sheet.axes.flat[len(entries) :]:
+        empty.set_axis_off()
     rest: dict[str, list[str]] = {}
-    for axis, ((response, variable), derivative) in zip(sheet.axes.flat, entries, strict=True):
+    for axis, ((response, variable), derivative) in zip(sheet.axes.flat, entries, strict=False):
         answers: dict[str, Any] = {**derivative.estimates, "answer": derivative}
         ends = [abs(one.value) + one.error for one in answers.values()]
         factor, unit = readable(ends, study.unit(response, variable))
@@ -101,6 +109,40 @@ def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
             rest.setdefault(sentence, []).append(f"{response} by {variable}")
     whose = lambda names: "" if len(names) == len(entries) else f"{', '.join(names)}: "
     return sheet.done([whose(names) + sentence for sentence, names in rest.items()])
+
+
+def sweep(study: Sweep, *, ax: Any = None) -> Any:
+    """Every response over the first swept variable, with a line for each value of a second one, or
+    over both as colours where these are many. `ax`: one axes for each response. Raises `ValueError`
+    for more than two variables."""
+    expect(study, Sweep, "the study", "what jaxclear.sweep returns")
+    if len(study.over) > 2:
+        raise ValueError(
+            f"the sweep is over {len(study.over)} variables; a figure shows two at the most: take "
+            "a part of sweep.to_dataset()."
+        )
+    units = study.units()
+    sides = [readable(own, units[name]) for name, own in study.over.items()]
+    axes = zip(sides, study.over.values(), strict=True)
+    along, *other = (factor * values for (factor, _), values in axes)
+    names = [f"{name} [{unit}]" for name, (_, unit) in zip(study.over, sides, strict=True)]
+    count = len(study.responses)
+    sheet = panels("sweep", ax, 1, count, (4.8 * count, 3.8))
+    for axis, (name, told) in zip(sheet.axes.flat, study.responses.items(), strict=True):
+        factor, unit = readable(told[np.isfinite(told)], units[name])
+        axis.set_xlabel(names[0])
+        if other and len(other[0]) > MOST_CURVES:
+            drawn = axis.pcolormesh(along, other[0], factor * told.T, shading="nearest")
+            axis.set_ylabel(names[1])
+            sheet.whole.colorbar(drawn, ax=axis, label=f"{name} [{unit}]")
+            continue
+        labels = [f"{x:.4g}" for x in other[0]] if other else [None]
+        for label, line in zip(labels, factor * told.reshape(len(along), -1).T, strict=True):
+            axis.plot(along, line, "o-", ms=3, lw=1.0, label=label)
+        axis.set_ylabel(f"{name} [{unit}]")
+        if other:
+            key(axis, title=names[1])
+    return sheet.done([*study.warnings])
 
 
 def work_precision(advice: Advice, *, ax: Any = None) -> Any:

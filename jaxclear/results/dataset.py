@@ -7,9 +7,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxclear.components.joint.base import drive_of
 from jaxclear.ground.datasets import provenance
 from jaxclear.ground.warning import warn
-from jaxclear.multibody.own_numbers import turns
+from jaxclear.multibody.own_numbers import coordinate_units, turns
 from jaxclear.results import histories
 from jaxclear.results.state_history import StateHistory
 
@@ -84,6 +85,11 @@ def _nodes(history: StateHistory, worn: dict) -> dict[tuple[str, ...], dict[str,
         impulse = histories.contact_impulse(history, name)
         put((name,), "contact_impulse", ("time",), impulse, "N s", "impulse of the normal forces")
     put_all(mechanism.connections, histories.reaction, REACTION)
+    for name, unit in _single_coordinates(history).items():
+        what = "slides" if unit == "m" else "turns"
+        place, speed = (history.coordinate(name, speeds=own) for own in (False, True))
+        put((name,), "coordinate", ("time",), place, unit, f"how far {name} {what}")
+        put((name,), "speed", ("time",), speed, f"{unit}/s", f"how fast {name} {what}")
     for name, coupling in mechanism.couplings.items():
         unit = "N m" if turns(mechanism, coupling) else "N"
         sent = histories.transmitted(history, name)
@@ -100,6 +106,15 @@ def _nodes(history: StateHistory, worn: dict) -> dict[tuple[str, ...], dict[str,
             values = getattr(energies, name)
             put(("energy",), name, ("time",), values, "J", name.replace("_", " "))
     return nodes
+
+
+def _single_coordinates(history: StateHistory) -> dict[str, str]:
+    """Joints with one coordinate, of the tree or driven, with its unit."""
+    mechanism = history.mechanism
+    known = {own.name for own in mechanism.topology.branches if own.speed_count}
+    known |= {n for n, own in mechanism.connections.items() if drive_of(own.joint) is not None}
+    units = {name: coordinate_units(mechanism, name) for name in mechanism.connections}
+    return {name: own[0] for name, own in units.items() if len(own) == 1 and name in known}
 
 
 @functools.cache

@@ -29,9 +29,11 @@ STABLE = 2.78
 def told_of_the_end(trajectory: Trajectory) -> str:
     """Why a run of one mechanism ended, with a sentence more where it is known why its state is not
     finite."""
-    if int(trajectory.outcome) != Outcome.NOT_FINITE:
+    if int(trajectory.outcome) not in (Outcome.NOT_FINITE, Outcome.STEP_TOO_SMALL):
         return trajectory.result
-    why = _of_loads(trajectory.history) or _of_bristles(trajectory.mechanism)
+    why = _of_loads(trajectory.history)
+    if not why and int(trajectory.outcome) == Outcome.NOT_FINITE:
+        why = _of_bristles(trajectory.mechanism)
     return f"{trajectory.result} {why}".rstrip()
 
 

@@ -134,6 +134,10 @@ class MonteCarlo(AbstractShown):
         text = f"{self.count} samples, {len(self.failed)} failed, {len(self.warned)} with warnings"
         counts = counted(self.checks, np.isin(np.arange(self.count), self.warned))
         text = f"{text} ({in_words(counts)})." if counts else f"{text}."
+        if len(self.failed):
+            first = int(self.failed[0])
+            told = failure(self, first)
+            text += f" The first that failed, {first}, {told[0].lower()}{told[1:]}"
         told = (
             text,
             *self.doubts,

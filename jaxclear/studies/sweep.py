@@ -30,51 +30,56 @@ __all__ = ["Sweep", "sweep"]
 class Sweep(AbstractShown):
     """Responses over a grid. `over` are the values of each swept variable, in its unit;
     `responses` by name, one axis for each swept variable in their order, nan where a run failed;
-    `failures` why, by the place in the grid; `warnings` of what runs warn."""
+    `reasons` why, by the place in the grid; `warnings` of what runs warn."""
 
     problem: AbstractProblem
     over: dict[str, np.ndarray]
     responses: dict[str, np.ndarray]
-    failures: dict[tuple[int, ...], str]
+    reasons: dict[tuple[int, ...], str]
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def _shown(self):
         return self.table(), *self._lost(), *self.warnings
+
+    def failures(self) -> dict[tuple[int, ...], str]:
+        """Why each point that failed did, by its place in the grid."""
+        return dict(self.reasons)
 
     def table(self) -> Any:
         """A pandas table: one row a point of the grid."""
         grid = np.meshgrid(*self.over.values(), indexing="ij")
         columns = {name: own.ravel() for name, own in zip(self.over, grid, strict=True)}
         columns |= {name: own.ravel() for name, own in self.responses.items()}
-        return as_table(columns, index=list(self.over), units=self._units())
+        return as_table(columns, index=list(self.over), units=self.units())
 
     def to_dataset(self) -> Any:
         """The responses over the swept variables as an xarray Dataset, with units and
         provenance."""
-        units, names = self._units(), tuple(self.over)
+        units, names = self.units(), tuple(self.over)
         return dataset(
             {name: Column(names, own, units[name]) for name, own in self.responses.items()},
             {name: Column((name,), own, units[name]) for name, own in self.over.items()},
             what="sweep",
             problem=in_texts(self.problem),
-            failed=len(self.failures),
+            failed=len(self.reasons),
             warnings=" ".join(self.warnings),
         )
 
     def _lost(self) -> list[str]:
         """How many points failed, and where and why the first of them did."""
-        if not self.failures:
+        if not self.reasons:
             return []
-        place, why = next(iter(self.failures.items()))
-        units, axes = self._units(), self.over.items()
+        place, why = next(iter(self.reasons.items()))
+        units, axes = self.units(), self.over.items()
         at = ", ".join(
             f"{name} {axis[k]:.6g} {units[name]}".rstrip()
             for (name, axis), k in zip(axes, place, strict=True)
         )
         count = next(iter(self.responses.values())).size
-        return [f"{len(self.failures)} of {count} points failed; the first of them, {at}: {why}"]
+        return [f"{len(self.reasons)} of {count} points failed; the first of them, {at}: {why}"]
 
-    def _units(self) -> dict[str, str]:
+    def units(self) -> dict[str, str]:
+        """Units of variables and responses, by name."""
         own = zip(self.problem.names, self.problem.variable_units, strict=True)
         return dict(own) | dict(self.problem.units())
 
@@ -114,11 +119,11 @@ def sweep(
         name: np.where(good, np.asarray(found.responses[name]), np.nan).reshape(shape)
         for name in problem.response_names
     }
-    failures = {
+    reasons = {
         tuple(int(k) for k in np.unravel_index(i, shape)): _why(problem, outcome[i], ended[i])
         for i in np.flatnonzero(~good)
     }
-    return Sweep(problem, axes, responses, failures, told(problem, found.checks, good))
+    return Sweep(problem, axes, responses, reasons, told(problem, found.checks, good))
 
 
 def _axis(name: str, values: Any, problem: AbstractProblem) -> np.ndarray:

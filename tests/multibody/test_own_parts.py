@@ -165,3 +165,17 @@ def test_a_run_that_a_load_of_ones_own_ends_names_it():
     rig = arm(loads={"gravity": jc.load.Gravity(), "push": lost}, speeds={"pin": 1.0})
     with pytest.raises(jc.SimulationError, match='What load "push" gives is not finite'):
         jc.simulate(rig, 1e-3, save=3, integrator=STEP)
+
+
+class DoubledAcceleration(jc.drive.AbstractDrive):
+    def motion(self, time):
+        return jnp.sin(time), jnp.cos(time), -2.0 * jnp.sin(time)
+
+
+def test_a_drive_whose_acceleration_is_not_the_rate_of_its_speed_is_refused():
+    """Its loads were called too short for the steps, and shorter steps advised."""
+    with pytest.raises(ValueError, match='joint "O".* acceleration .* must be the rate'):
+        jc.Mechanism(
+            {"crank": jc.Body(1.0, 0.1)},
+            {"O": jc.Connection(jc.joint.Revolute(drive=DoubledAcceleration()), "ground", "crank")},
+        )

@@ -308,6 +308,15 @@ CASES = {
     "sobol_indices": [lambda: plot.sobol_indices(jc.sobol_indices(problem(), 64))],
     "spectrum": [lambda: plot.spectrum(run(), JOINT, "force", period=PERIOD)],
     "surface": [lambda: plot.surface(jc.surface(problem()))],
+    "sweep": [
+        lambda: plot.sweep(jc.sweep(problem(), {CLEARANCE: np.linspace(1e-3, 1.1e-3, 5)})),
+        lambda: plot.sweep(
+            jc.sweep(problem(), {CLEARANCE: np.linspace(1e-3, 1.1e-3, 5), SPEED: [1e-3, 2e-3]})
+        ),
+        lambda: plot.sweep(
+            jc.sweep(problem(), {CLEARANCE: [1e-3, 2e-3], SPEED: np.linspace(1e-3, 2e-3, 9)})
+        ),
+    ],
     "wear_life": [lambda: plot.wear_life(life())],
     "wear_lives": [lambda: plot.wear_lives(lives())],
     "wear_surface": [

@@ -35,7 +35,7 @@ def test_every_point_of_the_grid_is_the_problems_own(grid):
     np.testing.assert_allclose(grid.responses["sum"], A + 10 * B[:, None], rtol=1e-15)
     expected = np.sqrt(A - B[:, None]) + 3.0
     np.testing.assert_allclose(grid.responses["root"], expected, rtol=1e-15)
-    assert not grid.failures and not grid.warnings
+    assert not grid.failures() and not grid.warnings
 
 
 def test_a_sweep_is_data_with_units(grid):
@@ -48,7 +48,7 @@ def test_a_sweep_is_data_with_units(grid):
 
 def test_a_point_that_fails_is_named_and_the_others_go_on():
     found = jc.sweep(PROBLEM, {"a": [0.0, 1.0]})
-    assert list(found.failures) == [(0,)] and "not finite" in found.failures[0,]
+    assert list(found.failures()) == [(0,)] and "not finite" in found.failures()[0,]
     assert np.isnan(found.responses["root"][0]) and np.isfinite(found.responses["root"][1])
     assert "1 of 2 points failed; the first of them, a 0 mm: a number that" in str(found)
 

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from jaxclear.integrators.checks import Check
 from jaxclear.integrators.figures import Checks
 from jaxclear.simulation.wear import Worn
 from jaxclear.studies.life.cycle import (
@@ -29,6 +30,8 @@ from jaxclear.studies.life.steps import CycleFailed
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.store import Store
 
+# What a narrow contact makes of depths.
+NARROW = (Check.WEAR_BY_CELLS,)
 # So many cycles of a motion that does not settle are simulated side by side where patience lasts
 # for so many times as many: then a life has enough of them to be worth a second program.
 LANES, WORTH = 8, 4
@@ -105,8 +108,13 @@ class Living:
         return np.concatenate([flattened(depths)[0], means])
 
     def checks(self) -> Checks:
-        """The worst of every figure over all cycles that were taken as the motion."""
-        return worst_of([one.checks for s in self.settlings for one in s.taken])
+        """The worst of every figure over all cycles that were taken as the motion. How wide scars
+        are beside cells is that of the last ones: in a new wall every contact is narrow, and what
+        was worn there too shallow is worn on."""
+        worst = worst_of([one.checks for s in self.settlings for one in s.taken])
+        last = worst_of([one.checks for one in self.settlings[-1].taken])
+        by_cells = {check: last.figures[check] for check in NARROW if check in last.figures}
+        return Checks.of(worst.figures | by_cells)
 
     def _cycle(self, motion: Any, worn: Worn) -> Cycle:
         """A cycle, from the store where it is there."""

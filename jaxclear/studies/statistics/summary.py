@@ -105,5 +105,8 @@ def spread_of(summary: Any) -> tuple[Any, ...]:
     names = ("bias", "bias error", "mean error", "replicas")
     found = [NumericalError(*own) for own in zip(*(summary[n] for n in names), strict=True)]
     shown["mean error"] = [own.whole if own.is_resolved else own.sampling for own in found]
+    # Of the mean all that it may be off by; the summary tells by how much samples are short.
+    every = {"mean": "mean, all errors", "mean error": "mean, all errors error"}
     told = zip(summary["response"], found, strict=True)
-    return shown, *(f'"{n}": {own.unresolved}' for n, own in told if not own.is_resolved)
+    unresolved = [(n, own) for n, own in told if own.replicas and not own.is_resolved]
+    return shown.rename(columns=every), *(f'"{n}": {own.unresolved}' for n, own in unresolved)
