@@ -281,8 +281,8 @@ def _check_laws(name: str, laws: ContactLaws) -> None:
     if not laws.contact.compliant:
         raise ValueError(
             f'joint "{name}" has contact.{type(laws.contact).__name__}, which has no force law: '
-            "take integrator.MoreauJean (in studies by a jaxclear.Problem), or a compliant law such "
-            "as contact.CarvalhoMartins."
+            "take integrator.MoreauJean (a study: in a jaxclear.Problem), or a compliant law, as "
+            "contact.CarvalhoMartins is."
         )
     friction = laws.friction
     if friction is not None and friction.set_valued:

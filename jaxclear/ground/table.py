@@ -5,6 +5,7 @@ as value ± error. Where it takes fewer lines, rows stand as columns.
 Only the print is rounded: numbers stay as they are, and all that pandas does with a table works.
 """
 
+import copy
 import functools
 import html
 import itertools
@@ -71,6 +72,24 @@ def _kind() -> Any:
         def _constructor(self):
             return Table
 
+        def __finalize__(self, other, method=None, **kwargs):
+            # What computes (a correlation, a product) leaves the units.
+            super_ = pandas.DataFrame.__finalize__(self, other, method=method, **kwargs)
+            if method is not None:
+                super_.attrs = {}
+            return super_
+
+        def _arith_method(self, other, operation):
+            return pandas.DataFrame(self)._arith_method(other, operation)
+
+        def __array_ufunc__(self, ufunc, method, *inputs, **kwargs):
+            plain = [pandas.DataFrame(x) if isinstance(x, Table) else x for x in inputs]
+            return getattr(ufunc, method)(*plain, **kwargs)
+
+        def rename(self, *args, **kwargs):
+            """A plain pandas table: units go by the names of columns."""
+            return pandas.DataFrame(self).rename(*args, **kwargs)
+
         def __repr__(self):
             return "\n".join(_in_lines(_cells(self)))
 
@@ -79,7 +98,9 @@ def _kind() -> Any:
 
         def __reduce__(self):
             # Another process gets a plain one: it need not know this class.
-            return pandas.DataFrame, (pandas.DataFrame(self),)
+            plain = pandas.DataFrame(self)
+            plain.attrs = dict(self.attrs)
+            return copy.copy, (plain,)
 
     return Table
 
@@ -334,7 +355,7 @@ def _fitted(column: _Column, most: int, is_left: bool) -> _Fitted:
 
 def _best(cells: _Cells) -> _Cells:
     """The way round that is less broken, or takes fewer lines."""
-    if len(cells.names[0].cells) > WIDTH:
+    if len(cells.names[0].cells) > WIDTH or not cells.columns:
         return cells
     ways = [(lines.count(""), len(lines)) for lines in map(_in_blocks, (cells, cells.swapped))]
     return cells.swapped if ways[0][0] and ways[1] <= ways[0] else cells

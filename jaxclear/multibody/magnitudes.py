@@ -27,10 +27,11 @@ FAR_PLACE = 300.0
 MOST_TURNS = 4 * math.pi
 # Of loose joints in textbooks the clearance is a twentieth of the radius.
 WIDE_CLEARANCE = 0.5
-# A body this long [m] whose mass is less than a thousandth of so much air [kg/m3] is given in mm;
-# one of five times osmium's density within the length between its joints, in grams. What extends
+# A body this long [m] whose mass is less than a hundred thousandth of so much air [kg/m3], as no
+# crane's or satellite's, is given in mm; one of five times osmium's density within the length
+# between its joints, in grams. What extends
 # beyond the joints is seen by so many radii of gyration.
-LONG, THINNEST, DENSEST, WHOLE = 10.0, 1e-3, 1e5, 3.0
+LONG, THINNEST, DENSEST, WHOLE = 10.0, 1e-5, 1e5, 3.0
 # Of a body that is this share of the longest only, as a slider's, its length says nothing of it.
 STUB = 0.1
 IN_MM = "is it in mm? Lengths are in m"

@@ -1,6 +1,7 @@
 """Figures of studies: spread of responses, derivatives with errors, work against precision."""
 
 import re
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,9 @@ __all__ = ["monte_carlo", "sensitivity", "sweep", "work_precision"]
 LARGEST_ERROR, LEAST_ERROR = 1.0, 0.01
 DIVERGED = "failed, or no digit right"
 EDGE: dict[str, Any] = {"mfc": "none", "ms": 7, "zorder": 4}
-# Panels side by side; and values of a second variable up to which each has a line.
-MOST_BESIDE, MOST_CURVES = 3, 8
+# Panels side by side; values of a second variable up to which each has a line; letters in a line of
+# a legend.
+MOST_BESIDE, MOST_CURVES, IN_LEGEND = 3, 8, 24
 # Where a sentence ends.
 SENTENCES = re.compile(r"(?<=[.!?]) +(?=[A-Z0-9])")
 
@@ -83,7 +85,7 @@ def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
     size = size[0], size[1] * rows
     sheet = panels("sensitivity", ax, rows, columns, size, sharey=alike)
     for empty in sheet.axes.flat[len(entries) :]:
-        empty.set_axis_off()
+        empty.remove()
     rest: dict[str, list[str]] = {}
     for axis, ((response, variable), derivative) in zip(sheet.axes.flat, entries, strict=False):
         answers: dict[str, Any] = {**derivative.estimates, "answer": derivative}
@@ -141,7 +143,7 @@ def sweep(study: Sweep, *, ax: Any = None) -> Any:
             axis.plot(along, line, "o-", ms=3, lw=1.0, label=label)
         axis.set_ylabel(f"{name} [{unit}]")
         if other:
-            key(axis, title=names[1])
+            key(axis, title=textwrap.fill(names[1], IN_LEGEND))
     return sheet.done([*study.warnings])
 
 

@@ -33,7 +33,7 @@ OF_CONTACT = ("indentation", "normal_force", "slip_speed", "traction")
 
 def measured(unit: str) -> Any:
     """A field of numbers over time, with their unit."""
-    return eqx.field(metadata={"unit": unit})
+    return eqx.field(metadata={"measured in": unit})
 
 
 class AbstractHistory(AbstractShown):
@@ -49,7 +49,8 @@ class AbstractHistory(AbstractShown):
 def units_of(kind: Any) -> dict[str, str]:
     """Unit of each field that has one."""
     own = dataclasses.fields(kind)
-    return {field.name: field.metadata["unit"] for field in own if "unit" in field.metadata}
+    key = "measured in"
+    return {field.name: field.metadata[key] for field in own if key in field.metadata}
 
 
 def _range(name: str, values: np.ndarray, unit: str) -> dict[str, Any]:
@@ -130,6 +131,26 @@ class MarkerHistory(AbstractHistory):
 
     def __jax_array__(self) -> Array:
         return _as_array(self)
+
+    def __iter__(self) -> Any:
+        return iter(_as_array(self))
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def __add__(self, other: Any) -> Array:
+        return _as_array(self) + other
+
+    def __sub__(self, other: Any) -> Array:
+        return _as_array(self) - other
+
+    def __rsub__(self, other: Any) -> Array:
+        return other - _as_array(self)
+
+    def __mul__(self, other: Any) -> Array:
+        return _as_array(self) * other
+
+    __radd__, __rmul__ = __add__, __mul__
 
 
 def _as_array(marker: MarkerHistory) -> Array:

@@ -134,10 +134,6 @@ class MonteCarlo(AbstractShown):
         text = f"{self.count} samples, {len(self.failed)} failed, {len(self.warned)} with warnings"
         counts = counted(self.checks, np.isin(np.arange(self.count), self.warned))
         text = f"{text} ({in_words(counts)})." if counts else f"{text}."
-        if len(self.failed):
-            first = int(self.failed[0])
-            told = failure(self, first)
-            text += f" The first that failed, {first}, {told[0].lower()}{told[1:]}"
         told = (
             text,
             *self.doubts,
@@ -149,7 +145,8 @@ class MonteCarlo(AbstractShown):
         return " ".join(filter(None, told))
 
     def _shown(self):
-        return self.sentence(), *spread_of(self.summary())
+        lost = [f"The first that failed: {failure(self, int(i))}" for i in self.failed[:1]]
+        return self.sentence(), *lost, *spread_of(self.summary())
 
     def table(self) -> Any:
         """All samples as a pandas table: variables, responses, result, warnings and the responses

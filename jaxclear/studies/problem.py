@@ -21,7 +21,7 @@ from jaxclear.errors.told import remedy_of_depths
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.in_words import part_in_words
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.integrators import AbstractIntegrator, FixedStep, Outcome
+from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
 from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.promise import PART_OF, STUDIES, Promise
 from jaxclear.multibody.assembly import (
@@ -188,7 +188,14 @@ class Problem(AbstractProblem):
     ) -> None:
         """Raises `ValueError` where a response of the nominal sample is not one number."""
         usual = FixedStep() if integrator is None else integrator
-        check_run(self.mechanism, usual)
+        try:
+            check_run(self.mechanism, usual)
+        except ValueError:
+            # Without an integrator one is chosen yet, for rigid contact and dry friction too.
+            if integrator is not None:
+                raise
+            usual = MoreauJean()
+            check_run(self.mechanism, usual)
         seen = usual.formulation.seen(self.mechanism)
         check_answers(self.response, lambda: sketched(seen, usual.formulation, times, events))
 

@@ -110,8 +110,21 @@ def pendulum(torque):
 
 # A kernel whose every number is nan cannot be checked: such a loop is left to XLA.
 @pytest.mark.filterwarnings("ignore:jaxclear runs a time loop")
+class Broken(jc.load.AbstractCoordinateLoad):
+    """A function of time would be refused before the run."""
+
+    connection: str = "pin"
+
+    def force(self, time, position, speed):
+        return jnp.where(time > 5e-4, jnp.nan, 1.0), 0.0, 0.0, 0.0
+
+
 def test_force_that_is_no_number_ends_the_run():
-    broken = pendulum(lambda time: jnp.where(time > 5e-4, jnp.nan, 1.0))
+    with pytest.raises(ValueError, match='load "motor" is not finite'):
+        jc.simulate(pendulum(lambda time: jnp.where(time > 5e-4, jnp.nan, 1.0)), 1e-3)
+    whole = pendulum(lambda time: 1.0)
+    name = next(iter(whole.connections))
+    broken = whole.with_load("motor", Broken(name))
     for integrator in (jc.integrator.Adaptive(), jc.integrator.FixedStep(1e-5)):
         end = jc.simulate(broken, 1e-3, integrator=integrator, save=3, throw=False)
         assert not end.succeeded and end.result.startswith("The run ended early, after ")

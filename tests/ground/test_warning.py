@@ -25,7 +25,6 @@ CAUSES = {
     "a run": lambda: jc.simulate(arm(), 1e-2, save=3, integrator=LONG),
     "a problem": lambda: asked(arm()),
     "a problem by other steps": lambda: asked(arm()).with_integrator(jc.integrator.FixedStep(9e-3)),
-    "an old name": lambda: jc.integrator.Check,
     "a law, mapped": lambda: jax.vmap(lambda _: jc.contact.Flores(restitution=0.3).restitution)(
         jax.numpy.zeros(2)
     ),

@@ -159,7 +159,7 @@ def test_wrong_names_end_in_sentences(run):
     for call, sentence in (
         (lambda: plot.phase_portrait(run, "wheel"), 'body or joint "wheel"'),
         (lambda: plot.phase_portrait(run, "B", "force"), "has no rate"),
-        (lambda: plot.phase_portrait(run, "A", "force"), 'axis of joint "A"'),
+        (lambda: plot.phase_portrait(run, "A", "force"), 'no axis "force" of joint "A"'),
         (lambda: plot.poincare_section(run, "B", period=1.0), "no whole period"),
         (lambda: plot.bifurcation({}, "B", period=1.0), "runs of bifurcation is empty"),
         (lambda: plot.journal_orbit(run, "A"), "clearance joint"),

@@ -194,7 +194,7 @@ def test_another_problem_is_refused_with_what_differs(folder, tmp_path):
         jc.campaign(problem(), 10_000, folder=folder, seed=4)
     with pytest.raises(ValueError, match="with samples=10000, more than 9999"):
         jc.campaign(problem(), 9999, folder=folder, seed=3, chunk=4096)
-    with pytest.raises(ValueError, match="with scramblings=16, not 4"):
+    with pytest.raises(ValueError, match="with scramblings=8, not 4"):
         jc.campaign(problem(), 20_000, folder=folder, seed=3, scramblings=4)
     with pytest.raises(ValueError, match="holds no campaign"):
         jc.open_campaign(tmp_path)

@@ -15,7 +15,7 @@ from jaxclear.studies.campaign.layout import CLAIMS, FINISHED, SAMPLES
 from jaxclear.studies.campaign.samples import Extended, Samples
 from tests.studies.test_campaign import LIMITS, assert_same_study, contents, problem
 
-ASKED = {"seed": 3, "chunk": 4096, "scramblings": 16}
+ASKED = {"seed": 3, "chunk": 4096, "scramblings": 8}
 
 
 def campaign(samples, folder, **how):

@@ -152,18 +152,12 @@ def test_correlated_variables_move_one_by_one():
     assert "correlated" in told.estimates["regression"].refusal
 
 
-def test_differences_of_few_samples_confirm_and_do_not_replace():
-    """What states the smaller error may lack a branch: sixteen differences of 0.2 % beside a
-    regression of 1 %. Of 10 000 samples they are the answer, with what none of these may have
-    seen."""
-    wide = from_parts(np.linspace(0.9, 1.1, 16), 1024)
-    few, many = (from_parts(np.linspace(0.98, 1.02, 16), count) for count in (16, 10_000))
-    assert few.error < wide.error and few.unseen == pytest.approx(6 / 16, rel=1e-2)
-    found = confirmed("r", "v", {"regression": wide, "differences": few})
-    assert found.method == "regression" and found.error == wide.error and found.trustworthy
-    found = confirmed("r", "v", {"regression": wide, "differences": many})
-    assert found.method == "differences"
-    assert found.error == pytest.approx(np.hypot(many.error, many.unseen))
+def test_differences_confirm_a_regression_and_do_not_replace_it():
+    """What states the smaller error may lack a branch."""
+    wide, narrow = from_parts(np.linspace(0.9, 1.1, 16)), from_parts(np.linspace(0.98, 1.02, 16))
+    found = confirmed("r", "v", {"regression": wide, "differences": narrow})
+    assert found.method == "regression" and found.error == wide.error > narrow.error
+    assert found.trustworthy
 
 
 def test_a_verdict_is_right():
@@ -172,7 +166,7 @@ def test_a_verdict_is_right():
     rng = np.random.default_rng(1)
     right = wrong = 0
     for _ in range(200):
-        one, other = (from_parts(1.0 + rng.normal(size=16), 256) for _ in range(2))
+        one, other = (from_parts(1.0 + rng.normal(size=16)) for _ in range(2))
         right += confirmed("r", "v", {"a": one, "b": other}).trustworthy
         off = 3 * np.hypot(one.error, other.error)
         biased = other._replace(value=other.value + off)
@@ -247,22 +241,22 @@ def test_verdicts_of_whole_studies_are_right():
 
 def test_differences_go_on_where_they_are_the_more_certain():
     """Half of the variance is of a variable whose waves no polynomial takes up; what x does is
-    straight, and every single difference shows it."""
+    straight, and every single difference shows it. The regression is still the answer: it alone has
+    seen so many parts."""
     waves = jc.FunctionProblem(
         lambda x, y: x + 0.2 * jnp.sin(50 * y),
         {n: jc.Dimension(1.0, D.Normal(0.1)) for n in "xy"},
     )
     found = jc.sensitivity(waves, "x").derivatives["response", "x"]
-    assert found.estimates["differences"].runs == 512 and found.method == "differences"
-    assert found.trustworthy and found.value == pytest.approx(1.0, abs=1e-9)
-    # None of 128 samples may have seen a branch of 3/128 that turns round.
-    assert found.error == pytest.approx(6 / 128, rel=1e-2)
+    assert found.estimates["differences"].runs == 512 and found.method == "regression"
+    assert found.estimates["differences"].value == pytest.approx(1.0, abs=1e-9)
+    assert found.trustworthy and abs(found.value - 1.0) <= found.error
 
 
 def test_agreement_that_says_little_is_told():
     estimates = {
-        "regression": from_parts(np.linspace(0.5, 1.5, 16), 256),
-        "differences": from_parts(np.linspace(-3.0, 5.0, 16), 128),
+        "regression": from_parts(np.linspace(0.5, 1.5, 16)),
+        "differences": from_parts(np.linspace(-3.0, 5.0, 16)),
     }
     found = confirmed("r", "v", estimates)
     assert found.trustworthy and found.value == pytest.approx(1.0)

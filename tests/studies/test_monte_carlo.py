@@ -213,7 +213,7 @@ def test_methods_that_disagree_say_so():
     nought = confirmed(
         "r", "v", {"regression": Estimate(-1e-3, 1e-2), "differences": Estimate(0.0, 0.0)}
     )
-    assert "Agreed by differences and regression" in nought.verdict
+    assert "Agreed by regression and differences" in nought.verdict
     alone = confirmed(
         "r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(np.nan, np.nan, "no")}
     )

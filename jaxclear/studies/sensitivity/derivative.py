@@ -2,8 +2,8 @@
 
 At least two methods agree within their errors, or the verdict says that they do not. An error is
 half the width of a 95 % interval, in the derivative's own unit. A regression has seen the most
-parts, and runs further out than these. What has seen fewer confirms it, and takes its place only
-where it is the more certain with all that it may not have seen (the rule of three).
+parts, and runs further out than these, so it is the answer wherever it has one. What has seen fewer
+confirms it, and does not take its place where it states a smaller error: it may lack a branch.
 """
 
 from typing import Any, NamedTuple
@@ -31,8 +31,6 @@ STEPS = 1e-6
 TOGETHER = 2.576 / 1.96
 # The method that has seen the most parts, and runs further out than these.
 WIDEST = "regression"
-# The 95 % bound of Poisson's distribution for none seen, of parts whose slope is the opposite.
-UNSEEN = 2.0 * 3.0
 
 
 @shown_in_words
@@ -41,8 +39,7 @@ class Estimate(NamedTuple):
     `refusal` says why a method has no answer (then value and error are nan). `doubt` says what its
     error leaves out: such an estimate stands only beside one without doubt that agrees with it.
     `warned` [1] is the share of its runs with warnings that concern the response, `warnings` what
-    they are; `unseen` [the value's unit] is what parts may add that none of its samples has seen,
-    which the error leaves out; `runs` is how many it took."""
+    they are; `runs` is how many it took."""
 
     value: float
     error: float
@@ -50,21 +47,17 @@ class Estimate(NamedTuple):
     doubt: str = ""
     warned: float = 0.0
     warnings: str = ""
-    unseen: float = 0.0
     runs: int = 0
 
     def __str__(self) -> str:
         return f"no answer: {self.refusal}" if self.refusal else with_error(self.value, self.error)
 
 
-def from_parts(parts: np.ndarray, samples: int, bias: float = 0.0) -> Estimate:
-    """The mean of contributions (scramblings,) of so many samples, with their interval and a
-    bias."""
+def from_parts(parts: np.ndarray, bias: float = 0.0) -> Estimate:
+    """The mean of contributions (scramblings,), with their interval and a bias."""
     if len(parts) < 2 or not np.all(np.isfinite(parts)):
         return refused("the sample has too few independent scramblings to tell an error.")
-    error = float(np.hypot(skewed_half(parts), bias))
-    unseen = UNSEEN / samples * float(np.sqrt(np.mean(parts**2)))
-    return Estimate(float(parts.mean()), error, unseen=unseen)
+    return Estimate(float(parts.mean()), float(np.hypot(skewed_half(parts), bias)))
 
 
 def refused(why: str) -> Estimate:
@@ -159,15 +152,9 @@ class Sensitivity(AbstractShown):
 
 
 def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> Derivative:
-    """One answer from the methods' answers: the most certain one without doubt that another method
-    confirms. Estimates in doubt that none confirms are refused. Beside a regression the others
-    count with what they may not have seen."""
+    """One answer from the methods' answers: the regression, or else the most certain one without
+    doubt, if another method confirms it. Estimates in doubt that none confirms are refused."""
     estimates = _without_unconfirmed(estimates)
-    beside = WIDEST in estimates and np.isfinite(estimates[WIDEST].value)
-
-    def half(name):
-        own = estimates[name]
-        return float(np.hypot(own.error, own.unseen)) if beside and name != WIDEST else own.error
 
     def answer(value, error, method, verdict, trustworthy=False):
         verdict += "".join(
@@ -177,7 +164,7 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
             verdict, trustworthy = f"{verdict} Too many for agreement to count.", False
         return Derivative(response, variable, value, error, method, verdict, trustworthy, estimates)
 
-    order = sorted(_by_certainty(estimates), key=lambda n: (bool(estimates[n].doubt), half(n)))
+    order = sorted(_by_certainty(estimates), key=lambda name: name != WIDEST)
     for name in order:
         best = estimates[name]
         if best.doubt:
@@ -185,7 +172,7 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
         partners = [other for other in order if other != name and _agree(best, estimates[other])]
         if partners:
             verdict = _agreement(estimates, name, partners, order)
-            return answer(best.value, half(name), name, verdict, trustworthy=True)
+            return answer(best.value, best.error, name, verdict, trustworthy=True)
     why = "".join(f" No {name}: {e.refusal}" for name, e in estimates.items() if e.refusal)
     if not order:
         return answer(np.nan, np.nan, "none", f"No method has an answer.{why}")

@@ -136,7 +136,7 @@ def differences(
         # A gap within its own noise is no sign of curvature.
         bias = REMAINDER * max(abs(gap.mean()) - half, 0.0)
         told = concern(problem, one.response, found.checks, among)
-        answer = from_parts(parts[:, 2], int(good.sum()), bias)
+        answer = from_parts(parts[:, 2], bias)
         error = answer.error * rarity(one.deciding(*rows), len(parts))
         answers[one.label] = answer._replace(
             error=error, warned=told[0], warnings=told[1], runs=count

@@ -166,7 +166,7 @@ def between_distributions(
         unseen = pairs.size * UNSEEN / len(group) * np.sqrt(rare)
         parts, missed = pseudo_values(slope, group), _missed(differences, terms, square)
         few = missed <= SMALL * parts.std() / np.sqrt(len(parts))
-        answer = from_parts(parts, len(group), float(unseen if few else np.hypot(unseen, missed)))
+        answer = from_parts(parts, float(unseen if few else np.hypot(unseen, missed)))
         answers[one.label] = answer._replace(
             error=answer.error * rarity(deciding, len(parts)),
             warned=told[0],

@@ -93,7 +93,7 @@ def _mean_tangent(
     parts = pseudo_values(
         lambda kept: float(np.mean(one.tangent(responses[kept], tangents[kept]))), group
     )
-    answer = from_parts(parts, len(tangents))
+    answer = from_parts(parts)
     if answer.error > REFUSAL_SPREAD * np.median(abs(tangents)):
         return refused(
             f"single runs differ by up to {np.abs(tangents).max():.1e}: the tangent grows without "

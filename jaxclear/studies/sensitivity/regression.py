@@ -169,7 +169,7 @@ def regressions(
         parts = pseudo_values(slope, joined.group) + own.scatter()
         told = concern(problem, one.response, sample.checks, good)
         bias = abs(parts.mean()) * own.unknown
-        answer = from_parts(parts, len(values), bias)
+        answer = from_parts(parts, bias)
         left = own.left
         answer = answer._replace(
             error=widened(

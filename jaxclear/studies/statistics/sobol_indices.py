@@ -4,7 +4,9 @@ The first-order index of a variable is the share of the variance that goes if it
 index is the share that stays if all others are fixed, interplay counted in. Estimated by exchanging
 one column between two samples, with errors from independent scramblings. A polynomial takes up what
 it explains, whose shares are exact: the samples of a scrambling are corrected by the polynomial
-through all the others, so that no run judges a polynomial that it helped to find.
+through all the others, so that no run judges a polynomial that it helped to find. What it says of
+parts beyond the outermost runs is no knowledge: by how much that moves an index is in its error, or
+it is left out where runs alone tell the index better.
 
 Source: first order: Saltelli et al. 2010, Comput. Phys. Commun. 181, 259,
 doi:10.1016/j.cpc.2009.09.018, eq. (b) of table 2; total: Jansen 1999, Comput. Phys. Commun. 117,
@@ -32,7 +34,7 @@ from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
-from jaxclear.studies.statistics.scrambled import Statistic, jackknifed
+from jaxclear.studies.statistics.scrambled import ROUNDING, UNKNOWN, Statistic, jackknifed
 from jaxclear.studies.surface.fitting import HIGHEST
 from jaxclear.studies.surface.polynomials import levels, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface
@@ -41,6 +43,8 @@ from jaxclear.studies.warned import told
 
 # Runs for each term of a polynomial: as in `jaxclear.sensitivity`.
 RUNS_A_TERM = 6
+# Parts beyond the outermost of n independent runs are more than this over n once in 2000 samples.
+MOST_OUTSIDE = 10.0
 # Terms at the most: their equations are solved once for each scrambling.
 MOST_TERMS = 300
 
@@ -94,10 +98,12 @@ def sobol_indices(
     """Sobol' indices of every response by every variable.
 
     `of`: a problem, which is run `samples` (variables + 2) times; or its `jaxclear.surface`, whose
-    indices take no run, and whose error is what it does not explain of the variance.
+    indices take no run, and whose error is what it does not explain of the variance, or supposes of
+    parts beyond its runs.
 
-    Raises `ValueError` for correlated variables: their shares of a variance are not defined, and
-    `jaxclear.shapley_effects` are what to ask instead.
+    Raises `ValueError` for correlated variables, whose shares of a variance are not defined
+    (`jaxclear.shapley_effects` are what to ask instead), and for a surface that was not fitted over
+    all of their spread.
     """
     surface = of if isinstance(of, ResponseSurface) else None
     problem: Any = of if surface is None else surface.problem
@@ -130,7 +136,9 @@ def sobol_indices(
     rows = rows.reshape(len(columns), len(group), -1)[:, good]
     at = np.asarray(values).reshape(len(columns), len(group), -1)[:, good]
     first, total = {}, {}
-    every = _parts(problem.inputs, at, rows, group[good])
+    every: Any = [None] * len(problem.response_names)
+    if good.any():
+        every = _parts(problem.inputs, at, rows, group[good])
     for name, own in zip(problem.response_names, every, strict=True):
         for i, variable in enumerate(problem.names):
             first[name, variable] = _share(own, i)
@@ -142,38 +150,66 @@ def sobol_indices(
 def _of_surface(surface: ResponseSurface) -> SobolIndices:
     """Indices of polynomials: what they do not explain may belong to any variable."""
     problem = surface.problem
-    table = np.asarray(surface.powers)
-    expansion = Expansion.of(surface.polynomials, table, problem.inputs)
+    asked = surface.polynomials, np.asarray(surface.powers), problem.inputs, surface.values
+    spread, held = Expansion.of(*asked), Expansion.of(*asked, held=True)
+    for name, outside in zip(problem.names, spread.outside, strict=True):
+        if outside > MOST_OUTSIDE / len(surface.values):
+            raise ValueError(
+                f'the surface was fitted where {100 * outside:.2g} % of "{name}" are not; its '
+                "indices would be those of another spread: fit it with over=1, or give the problem."
+            )
     indices: tuple[dict, dict] = ({}, {})
     for name in problem.response_names:
-        own = expansion.variances(np.asarray(surface.coefficients[name]))
-        left = surface.error(name) ** 2
-        whole = own.variance + left
-        for kind, shares in zip(indices, (own.first, own.total), strict=True):
-            for variable, share in zip(problem.names, shares, strict=True):
-                low, open_ = (part / whole if whole > 0 else 0.0 for part in (share, left))
-                kind[name, variable] = Statistic(float(low), float(low - open_), float(low + open_))
+        coefficients = np.asarray(surface.coefficients[name])
+        left, own = surface.error(name) ** 2, surface.responses[name]
+        alike = np.ptp(own) <= ROUNDING * np.abs(own).max()
+        found = []
+        for expansion in (spread, held):
+            told = expansion.variances(coefficients)
+            whole = np.inf if alike else told.variance + left
+            found.append(np.array([told.first, told.total]) / whole)
+        open_ = 0.0 if alike else left / whole
+        half = open_ + np.abs(found[0] - found[1])
+        for kind, shares, halves in zip(indices, found[0], half, strict=True):
+            for variable, share, own_half in zip(problem.names, shares, halves, strict=True):
+                low, high = float(share - own_half), float(share + own_half)
+                kind[name, variable] = Statistic(float(share), low, high)
     return SobolIndices(problem, *indices, 0, 0, surface.warnings)
 
 
 class _Parts(NamedTuple):
     """What each scrambling says: numerators of all indices, second moment and mean about one place
-    as columns (scramblings, 2 variables + 2), and how many samples it has (scramblings,)."""
+    as columns (scramblings, 2 variables + 2): by runs alone (`plain`), with polynomials that go on
+    beyond the outermost runs (`spread`), and with such as stay there as they are (`held`); and how
+    many samples it has (scramblings,)."""
 
-    columns: np.ndarray
+    plain: np.ndarray
+    spread: np.ndarray
+    held: np.ndarray
     samples: np.ndarray
 
 
-def _share(parts: _Parts, place: int) -> Statistic:
+def _share(parts: _Parts | None, place: int) -> Statistic:
     """An index from its numerator's place among the columns."""
+    if parts is None:
+        return UNKNOWN
 
     def of(rows: np.ndarray) -> float:
         numerator, second, mean = np.average(rows[:, :3], axis=0, weights=rows[:, 3])
         variance = second - mean**2
         return float(numerator / variance) if variance > 0 else 0.0
 
-    rows = np.column_stack([parts.columns[:, [place, -2, -1]], parts.samples])
-    return jackknifed(of, rows, np.arange(len(rows)), skewed=True)
+    each = np.arange(len(parts.samples))
+    plain, spread, held = (
+        jackknifed(of, np.column_stack([own[:, [place, -2, -1]], parts.samples]), each, skewed=True)
+        for own in parts[:3]
+    )
+    beyond = abs(spread.value - held.value)
+    told, beyond = (spread, beyond) if beyond <= plain.error else (held, plain.error)
+    low, high = np.hypot(told.value - told.low, beyond), np.hypot(told.high - told.value, beyond)
+    if max(low, high) > plain.error:
+        return plain
+    return Statistic(told.value, told.value - float(low), told.value + float(high))
 
 
 def _parts(inputs: Inputs, at: np.ndarray, rows: np.ndarray, group: np.ndarray) -> list[_Parts]:
@@ -181,12 +217,15 @@ def _parts(inputs: Inputs, at: np.ndarray, rows: np.ndarray, group: np.ndarray) 
     responses (columns, samples, responses)."""
     scramblings = [group == own for own in np.unique(group)]
     samples = np.array([own.sum() for own in scramblings])
-    centre = rows[:2].mean(axis=(0, 1))
-    away = rows - centre
+    away = rows - rows[:2].mean(axis=(0, 1))
+    alike = np.ptp(rows, axis=(0, 1)) <= ROUNDING * np.abs(rows).max(axis=(0, 1))
+    away = np.where(alike, 0.0, away)
     plain = np.array([_numbers(away[:, own]) for own in scramblings])
     fitted = _Polynomial.through(inputs, at, away, scramblings)
-    found = plain if fitted is None else plain + fitted.corrections(scramblings)
-    return [_Parts(found[:, :, i], samples) for i in range(rows.shape[2])]
+    spread, held = (0.0, 0.0) if fitted is None else fitted.corrections(scramblings)
+    kinds = plain, plain + spread, plain + held
+    each = [[own[:, :, i] for own in kinds] for i in range(rows.shape[2])]
+    return [_Parts(one, other, third, samples) for one, other, third in each]
 
 
 def _numbers(rows: np.ndarray) -> np.ndarray:
@@ -202,11 +241,11 @@ def _numbers(rows: np.ndarray) -> np.ndarray:
 class _Polynomial(NamedTuple):
     """Polynomials that stand in for responses: terms at all runs (columns, samples, terms), for
     each scrambling the coefficients (terms, responses) through all others, and what turns these
-    into shares of a variance."""
+    into shares of a variance: polynomials that go on beyond the outermost runs, and held ones."""
 
     terms: np.ndarray
     coefficients: np.ndarray
-    expansion: Expansion
+    expansions: tuple[Expansion, Expansion]
 
     @classmethod
     def through(
@@ -241,19 +280,27 @@ class _Polynomial(NamedTuple):
             )
             coefficients = np.where(missed < best, found, coefficients)
             best = np.minimum(missed, best)
-        return cls(terms, coefficients, Expansion.of(polynomials, table, inputs))
+        known = at[:2].reshape(-1, at.shape[2])
+        spread = Expansion.of(polynomials, table, inputs, known)
+        held = Expansion.of(polynomials, table, inputs, known, held=True)
+        return cls(terms, coefficients, (spread, held))
 
-    def corrections(self, scramblings: list[np.ndarray]) -> np.ndarray:
-        """What to add to the numbers of each scrambling (scramblings, 2 variables + 2, responses):
-        those of the polynomials exactly less those at the samples."""
+    def corrections(self, scramblings: list[np.ndarray]) -> list[np.ndarray]:
+        """What to add to the numbers of each scrambling (scramblings, 2 variables + 2, responses),
+        by either expansion: those of the polynomials exactly less those at the samples."""
+        pairs = list(zip(scramblings, self.coefficients, strict=True))
+        sampled = np.array([_numbers(self.terms[:, own] @ each) for own, each in pairs])
         found = []
-        for own, coefficients in zip(scramblings, self.coefficients, strict=True):
-            exact = []
-            for each in coefficients.T:
-                mean, variance, first, total = self.expansion.variances(each)
-                exact.append(np.concatenate([first, total, [variance + mean**2, mean]]))
-            found.append(np.array(exact).T - _numbers(self.terms[:, own] @ coefficients))
-        return np.array(found)
+        for expansion in self.expansions:
+            exact = [[_exactly(expansion, own) for own in each.T] for each in self.coefficients]
+            found.append(np.swapaxes(np.array(exact), 1, 2) - sampled)
+        return found
+
+
+def _exactly(expansion: Expansion, coefficients: np.ndarray) -> np.ndarray:
+    """The numbers (2 variables + 2,) of a polynomial under the law of the variables."""
+    mean, variance, first, total = expansion.variances(coefficients)
+    return np.concatenate([first, total, [variance + mean**2, mean]])
 
 
 def _equations(terms: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -109,4 +109,6 @@ def spread_of(summary: Any) -> tuple[Any, ...]:
     every = {"mean": "mean, all errors", "mean error": "mean, all errors error"}
     told = zip(summary["response"], found, strict=True)
     unresolved = [(n, own) for n, own in told if own.replicas and not own.is_resolved]
-    return shown.rename(columns=every), *(f'"{n}": {own.unresolved}' for n, own in unresolved)
+    units = dict(shown.attrs.get("units", {}))
+    renamed = as_table(shown.rename(columns=every), units=units)
+    return renamed, *(f'"{n}": {own.unresolved}' for n, own in unresolved)
