@@ -73,11 +73,10 @@ def _kind() -> Any:
             return Table
 
         def __finalize__(self, other, method=None, **kwargs):
-            # What computes (a correlation, a product) leaves the units.
-            super_ = pandas.DataFrame.__finalize__(self, other, method=method, **kwargs)
-            if method is not None:
-                super_.attrs = {}
-            return super_
+            found = pandas.DataFrame.__finalize__(self, other, method=method, **kwargs)
+            if method in ("corr", "cov"):
+                found.attrs = {}
+            return found
 
         def _arith_method(self, other, operation):
             return pandas.DataFrame(self)._arith_method(other, operation)
