@@ -16,6 +16,7 @@ __all__ = [
     "nearest",
     "offered_like",
     "public_name",
+    "unit_of_rate",
     "unknown",
 ]
 
@@ -122,3 +123,9 @@ def _offered(place: ModuleType, kind: Any) -> str:
         if inner:
             return f"{name}.{inner}"
     return ""
+
+
+def unit_of_rate(above: str, below: str) -> str:
+    """Unit of a derivative: "N/m", "(N m)/rad", "1/s"."""
+    over, under = (f"({own})" if set(own) & set(" /") else own for own in (above, below))
+    return over if under == "1" else f"{over}/{under}"

@@ -84,4 +84,4 @@ def test_a_life_knows_what_the_clearance_does_to_it(life):
     exact = (more - less) / (2 * step)
     # Lives known to 2 % at clearances a third apart.
     assert abs(found.value - exact) < found.error < abs(exact)
-    assert found.value == pytest.approx(exact, rel=0.22) and found.unit == "(cycles)/(m)"
+    assert found.value == pytest.approx(exact, rel=0.22) and found.unit == "cycles/m"

@@ -28,7 +28,7 @@ ANSWERS = {
     ),
     "sensitivity": (
         lambda: jc.sensitivity(ASKED, sample=64, difference_samples=32),
-        ("d(area)/d(b) = ", " ± ", "(mm2)/(m)", "Agreed by"),
+        ("d(area)/d(b) = ", " ± ", "mm2/m", "Agreed by"),
     ),
     "surface": (lambda: jc.surface(ASKED), ("Surface of 2 variables", "leave-one-out R2", "mm2")),
     "worst_case": (lambda: jc.worst_case(ASKED), ("first order", "largest", "mm2", "-0.6")),

@@ -15,6 +15,7 @@ import numpy as np
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_known, check_number, expect
 from jaxclear.ground.shown import shown_in_words
+from jaxclear.ground.wording import unit_of_rate
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.life.living import Living
@@ -94,7 +95,7 @@ def _of_variable(
     problem = life.problem
     place = problem.names.index(name)
     unit = "cycles" if limit is not None else life.quantities[quantity]
-    unit = f"({unit})/({problem.variable_units[place]})"
+    unit = unit_of_rate(unit, problem.variable_units[place])
     what = quantity if limit is None else f"life until {quantity} {limit:.4g}"
     values, noises, warned = [], [], 0
     for move in MOVES:

@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxclear.ground.shown import AbstractShown, shown_in_words, with_error
 from jaxclear.ground.table import as_table
+from jaxclear.ground.wording import unit_of_rate
 from jaxclear.studies.datasets import of_derivatives
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.scrambled import skewed_half
@@ -103,11 +104,11 @@ class Sensitivity(AbstractShown):
     units: dict[str, str] = eqx.field(static=True, default_factory=dict)
 
     def unit(self, response: str, variable: str) -> str:
-        """Unit of a derivative, "(response)/(variable)"."""
+        """Unit of a derivative, that of the response by that of the variable."""
         problem = self.sample.problem
         known = dict(zip(problem.names, problem.variable_units, strict=True)) | self.units
         above = self.units.get(response) or problem.units()[response]
-        return f"({above})/({known[variable]})"
+        return unit_of_rate(above, known[variable])
 
     def _shown(self):
         lines = [
