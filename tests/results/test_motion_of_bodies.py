@@ -254,3 +254,12 @@ def test_data_are_a_tree_by_body_and_joint():
     assert "crank.mass" not in tree
     for other in (pickle.loads(pickle.dumps(tree)), copy.copy(tree)):
         assert other.identical(tree)
+
+
+def test_a_marker_is_the_array_that_it_was_for_one_version(driven):
+    marker = driven.marker("crank", (CRANK, 0.0))
+    with pytest.warns(DeprecationWarning, match="position"):
+        rows = list(marker)
+    with pytest.warns(DeprecationWarning):
+        moved = marker - rows[0]
+    assert len(marker) == len(rows) and np.all(np.asarray(moved[0]) == 0.0)

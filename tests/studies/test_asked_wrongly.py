@@ -141,3 +141,11 @@ def test_a_sketch_tells_all_that_a_run_does():
     asked = jc.Problem(RIG, TOLD, rod, duration=1e-4, save=save, integrator=step)
     found = jax.eval_shape(lambda values: asked.evaluate(values), asked.nominal())
     assert set(found.responses) == set(TOLD)
+
+
+def test_an_accuracy_may_be_asked_of_rigid_contact():
+    """The integrator is chosen later; explicit steps, which have no force law there, are not what
+    the responses are tried on."""
+    rig = jc.scenes.slider_crank(contact=jc.contact.Rigid(restitution=0.0))
+    response = jc.response.MeanContactForce("B")
+    assert jc.Problem(rig, response, {}, duration=1e-3, accuracy=0.05).response_names
