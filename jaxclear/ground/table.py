@@ -331,8 +331,11 @@ def _broken(text: str, width: int) -> list[str]:
 
 def _shares(cells: _Cells) -> list[int]:
     """What columns that name the rows take of a line: what others leave, or what may be."""
-    others = sum(min(own.narrowest, LONG) + APART for own in cells.columns)
-    most = max(NAMES, WIDTH - others) // len(cells.names)
+    width = lambda own: min(own.narrowest, LONG) if own.is_text else own.narrowest
+    others = sum(width(own) + APART for own in cells.columns)
+    left = WIDTH - others
+    # Names that are broken are read better than rows that are.
+    most = (left if left >= LONG else max(NAMES, left)) // len(cells.names)
     return [min(own.narrowest, most - APART) + APART for own in cells.names]
 
 
