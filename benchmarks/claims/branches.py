@@ -1,6 +1,7 @@
 """How often 95 % intervals of derivatives hold where few parts take another branch.
 
-    python -m benchmarks.claims.branches [--quick] [--repetitions N] [--json FILE]
+    python -m benchmarks.claims.branches [--quick] [--cases puck ...] [--repetitions N]
+        [--json FILE]
 
 Responses of 3 and of 8 normal variables whose derivatives are known in closed form: smooth ones, a
 kink and a jump that 0.02 to 0.6 % of the parts are beyond, and waves that no polynomial takes up;
@@ -165,18 +166,24 @@ def study(title: str, case: tuple, samples: int, repetitions: int) -> list[dict]
     return rows
 
 
+CASES = {
+    "puck": of_puck,
+    "3 variables": lambda: of_functions(3),
+    "8 variables": lambda: of_functions(8),
+}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--cases", nargs="*", default=list(CASES), choices=list(CASES))
     parser.add_argument("--repetitions", type=int, default=48)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     rows = []
-    cases = {"puck": of_puck(), "3 variables": of_functions(3), "8 variables": of_functions(8)}
-    for title, case in cases.items():
+    for title in options.cases[: 1 if options.quick else None]:
+        case = CASES[title]()
         for samples in (256,) if options.quick else (256, 1024):
-            if options.quick and title == "8 variables":
-                continue
             rows += study(title, case, samples, 3 if options.quick else options.repetitions)
     report("Derivatives where few parts take another branch", rows, options)
     sign(

@@ -1,6 +1,7 @@
 """Errors of statistics and of Sobol' indices beside other libraries', at equal runs.
 
-    python -m benchmarks.claims.sampling [--quick] [--repetitions N] [--json FILE]
+    python -m benchmarks.claims.sampling [--quick] [--parts statistics index] [--repetitions N]
+        [--json FILE]
 
 Five functions of six variables: a stack of parts, a curved one, one with a kink, a heavy-tailed one
 and one that rattles. jaxclear's mean, standard deviation, 95 % quantile and yield stand beside
@@ -239,7 +240,8 @@ def index_rows(name: str, repetitions: int, bases: tuple[int, ...]) -> list[dict
 
 
 def main() -> None:
-    options = arguments(str(__doc__), repetitions={"type": int, "default": 400})
+    more = {"nargs": "*", "default": ["statistics", "index"]}
+    options = arguments(str(__doc__), repetitions={"type": int, "default": 400}, parts=more)
     names = list(FUNCTIONS)[: 1 if options.quick else None]
     repetitions = 4 if options.quick else options.repetitions
     few = 1 if options.quick else None
@@ -248,9 +250,11 @@ def main() -> None:
         (titles[0], statistics_rows, RUNS),
         (titles[1], index_rows, BASES),
     ):
+        if rows_of.__name__.partition("_")[0] not in options.parts:
+            continue
         rows = [row for name in names for row in rows_of(name, repetitions, sizes[:few])]
         report(title, rows, options)
-    sign("benchmarks.claims.sampling", options.json, list(titles))
+        sign("benchmarks.claims.sampling", options.json, [title])
 
 
 if __name__ == "__main__":
