@@ -81,8 +81,8 @@ def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
     entries = list(study.derivatives.items())
     alike = len({tuple(found.estimates) for _, found in entries}) == 1
     columns = len(entries) if ax is not None else min(len(entries), MOST_BESIDE)
-    rows, size = -(-len(entries) // columns), (4.6 * columns, 3.6)
-    size = size[0], size[1] * rows
+    rows = -(-len(entries) // columns)
+    size = 4.6 * columns, 3.6 * rows
     sheet = panels("sensitivity", ax, rows, columns, size, sharey=alike)
     for empty in sheet.axes.flat[len(entries) :]:
         empty.remove()

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "endless_sentences",
     "finite_beside",
     "refuse_endless",
+    "why_unanswered",
 ]
 
 INSTEAD = "ask for a quantile, or for the share of samples beyond a limit"
@@ -32,6 +34,13 @@ def answered(problem: AbstractProblem, responses: Mapping[str, Any]) -> np.ndarr
         for name, own in responses.items()
     ]
     return np.all(parts, axis=0)
+
+
+def why_unanswered(problem: AbstractProblem, outcome: Any, ended: Any) -> str:
+    """Why a sample has no answer: how it ended, or that a response of it is none."""
+    if outcome == Outcome.REACHED:
+        return "a response is not a number."
+    return problem.ending(int(outcome), float(ended))
 
 
 def endless_sentences(problem: AbstractProblem, responses: Mapping[str, Any]) -> list[str]:

@@ -20,7 +20,7 @@ from jaxclear.ground.wording import described
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.studies.endless import answered
+from jaxclear.studies.endless import answered, why_unanswered
 from jaxclear.studies.texts import in_texts
 from jaxclear.studies.warned import told
 
@@ -120,7 +120,9 @@ def sweep(
         for name in problem.response_names
     }
     reasons = {
-        tuple(int(k) for k in np.unravel_index(i, shape)): _why(problem, outcome[i], ended[i])
+        tuple(int(k) for k in np.unravel_index(i, shape)): why_unanswered(
+            problem, outcome[i], ended[i]
+        )
         for i in np.flatnonzero(~good)
     }
     return Sweep(problem, axes, responses, reasons, told(problem, found.checks, good))
@@ -139,9 +141,3 @@ def _axis(name: str, values: Any, problem: AbstractProblem) -> np.ndarray:
             "finite numbers, such as numpy.linspace(low, high, 11)."
         )
     return axis
-
-
-def _why(problem: AbstractProblem, outcome: int, ended: float) -> str:
-    if outcome == Outcome.REACHED:
-        return "A response is not a number."
-    return problem.ending(int(outcome), float(ended))

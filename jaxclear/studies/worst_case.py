@@ -31,7 +31,7 @@ from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_corners
 from jaxclear.studies.distribution.base import END_SCORE
-from jaxclear.studies.endless import answered, finite_beside
+from jaxclear.studies.endless import answered, finite_beside, why_unanswered
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.warned import by_kind, codes_of, concerning
@@ -204,8 +204,7 @@ class Search:
         if not len(lost):
             return ()
         outcome, ended = (own[lost[0]] for own in self.ends)
-        why = self.problem.ending(int(outcome), float(ended)).rstrip(".")
-        why = "a response is not a number" if outcome == Outcome.REACHED else why
+        why = why_unanswered(self.problem, outcome, ended).rstrip(".")
         at = int(np.sum((lost > 0) & (lost <= corners)))
         among = f", {at} of its {corners} corners among them," if corners else ""
         return (

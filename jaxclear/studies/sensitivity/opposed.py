@@ -28,6 +28,7 @@ from jaxclear.studies.sensitivity.derivative import Estimate, from_parts
 from jaxclear.studies.sensitivity.differences import FEWEST, FIRST, SHIFTS, rarity
 from jaxclear.studies.sensitivity.direction import Direction, flow
 from jaxclear.studies.sensitivity.functional import FEWEST_DECIDING, Functional
+from jaxclear.studies.sensitivity.outer import UNSEEN
 from jaxclear.studies.sensitivity.regression import normal_scores_of, pseudo_values, refusal
 from jaxclear.studies.warned import concern
 
@@ -35,9 +36,6 @@ from jaxclear.studies.warned import concern
 CELLS = 4000
 # Singular values below this share are none.
 RANK = 1e-9
-# Of what fewer than `FEWEST_DECIDING` pairs show, so many more may be unseen: with their scatter
-# the 95 % bound of Poisson's distribution, for none to three.
-UNSEEN = 3.0
 # What is missed far out counts above this share of the standard error.
 SMALL = 0.3
 
@@ -163,6 +161,7 @@ def between_distributions(
 
         told = concern(problem, one.response, pairs.found.checks, among)
         rare = sum(one.deciding(row) < FEWEST_DECIDING for row in rows)
+        # With their scatter the bound for none holds for up to three seen, too.
         unseen = pairs.size * UNSEEN / len(group) * np.sqrt(rare)
         parts, missed = pseudo_values(slope, group), _missed(differences, terms, square)
         few = missed <= SMALL * parts.std() / np.sqrt(len(parts))

@@ -41,13 +41,6 @@ class Outer(NamedTuple):
     responses: dict[str, np.ndarray]
     scrambling: np.ndarray
 
-    def of(self, response: str) -> tuple["Outer", np.ndarray]:
-        """The runs whose response is a number, and the response."""
-        own = self.responses[response]
-        good = np.isfinite(own)
-        none: dict[str, np.ndarray] = {}
-        return Outer(self.normal[good], self.values[good], none, self.scrambling[good]), own[good]
-
 
 def runs_outside(
     problem: AbstractProblem, scramblings: np.ndarray, seed: int, progress_bar: bool

@@ -137,9 +137,10 @@ def regressions(
     direction: Direction,
     wanted: list[Functional],
     ends: Ends | None,
-    outer: Outer,
+    outer: Outer | None,
 ) -> dict[str, Estimate]:
-    """Estimates by label of the statistics, from a sample and the runs further `outer`."""
+    """Estimates by label of the statistics, from a sample and the runs further `outer`; these may
+    be None where the direction has no score function."""
     problem, i = sample.problem, direction.variable
     good = np.isin(np.arange(sample.count), sample.failed, invert=True)
     values, group = sample.values[good], sample.scrambling[good]
@@ -150,8 +151,10 @@ def regressions(
         why = "the variable does not vary in the sample."
     if why:
         return {one.label: refused(why) for one in wanted}
+    assert outer is not None
     fit = Fit(problem, i, len(values))
     normal = np.asarray(normal_scores_of(problem.inputs, jnp.asarray(values)))
+    weight = weights(problem, direction, np.concatenate([normal, outer.normal]))
     many = Many.drawn(problem, direction, fit, len(np.unique(group)), MANY_SEED + sample.seed)
     answers = {}
     for one in wanted:
@@ -160,9 +163,8 @@ def regressions(
         if few:
             answers[one.label] = refused(few)
             continue
-        joined = _Joined.of(one, (values, normal, responses, group), outer)
-        weight = weights(problem, direction, joined.normal)
-        own = Slope(one, joined, fit.basis(joined.values), weight, many)
+        joined = _Joined.of(one, (values, normal, responses, group), weight, outer)
+        own = Slope(one, joined, fit.basis(joined.values), many)
         ending = None if ends is None else ending_of(ends, fit, direction, one)
         slope = lambda kept, own=own, ending=ending: own.of(kept, ending)
         # What the many points do not know of the polynomial's slope is shared out to the parts.
@@ -182,28 +184,30 @@ def regressions(
 
 
 class _Joined(NamedTuple):
-    """A sample and the runs further out, one after the other: values and independent standard
-    normal numbers (samples, variables), responses, scramblings, which are of the sample (`inside`)
-    and their weights `ratio` [1], (samples,)."""
+    """A sample and the runs further out whose response is a number, one after the other: values
+    (samples, variables), responses, scramblings, score functions (`weight`), which are of the
+    sample (`inside`) and their weights `ratio` [1], (samples,)."""
 
     values: np.ndarray
-    normal: np.ndarray
     responses: np.ndarray
     group: np.ndarray
+    weight: np.ndarray
     inside: np.ndarray
     ratio: np.ndarray
 
     @classmethod
-    def of(cls, one: Functional, sample: tuple[np.ndarray, ...], outer: Outer) -> "_Joined":
-        """As a statistic sees the responses."""
-        further, responses = outer.of(one.response)
-        more = further.values, further.normal, responses, further.scrambling
-        values, normal, both, group = (
-            np.concatenate(pair) for pair in zip(sample, more, strict=True)
+    def of(
+        cls, one: Functional, sample: tuple[np.ndarray, ...], weight: np.ndarray, outer: Outer
+    ) -> "_Joined":
+        """As a statistic sees the responses; `weight` (samples and runs,)."""
+        more = outer.values, outer.normal, outer.responses[one.response], outer.scrambling
+        count, good = len(sample[0]), np.isfinite(more[2])
+        values, normal, responses, group = (
+            np.concatenate([own, further[good]]) for own, further in zip(sample, more, strict=True)
         )
-        count = len(sample[0])
-        inside = np.arange(len(values)) < count
-        return cls(values, normal, one.bounded(both), group, inside, mixture_weights(normal, count))
+        kept = np.concatenate([np.ones(count, bool), good])
+        inside, ratio = np.arange(len(values)) < count, mixture_weights(normal, count)
+        return cls(values, one.bounded(responses), group, weight[kept], inside, ratio)
 
 
 class Many(NamedTuple):
@@ -264,8 +268,8 @@ class Slope:
     beside the polynomial.
     """
 
-    def __init__(self, one: Functional, joined: _Joined, basis, weight, many: Many):
-        self.one, self.joined, self.basis, self.weight = one, joined, basis, weight
+    def __init__(self, one: Functional, joined: _Joined, basis, many: Many):
+        self.one, self.joined, self.basis = one, joined, basis
         self.many, self.last = many, np.zeros(len(many.basis))
         self.left = np.zeros(len(basis))
         responses, inner = joined.responses[joined.inside], basis[joined.inside]
@@ -284,7 +288,7 @@ class Slope:
             influence(joined.responses[kept]), step(self.basis[kept]), joined.ratio[kept],
         )  # fmt: skip
         found = fitted(own, target, ratio)
-        left = (target - own @ found) * self.weight[kept]
+        left = (target - own @ found) * joined.weight[kept]
         each = np.array([np.mean(step(b, d) @ found) for b, d in zip(*self.many, strict=True)])
         if kept.all():
             self.last, self.left = each - each.mean(), left

@@ -43,6 +43,7 @@ from jaxclear.studies.sensitivity.opposed import (
 )
 from jaxclear.studies.sensitivity.outer import runs_outside
 from jaxclear.studies.sensitivity.pathwise import pathwise
+from jaxclear.studies.sensitivity.regression import refusal as no_score
 from jaxclear.studies.sensitivity.regression import regressions, runs_at_ends
 
 METHODS = ("regression", "differences", "pathwise")
@@ -93,7 +94,9 @@ def sensitivity(
     found: dict[Direction, dict] = {}
     ends: dict[int, Any] = {}
     bar = {"progress_bar": progress_bar}
-    if "regression" in methods:
+    outer = None
+    # Where no direction has a score function no regression would see them.
+    if "regression" in methods and not all(no_score(problem, own) for own in wanted):
         outer = runs_outside(problem, drawn.scrambling, seed_of(seed, SEEDS, 4), **bar)
     for direction in wanted:
         answers: dict[str, dict[str, Estimate]] = {}

@@ -266,14 +266,14 @@ class _Polynomial(NamedTuple):
         terms = np.asarray(jax.jit(jax.vmap(jax.vmap(own)))(jnp.asarray(at)))
         matrices = np.array([_equations(terms[:, own], terms[:, own]) for own in scramblings])
         aims = np.array([_equations(terms[:, own], rows[:, own]) for own in scramblings])
+        matrices, aims = matrices.sum(axis=0) - matrices, aims.sum(axis=0) - aims
         best = np.full(rows.shape[2], np.inf)
         coefficients = np.zeros((len(scramblings), len(table), rows.shape[2]))
         for kept in (table.sum(axis=1) <= d for d in range(1, degree + 1)):
             found = np.zeros_like(coefficients)
             for i in range(len(scramblings)):
-                matrix = (matrices.sum(axis=0) - matrices[i])[np.ix_(kept, kept)]
-                aim = (aims.sum(axis=0) - aims[i])[kept]
-                found[i, kept] = np.linalg.lstsq(matrix, aim, rcond=None)[0]
+                matrix = matrices[i][np.ix_(kept, kept)]
+                found[i, kept] = np.linalg.lstsq(matrix, aims[i][kept], rcond=None)[0]
             missed = sum(
                 np.sum((rows[:, own] - terms[:, own] @ each) ** 2, axis=(0, 1))
                 for own, each in zip(scramblings, found, strict=True)
