@@ -109,9 +109,19 @@ def _has_room(axis: Any, found: np.ndarray) -> bool:
     return (1 + ABOVE) * size * (len(labels) - 1) <= 72 * box.height / inch
 
 
+# Numbers that differ by less than this share of themselves are one, which stands in a view so much
+# wider [share of it] to either side.
+ROUNDING, EQUAL = 1e-9, 0.05
+
+
 def places(axis: Any) -> None:
-    """Gives axes whose ticks are matplotlib's own such as can be read."""
-    for one in (axis.xaxis, axis.yaxis):
+    """Gives axes whose ticks are matplotlib's own such as can be read; numbers that differ by
+    rounding only stand in the middle, as equal ones do."""
+    for one, limits in ((axis.xaxis, axis.set_xlim), (axis.yaxis, axis.set_ylim)):
+        low, high = sorted(one.get_view_interval())
+        if one.get_scale() == "linear" and high - low < ROUNDING * max(abs(low), abs(high)):
+            middle = 0.5 * (low + high)
+            limits(middle - EQUAL * abs(middle), middle + EQUAL * abs(middle))
         if type(one.get_major_locator()) is AutoLocator:
             one.set_major_locator(Roomy())
         elif type(one.get_major_locator()) is LogLocator:
