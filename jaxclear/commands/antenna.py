@@ -18,8 +18,6 @@ from jaxclear.commands.reported import report_warnings
 from jaxclear.ground.table import as_table
 from jaxclear.scenes.antenna import BASE, BEARING_RADIUS, HOLD, JOINTS, KINDS, TIP, antenna
 
-__all__ = ["friction_runs", "friction_table", "motion_table", "study"]
-
 # Step of the runs [s]; benchmarks/claims/antenna.py shows what it costs in accuracy.
 STEP = 1e-3
 # A regularised law that nearly holds, with full friction at this slip speed [m/s], beside that of

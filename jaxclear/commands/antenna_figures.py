@@ -12,8 +12,6 @@ from jaxclear.results.pointing_error import PointingError, shift, turn
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.scenes.antenna import BASE, JOINTS, TIP
 
-__all__ = ["errors", "motion", "stick_slip", "tip_path", "tip_paths"]
-
 MILLI = 1e3
 STYLES = {"ideal": ("k", "--"), "planar": ("C0", "-"), "spatial": ("C3", "-")}
 # Difference of model and exact error below which nothing is drawn on a logarithmic axis, relative

@@ -20,8 +20,6 @@ from jaxclear.commands.own_scene import monte_carlo, parameters, run
 from jaxclear.commands.report.command import report
 from jaxclear.studies.store import OtherStudy
 
-__all__ = ["answer"]
-
 STUDIES = {
     "four-bar": four_bar,
     "antenna": antenna,

@@ -19,8 +19,6 @@ from jaxclear import plot
 from jaxclear.scenes.antenna import BASE, JOINTS, TIP, antenna
 from jaxclear.scenes.four_bar import four_bar
 
-__all__ = ["QUESTIONS", "Asked", "antenna_question", "four_bar_question", "study"]
-
 # Clearances may be no smaller than this [m] in the worst case: room for oil and heat; assumed.
 LEAST_CLEARANCE = 10e-6
 # Costs are b/t (Chase & Greenwood 1988), with b [cost x m] assumed: a bore that is tight to 10 um

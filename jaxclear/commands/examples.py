@@ -8,10 +8,8 @@ from collections.abc import Callable
 import click
 
 import jaxclear as jc
-from jaxclear.files.scene_file import scene_text
+from jaxclear.files.scene import scene_text
 from jaxclear.scenes.antenna import BASE, TIP
-
-__all__ = ["EXAMPLES", "example"]
 
 # Half of the allowed variation [m]; assumed, of a usual machining grade.
 GRADE = 20e-6

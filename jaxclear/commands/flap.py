@@ -19,8 +19,6 @@ from jaxclear.ground.table import as_table
 from jaxclear.plot.canvas import MILLI, canvas, warned
 from jaxclear.scenes.flap import JOINTS, flap
 
-__all__ = ["study"]
-
 # Steps that resolve the stiff dampers: at twice their length runs warn of creep.
 STEP = 1e-6
 SAVES_PER_SECOND = 100_000

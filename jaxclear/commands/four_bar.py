@@ -17,8 +17,6 @@ from jaxclear.commands.reported import report_samples, report_warnings
 from jaxclear.ground.table import as_table
 from jaxclear.scenes.four_bar import BEARING_LENGTH, CLEARANCES, four_bar
 
-__all__ = ["paper_runs", "problem", "run_table", "study"]
-
 LARGEST = CLEARANCES[-1]
 # The follower's error is that in the plane of the mechanism; along the bearing's axis the journal
 # has its own play.

@@ -19,8 +19,6 @@ from jaxclear.commands.reported import report_warnings
 from jaxclear.ground.table import as_table
 from jaxclear.scenes.guide import CRANK_SPEED, guide
 
-__all__ = ["impacts", "study"]
-
 TURN = 2 * np.pi / CRANK_SPEED
 # An even number of steps: one of them ends where the slider turns round.
 STEPS = 2000

@@ -12,8 +12,6 @@ from jaxclear.components.clearance import SITUATIONS
 from jaxclear.plot.canvas import warned
 from jaxclear.scenes.guide import CRANK_SPEED
 
-__all__ = ["corner_forces", "reactions", "switching_window"]
-
 CORNERS = ("lower, back", "lower, front", "upper, back", "upper, front")
 # Colour and line of each corner: the colour tells the side, the line the end.
 LOOKS = (("C0", "-"), ("C0", "--"), ("C1", "-"), ("C1", "--"))

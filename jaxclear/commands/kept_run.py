@@ -16,11 +16,8 @@ from matplotlib.figure import Figure
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.ground.table import as_table
-from jaxclear.plot.canvas import canvas, readable, warned
-from jaxclear.plot.fitting import key
+from jaxclear.plot.canvas import canvas, key, readable, warned
 from jaxclear.plot.overview import draw_forces
-
-__all__ = ["joint_table", "keep", "keep_positions"]
 
 DATA, JOINTS, SCENE, TOLD = "run.nc", "joints.csv", "scene.yaml", "run.json"
 STANDING, PLACES = "positions.nc", "positions.csv"

@@ -14,8 +14,6 @@ import jaxclear as jc
 from jaxclear.commands.kept_run import keep, keep_positions
 from jaxclear.commands.reported import report_samples, report_warnings
 
-__all__ = ["monte_carlo", "parameters", "run"]
-
 SCENE = "scene.yaml"
 
 

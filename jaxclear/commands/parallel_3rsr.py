@@ -21,8 +21,6 @@ from jaxclear.ground.table import as_table
 from jaxclear.plot.canvas import MICRO, MILLI, canvas, warned
 from jaxclear.scenes.parallel_3rsr import PAPER, QUIET, RATTLING, parallel_3rsr, usual_drive
 
-__all__ = ["study"]
-
 REGIMES = {"paper": PAPER, "quiet": QUIET, "rattling": RATTLING}
 CLEARANCES = (5e-4, 5e-5, 5e-6)
 # All runs are saved so often, so that they share a program: 3 cycles densely, or many cycles.

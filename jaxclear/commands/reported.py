@@ -3,8 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["report_samples", "report_warnings"]
-
 # So many samples of a Monte Carlo are told one by one; the table on disk has them all.
 MOST_TOLD = 5
 

@@ -22,8 +22,6 @@ from jaxclear.plot.canvas import MICRO, canvas, captioned, shades
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.studies.life.result import WearLife
 
-__all__ = ["study"]
-
 # Assumed: steel in oil. The paper's coefficient is a thousand times larger, to see wear in seconds.
 WEAR_COEFFICIENT = 2e-5
 CRANK_SPEED = 10.0

@@ -17,8 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.complementarity.outcome import Outcome
-from jaxclear.ground.kinds import as_given
-from jaxclear.ground.quantity import AbstractQuantified
+from jaxclear.ground.quantity import AbstractQuantified, as_given
 from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.wording import described
 

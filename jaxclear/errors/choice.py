@@ -17,7 +17,7 @@ import numpy as np
 from jaxclear.errors.rungs import Rung
 from jaxclear.errors.told import richardson
 from jaxclear.errors.verification import DOUBT
-from jaxclear.ground.in_words import as_typed
+from jaxclear.ground.shown import as_typed
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.fixed_step import USUAL_STEP

@@ -17,7 +17,7 @@ from jaxclear.errors.observables import named
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
 from jaxclear.integrators.promise import PART_OF, Promise
-from jaxclear.results.abstract_response import needs_of
+from jaxclear.results.response import needs_of
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.results.verification import AbstractVerification, Estimate, Unverified
 

@@ -13,8 +13,8 @@ from types import MappingProxyType
 from typing import Any
 
 from jaxclear.components.body import Body, Connection, Marker
-from jaxclear.components.time_table import TimeTable
-from jaxclear.files.by_scipy import from_scipy, table_of
+from jaxclear.components.function_of_time import TimeTable
+from jaxclear.files.by_numbers import from_scipy, table_of, time_table
 from jaxclear.files.forms import (
     AbstractForm,
     ByName,
@@ -30,7 +30,6 @@ from jaxclear.files.forms import (
     Whole,
     form_of,
 )
-from jaxclear.files.tables import time_table
 from jaxclear.ground.wording import public_name
 from jaxclear.laws import contact, material
 from jaxclear.laws.contact import AbstractNormalLaw
@@ -40,8 +39,6 @@ from jaxclear.simulation.saving import Saving
 from jaxclear.studies.condition import Condition, Heating
 from jaxclear.studies.distribution import FromScipy
 from jaxclear.studies.variable import AbstractMechanismVariable, Variable
-
-__all__ = ["Argument", "arguments", "builders", "full_name", "members"]
 
 Getter = Callable[[Any], Any]
 

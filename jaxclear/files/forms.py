@@ -13,24 +13,7 @@ import jax
 import jaxtyping
 
 from jaxclear.components.function_of_time import AbstractFunctionOfTime
-from jaxclear.ground.kinds import members_of_union
-
-__all__ = [
-    "AbstractForm",
-    "ByName",
-    "Choice",
-    "FileName",
-    "Flag",
-    "Listed",
-    "Number",
-    "NumberArray",
-    "Numbers",
-    "Part",
-    "Place",
-    "Text",
-    "Whole",
-    "form_of",
-]
+from jaxclear.ground.quantity import members_of_union
 
 UNMEASURED: Mapping[str, Any] = {"unit": "1"}
 

@@ -36,11 +36,8 @@ from jaxclear.files.forms import (
     Whole,
 )
 from jaxclear.files.places import NumberPlaces, steps_of
-from jaxclear.files.plain_values import as_float, is_number, nested, plain_text
-from jaxclear.files.text import Misread, Node, misread
+from jaxclear.files.text import Misread, Node, as_float, is_number, misread, nested, plain_text
 from jaxclear.ground.wording import listed, unknown
-
-__all__ = ["read"]
 
 KIND = "kind"
 AS_A_NUMBER = re.compile(r"[+-]?\.?\d")

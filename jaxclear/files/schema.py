@@ -24,9 +24,7 @@ from jaxclear.files.forms import (
     Whole,
 )
 from jaxclear.files.reading import KIND
-from jaxclear.files.scene_file import FORMAT, HEAD, RUN, TOP
-
-__all__ = ["scene_schema"]
+from jaxclear.files.scene import FORMAT, HEAD, RUN, TOP
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 BOUNDS = {

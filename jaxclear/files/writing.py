@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxclear.components.time_table import TimeTable
+from jaxclear.components.function_of_time import TimeTable
 from jaxclear.files.classes import ALONE, Argument, arguments, members
 from jaxclear.files.forms import (
     AbstractForm,
@@ -29,8 +29,6 @@ from jaxclear.files.places import places_in_words
 from jaxclear.files.reading import KIND
 from jaxclear.ground.wording import described, listed
 from jaxclear.multibody.mechanism import Mechanism
-
-__all__ = ["in_plain_values"]
 
 
 @singledispatch

@@ -15,7 +15,7 @@ from jaxclear.components.clearance import ContactLaws
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.grouping import map_alike
+from jaxclear.ground.compiling import map_alike
 from jaxclear.ground.pose import Pose
 from jaxclear.multibody import constraints, contact_point, dynamics, kinematics
 from jaxclear.multibody.constraints import ClosureEquations

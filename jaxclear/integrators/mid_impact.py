@@ -36,9 +36,9 @@ from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.rigid import RigidContact, Strikes
 from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import derived, moved, moving_with, pushed, where_wanted
-from jaxclear.ground.unknown import Unknown
 from jaxclear.integrators.saltation import FIRST
 from jaxclear.integrators.trust import IMPACT_FIGURES
 from jaxclear.multibody.reach import gaps_passed

@@ -19,9 +19,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import derived, moved, moving_with
-from jaxclear.ground.unknown import Unknown
 from jaxclear.integrators.error_control import AbstractAround
 
 # What a second derivative through contacts is told.

@@ -13,16 +13,16 @@ from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.least_change import Change, least_change, of_rank
+from jaxclear.ground.factorisation import Change, least_change, of_rank
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.shown import shown_in_words
 from jaxclear.multibody import constraints, given, kinematics
+from jaxclear.multibody.given import at_start
 from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, prepare
 from jaxclear.multibody.tree import Motion
-from jaxclear.multibody.turned_round import at_start
 
 LOOP, GIVEN, JOURNAL, GUESS = "loop", "given", "journal", "guess"
 # Largest change of a coordinate in one step [rad, longest arms]: keeps the search on the branch of

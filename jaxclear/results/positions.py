@@ -30,8 +30,6 @@ from jaxclear.results.state_history import check_single, one_of, single
 # Share of a free motion from which on a freedom takes part in it [1].
 LOOSE = 1e-3
 
-__all__ = ["Positions"]
-
 
 class BodyPoses(AbstractHistory):
     """Bodies in the ground frame at each position: `com` place [m] of the centre of mass,

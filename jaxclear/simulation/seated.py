@@ -23,12 +23,12 @@ from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.warning import warn
 from jaxclear.integrators import NonColliding
 from jaxclear.multibody.assembly import ready, ready_from
+from jaxclear.multibody.contact_point import laws_now
 from jaxclear.multibody.magnitudes import UnusualMagnitude
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.state import names
 from jaxclear.multibody.system import System, prepare, readings
-from jaxclear.multibody.worn_laws import laws_now
-from jaxclear.results.saved_state import SavedMotion, State
+from jaxclear.results.state_history import SavedMotion, State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.resting import Pressed, resting
 from jaxclear.simulation.simulate import simulate

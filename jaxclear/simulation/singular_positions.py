@@ -43,9 +43,8 @@ from jaxclear.multibody.start_equations import (
     speed_scales,
     stacked,
 )
-from jaxclear.results.singular_position import SingularPosition
 from jaxclear.results.state_history import StateHistory
-from jaxclear.results.trajectory import Trajectory
+from jaxclear.results.trajectory import SingularPosition, Trajectory
 
 # Instants of the saving intervals around which the run ended; steps to close the loops at each,
 # and to follow them.

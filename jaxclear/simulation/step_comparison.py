@@ -24,9 +24,9 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import pushed
-from jaxclear.ground.unknown import Unknown
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.multibody.mechanism import Mechanism

@@ -23,10 +23,9 @@ from jaxclear.errors.rungs import Rung, listed_rung, others_of, rungs_of
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_known, check_number, expect
 from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
-from jaxclear.ground.in_words import as_typed
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, count, inside, numbers
-from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.shown import AbstractShown, as_typed
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described
 from jaxclear.integrators import AbstractIntegrator

@@ -19,8 +19,8 @@ from jaxclear.errors.observables import GAPS
 from jaxclear.errors.replicas import between, replica
 from jaxclear.errors.told import remedy_of_depths
 from jaxclear.ground.arguments import expect
-from jaxclear.ground.in_words import part_in_words
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.shown import part_in_words
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
 from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.promise import PART_OF, STUDIES, Promise
@@ -38,9 +38,8 @@ from jaxclear.multibody.reach import narrowest_gap, rooms
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import longest_arm, prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
-from jaxclear.results.abstract_response import needs_of
-from jaxclear.results.response import concerned, unit_of
-from jaxclear.results.saved_state import State
+from jaxclear.results.response import concerned, needs_of, unit_of
+from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.beginning import Past, past_of, state_of
 from jaxclear.simulation.derivatives import refusal

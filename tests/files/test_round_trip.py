@@ -26,7 +26,7 @@ from jaxclear.files.forms import (
     Whole,
 )
 from jaxclear.files.reading import read
-from jaxclear.files.scene_file import RUN, TOP, scene_text
+from jaxclear.files.scene import RUN, TOP, scene_text
 from jaxclear.files.text import parsed
 from jaxclear.files.writing import in_plain_values
 from jaxclear.studies.identity import first_difference

@@ -16,8 +16,6 @@ from jaxclear import plot
 from jaxclear.commands.report.page import Page, Section, Shown, drawn, hidden, table
 from jaxclear.plot.canvas import canvas
 
-__all__ = ["campaign_page"]
-
 SCENE = "scene.yaml"
 # Sentences that are told of failures and warnings; samples that are named for each.
 MOST_SENTENCES, MOST_NAMED = 20, 5

@@ -7,8 +7,6 @@ import click
 from jaxclear.commands.report.campaign_page import campaign_page
 from jaxclear.commands.report.folder_page import folder_page
 
-__all__ = ["report"]
-
 CAMPAIGN, PAGE = "samples.zarr", "report.html"
 
 

@@ -9,8 +9,6 @@ import pandas
 
 from jaxclear.commands.report.page import Page, Section, Shown, figure_file, hidden, table
 
-__all__ = ["folder_page"]
-
 RUN = "run.json"
 
 

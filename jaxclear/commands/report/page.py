@@ -15,8 +15,6 @@ from matplotlib.figure import Figure
 
 from jaxclear.ground.table import as_table
 
-__all__ = ["Page", "Section", "Shown", "drawn", "figure_file", "hidden", "table"]
-
 DOTS_PER_INCH = 130
 
 

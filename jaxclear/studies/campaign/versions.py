@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxclear.ground.versions import told_versions
+from jaxclear.ground.datasets import told_versions
 
 __all__ = ["change", "mark_of", "signed", "signers", "told_versions"]
 

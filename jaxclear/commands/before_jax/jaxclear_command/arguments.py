@@ -12,8 +12,6 @@ import click
 
 from jaxclear_command.wording import hint
 
-__all__ = ["flag", "number", "one_of", "out", "page", "quiet", "readable_file", "store", "whole"]
-
 
 def _refuse(text: str, wanted: str) -> NoReturn:
     raise click.BadParameter(f"{text} was given; it must be {wanted}")

@@ -18,8 +18,6 @@ from jaxclear_command.scene_files import scene_files
 from jaxclear_command.studies import studies
 from jaxclear_command.wording import said
 
-__all__ = ["main"]
-
 FAILED, MISTAKEN, INTERRUPTED = 1, 2, 130
 TEXT = "Mechanisms whose joints have clearance, contact, friction and wear."
 CODES = "0 done, 1 a run failed or ended early, 2 what was typed cannot be, 130 interrupted."

@@ -9,8 +9,6 @@ import click
 
 from jaxclear_command.wording import extra_argument, hint
 
-__all__ = ["Command", "Group"]
-
 
 class Command(click.Command):
     """A command with examples, of which each is a line as it is typed."""

@@ -19,8 +19,6 @@ from jaxclear_command.arguments import (
 )
 from jaxclear_command.declared import Command
 
-__all__ = ["scene_files"]
-
 EXAMPLES = ("slider-crank", "four-bar", "antenna")
 
 

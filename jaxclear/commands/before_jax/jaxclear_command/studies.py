@@ -7,9 +7,6 @@ import click
 from jaxclear_command.arguments import flag, number, one_of, out, quiet, whole
 from jaxclear_command.declared import Command
 
-__all__ = ["studies"]
-
-
 # (what it does, its arguments, examples) by name.
 STUDIES: dict[str, tuple[str, list[click.Parameter], list[str]]] = {
     "four-bar": (

@@ -7,8 +7,6 @@ from collections.abc import Iterable
 
 import click
 
-__all__ = ["extra_argument", "hint", "said"]
-
 
 def hint(name: str, known: Iterable[str]) -> str:
     """ " Did you mean ...?" for the known name most like another; "" where none is."""

@@ -1,25 +1,258 @@
-"""What acts on the single coordinate of a joint: springs and dampers, torques, stops, friction that
-is given as a torque, and the inertia of a motor behind its gear.
+"""Loads, `jaxclear.load`: on bodies through markers (gravity, forces, torques, springs, dampers),
+and on the single coordinate of a joint (springs and dampers, torques, stops, friction that is given
+as a torque, the inertia of a motor behind its gear).
 
-Units are those of a joint that turns; of one that slides N stands for N m and m for rad.
+A load on bodies sees the motion of the markers it acts on (`MarkerMotion`, in the ground frame) and
+returns forces and torques in the ground frame. Springs tell their stored energy, dampers their
+dissipated power, so that the energy balance can be closed; every other force counts as input. Units
+of loads on coordinates are those of a joint that turns; of one that slides N stands for N m and m
+for rad.
 """
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
+from jaxclear.components.body import Marker
 from jaxclear.components.function_of_time import (
     check_function_of_time,
     number_or_function,
+    one_or_more_or_function,
     value_at,
+    vector_or_function,
 )
-from jaxclear.components.load.base import AbstractLoad, check_acts
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import positive_part, smooth_sign, smooth_step
-from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt, smooth_sign, smooth_step
+from jaxclear.ground.pose import Pose
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity, vector
+
+__all__ = [
+    "AbstractBodyLoad",
+    "AbstractCoordinateLoad",
+    "AbstractLoad",
+    "Action",
+    "Effect",
+    "Force",
+    "Gravity",
+    "JointFriction",
+    "JointSpring",
+    "JointStop",
+    "JointTorque",
+    "MarkerMotion",
+    "MotorTorque",
+    "RotorInertia",
+    "Spring",
+    "Torque",
+]
+
+
+class AbstractLoad(AbstractQuantified):
+    """A load on bodies, or on the coordinate of a joint."""
+
+    def springs_back(self) -> bool:
+        """Whether what it acts on may swing by it, as by a spring; it may unless overridden."""
+        return True
+
+
+def check_acts(spring: Any) -> None:
+    """Raises `ValueError` for a spring that is neither one nor a damper."""
+    if spring.stiffness is None and spring.damping is None:
+        name = type(spring).__name__
+        raise ValueError(f"load.{name} needs stiffness or damping, or both; it has neither.")
+
+
+class MarkerMotion(NamedTuple):
+    """A marker as a load sees it: pose in the ground frame, velocity and spin in ground axes."""
+
+    pose: Pose
+    velocity: sp.Vec
+    spin: sp.Vec
+
+
+class Action(NamedTuple):
+    """Force [N] through a marker's origin and torque [N m] on its body, in ground axes."""
+
+    marker: Marker
+    force: sp.Vec
+    torque: sp.Vec
+
+
+class Effect(NamedTuple):
+    """What a load does at one instant; energies in J, power in W. `external` power enters the
+    mechanism.
+    """
+
+    actions: tuple[Action, ...]
+    stored: Any
+    dissipated: Any
+    external: Any
+
+
+class AbstractBodyLoad(AbstractLoad):
+    """Acts on bodies through markers."""
+
+    @abstractmethod
+    def markers(self) -> tuple[Marker, ...]:
+        """The markers it needs to see."""
+
+    @abstractmethod
+    def effect(self, time: Scalar, motions: tuple[MarkerMotion, ...]) -> Effect:
+        """Forces and energies at an instant."""
+
+
+# A hundred times that of the Earth.
+USUAL_GRAVITY = (-1e3, 1e3, "is it in mm/s^2? Accelerations are in m/s^2.")
+
+
+class Gravity(AbstractLoad):
+    """Uniform gravity on all bodies, as an acceleration in the ground frame."""
+
+    acceleration: tuple = vector(
+        (0.0, -9.81), "m/s^2", "free fall, ground frame", counts=(2, 3), usual=USUAL_GRAVITY
+    )
+
+    def springs_back(self):
+        return False
+
+
+class Force(AbstractBodyLoad):
+    """A force at a marker: 2 or 3 numbers [N] or a function of time, in ground axes, or in the
+    marker's if `follows`.
+    """
+
+    marker: Marker
+    value: tuple | Callable = vector(
+        unit="N",
+        meaning="force, or a function of time",
+        counts=(2, 3),
+        converter=vector_or_function,
+    )
+    follows: bool = eqx.field(static=True, default=False)
+
+    def springs_back(self):
+        return False
+
+    def __check_init__(self):
+        check_function_of_time(self, "value", (2, 3))
+
+    def markers(self):
+        return (self.marker,)
+
+    def effect(self, time, motions):
+        force = sp.vec3(tuple(value_at(self.value, time)))
+        if self.follows:
+            force = sp.apply(motions[0].pose.rotation, force)
+        return Effect(
+            (Action(self.marker, force, sp.ZERO),), 0, 0, sp.dot(force, motions[0].velocity)
+        )
+
+
+class Torque(AbstractBodyLoad):
+    """A torque on a body: 1 number (about z), 3 numbers [N m] or a function of time; axes as in
+    `Force`.
+    """
+
+    marker: Marker
+    value: tuple | Callable = vector(
+        unit="N m",
+        meaning="torque, or a function of time",
+        counts=(1, 3),
+        converter=one_or_more_or_function,
+    )
+    follows: bool = eqx.field(static=True, default=False)
+
+    def springs_back(self):
+        return False
+
+    def __check_init__(self):
+        check_function_of_time(self, "value", (1, 3))
+
+    def markers(self):
+        return (self.marker,)
+
+    def effect(self, time, motions):
+        value = value_at(self.value, time)
+        value = tuple(value) if isinstance(value, tuple) or np.ndim(value) else (value,)
+        torque = (0, 0, *value) if len(value) == 1 else sp.vec3(value)
+        if self.follows:
+            torque = sp.apply(motions[0].pose.rotation, torque)
+        return Effect(
+            (Action(self.marker, sp.ZERO, torque),), 0, 0, sp.dot(torque, motions[0].spin)
+        )
+
+
+class MotorTorque(AbstractBodyLoad):
+    """A torque [N m] on the body of `journal` about the z axis of `bearing`, and its reaction on
+    the body of `bearing`: a motor between two bodies that no joint need join. A number or function
+    of time. Equal and opposite however the journal leans; for a joint prefer JointTorque, which
+    takes its name.
+    """
+
+    bearing: Marker
+    journal: Marker
+    value: Scalar | Callable = quantity(
+        unit="N m", meaning="torque, or a function of time", converter=number_or_function
+    )
+
+    def springs_back(self):
+        return False
+
+    def __check_init__(self):
+        check_function_of_time(self, "value")
+
+    def markers(self):
+        return (self.bearing, self.journal)
+
+    def effect(self, time, motions):
+        torque = sp.scale(value_at(self.value, time), sp.apply(motions[0].pose.rotation, (0, 0, 1)))
+        back = tuple(sp.neg(x) for x in torque)
+        actions = (Action(self.bearing, sp.ZERO, back), Action(self.journal, sp.ZERO, torque))
+        return Effect(actions, 0, 0, sp.dot(torque, sp.minus(motions[1].spin, motions[0].spin)))
+
+
+class Spring(AbstractBodyLoad):
+    """Spring and damper between two markers, along the line between them: F = k (l - l0) + d dl/dt,
+    positive in tension.
+    """
+
+    start: Marker
+    end: Marker
+    stiffness: Scalar | None = quantity(None, "N/m", "stiffness", at_least=0)
+    free_length: Scalar = quantity(0.0, "m", "length without force", at_least=0)
+    damping: Scalar | None = quantity(None, "N s/m", "viscous damping", at_least=0)
+
+    def springs_back(self):
+        return self.stiffness is not None
+
+    def __check_init__(self):
+        check_acts(self)
+
+    def markers(self):
+        return (self.start, self.end)
+
+    def effect(self, time, motions):
+        line = sp.minus(motions[1].pose.translation, motions[0].pose.translation)
+        length = safe_sqrt(sp.dot(line, line))
+        direction = tuple(0 if sp.is_zero(x) else safe_divide(x, length) for x in line)
+        rate = sp.dot(direction, sp.minus(motions[1].velocity, motions[0].velocity))
+        stretch = length - self.free_length
+        tension, stored, dissipated = 0, 0, 0
+        if self.stiffness is not None:
+            tension, stored = self.stiffness * stretch, 0.5 * self.stiffness * stretch * stretch
+        if self.damping is not None:
+            tension, dissipated = (
+                sp.add(tension, sp.mul(self.damping, rate)),
+                sp.mul(self.damping, sp.mul(rate, rate)),
+            )
+        pull = sp.scale(tension, direction)
+        reaction = tuple(sp.neg(x) for x in pull)
+        actions = (Action(self.start, pull, sp.ZERO), Action(self.end, reaction, sp.ZERO))
+        return Effect(actions, stored, dissipated, 0)
 
 
 class AbstractCoordinateLoad(AbstractLoad):
@@ -217,3 +450,6 @@ class RotorInertia(AbstractCoordinateLoad):
 
     def inertia_along(self):
         return self.reflected_inertia
+
+
+__getattr__, __dir__ = nothing_else("jaxclear.load", __all__)
