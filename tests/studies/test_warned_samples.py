@@ -14,7 +14,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.commands.reported import report_samples
+from jaxclear.commands.study import report_samples
 from jaxclear.integrators.checks import Check
 from jaxclear.plot.studies import _warned_samples
 from jaxclear.results.response import REACHES, concerned

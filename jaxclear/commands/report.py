@@ -1,20 +1,100 @@
-"""What a report says of a campaign: how many samples ended how, statistics with errors, what
+"""A page as it is written: sections of text, tables and figures, in one file that needs no other.
+
+Figures are PNG within the text, and there are no scripts and no fonts from elsewhere: it opens
+without a network, and can be sent by mail.
+
+What a report says of a campaign: how many samples ended how, statistics with errors, what
 decides the spread, failures and warnings, what was run and by which versions.
+
+What a report says of a folder with figures (PNG) and tables (CSV): of a run, which also tells
+how it ended, or of a study of the command line.
+
+Answers `jaxclear report`.
+
+One HTML page of what a folder holds: a campaign, a run, or the figures and tables of a study.
 """
 
+import base64
+import importlib.util
+import io
 import json
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import click
 import numpy as np
 import pandas
 from matplotlib.figure import Figure
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.commands.report.page import Page, Section, Shown, drawn, hidden, table
+from jaxclear.ground.table import as_table
 from jaxclear.plot.canvas import canvas
+
+DOTS_PER_INCH = 130
+
+
+class Shown(NamedTuple):
+    """One thing on a page. `kind`: "text", "warning", "verbatim", "table", "figure" or "hidden" (a
+    text that opens when it is asked for); `content`: the text, the table as HTML, or the figure's
+    bytes as base64; `title`: its caption."""
+
+    kind: str
+    content: Any
+    title: str = ""
+
+
+class Section(NamedTuple):
+    """A heading and what stands below it."""
+
+    title: str
+    shown: list[Shown]
+
+
+class Page(NamedTuple):
+    """A page: what it is of, how it ended in a sentence, and its sections."""
+
+    title: str
+    sentence: str
+    sections: list[Section]
+
+    def write(self, path: Path) -> None:
+        """Writes it as HTML. Ends with a sentence where jinja2 is not installed."""
+        if importlib.util.find_spec("jinja2") is None:
+            raise click.ClickException(
+                'a report needs jinja2: python -m pip install "jaxclear[report]".'
+            )
+        import jinja2
+
+        loader = jinja2.FileSystemLoader(Path(__file__).parent)
+        environment = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True)
+        template = environment.get_template("page.html.jinja")
+        path.write_text(template.render(page=self), encoding="utf-8")
+
+
+def drawn(figure: Figure, title: str = "") -> Shown:
+    """A figure."""
+    kept = io.BytesIO()
+    figure.savefig(kept, format="png", dpi=DOTS_PER_INCH)
+    return Shown("figure", base64.b64encode(kept.getvalue()).decode(), title)
+
+
+def figure_file(path: Path) -> Shown:
+    """A figure that was written before."""
+    content = base64.b64encode(path.read_bytes()).decode()
+    return Shown("figure", content, path.stem.replace("_", " "))
+
+
+def hidden(title: str, text: str) -> Shown:
+    """Text that opens when its title is clicked at."""
+    return Shown("hidden", text, title)
+
+
+def table(frame: Any, title: str = "") -> Shown:
+    """A pandas table."""
+    return Shown("table", as_table(frame)._repr_html_(), title)
+
 
 SCENE = "scene.yaml"
 # Sentences that are told of failures and warnings; samples that are named for each.
@@ -145,3 +225,48 @@ def _what_was_run(found: Any) -> Section:
     told = "\n\n".join(f"{name}: {text}" for name, text in parts.items())
     shown.append(hidden("The problem, part by part, as the store knows it", told))
     return Section("What was run", shown)
+
+
+RUN = "run.json"
+
+
+def folder_page(folder: Path) -> Page | None:
+    """The page of a folder; None where it holds neither figures nor tables."""
+    figures, tables = sorted(folder.glob("*.png")), sorted(folder.glob("*.csv"))
+    if not figures and not tables:
+        return None
+    told = json.loads((folder / RUN).read_text()) if (folder / RUN).exists() else {}
+    sections = []
+    if told:
+        warned = [Shown("warning", one) for one in told["warnings"]]
+        sections.append(Section("How it ended", [*warned, Shown("verbatim", told["checks"])]))
+    if tables:
+        shown = [table(pandas.read_csv(path), path.stem.replace("_", " ")) for path in tables]
+        sections.append(Section("Tables", shown))
+    if figures:
+        sections.append(Section("Figures", [figure_file(path) for path in figures]))
+    shown = [table(pandas.DataFrame([told["versions"]]), "Computed by")] if told else []
+    shown += [
+        hidden(f"The scene ({path.name})", path.read_text(encoding="utf-8"))
+        for path in sorted(folder.glob("*.yaml"))
+    ]
+    if shown:
+        sections.append(Section("What was run", shown))
+    sentence = told.get("result", f"{len(figures)} figures and {len(tables)} tables.")
+    return Page(told.get("title", folder.resolve().name), sentence, sections)
+
+
+CAMPAIGN, PAGE = "samples.zarr", "report.html"
+
+
+def report(store: Path, to: Path | None = None) -> None:
+    """Writes one page of what a folder holds, beside it as report.html or to a file."""
+    page = campaign_page(store) if (store / CAMPAIGN).exists() else folder_page(store)
+    if page is None:
+        raise click.UsageError(
+            f"{store} holds neither a campaign nor figures or tables; it must be a folder that "
+            "jaxclear has written."
+        )
+    path = store / PAGE if to is None else to
+    page.write(path)
+    click.echo(f"{path.resolve()} ({path.stat().st_size / 1e3:.0f} kB)")
