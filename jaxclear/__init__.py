@@ -44,8 +44,7 @@ from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.function_of_time import AbstractFunctionOfTime, TimeTable
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.files.model_import import ImportedSoft, NotImported, read_mjcf, read_shapes, read_urdf
-from jaxclear.files.scene import Scene, read_scene, write_scene
-from jaxclear.files.schema import scene_schema
+from jaxclear.files.scene import Scene, read_scene, scene_schema, write_scene
 from jaxclear.ground import numerics, pose
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.datasets import installed

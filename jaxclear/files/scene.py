@@ -30,14 +30,13 @@ from jaxclear.files.forms import (
     Listed,
     Number,
     NumberArray,
-    Part,
+    Schema,
     Text,
     Whole,
 )
+from jaxclear.files.parts import Part, mapping
 from jaxclear.files.places import NumberPlaces, check_numbers
-from jaxclear.files.reading import read
 from jaxclear.files.text import JSON, YAML, Misread, Node, misread, parsed, text_of
-from jaxclear.files.writing import in_plain_values
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_known, expect
 from jaxclear.ground.quantity import AbstractQuantified
@@ -170,6 +169,7 @@ class Scene(AbstractQuantified):
 
 FORMAT = 1
 HEAD = "jaxclear_scene"
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
 
 @dataclass(frozen=True)
@@ -264,7 +264,7 @@ def _scene_of(node: Node, folder: Path) -> Scene:
     if "mechanism" not in values:
         raise Misread("has no mechanism.")
     found = {
-        name: read(form, values[name], name, folder)
+        name: form.read(values[name], name, folder)
         for name, form in TOP.items()
         if name in values and values[name].value is not None and name != "correlation"
     }
@@ -272,7 +272,7 @@ def _scene_of(node: Node, folder: Path) -> Scene:
     run = _mapping(values["run"], "run", RUN) if "run" in values else {}
     for name, own in run.items():
         if own.value is not None:
-            found[name] = read(RUN[name], own, f"run.{name}", folder)
+            found[name] = RUN[name].read(own, f"run.{name}", folder)
     if "correlation" in values:
         found["correlation"] = _correlation(values["correlation"], folder)
     for name, variable in found.get("variables", {}).items():
@@ -301,8 +301,8 @@ def _correlation(node: Node, folder: Path) -> Any:
     """Coefficients by pairs, or a matrix."""
     pairs = isinstance(node.value, list) and node.value and isinstance(node.value[0].value, dict)
     if not pairs:
-        return read(NumberArray(), node, "correlation", folder)
-    entries = read(PAIRS, node, "correlation", folder)
+        return NumberArray().read(node, "correlation", folder)
+    entries = PAIRS.read(node, "correlation", folder)
     return {entry.between: entry.coefficient for entry in entries}
 
 
@@ -337,7 +337,7 @@ def _values_of(scene: Scene) -> dict[str, Any]:
     found: dict[str, Any] = {HEAD: FORMAT, "written_by": _program()}
     if scene.description:
         found["description"] = scene.description
-    plain = lambda form, thing, path: in_plain_values(form, thing, path, mechanism)
+    plain = lambda form, thing, path: form.plain(thing, path, mechanism)
     found["mechanism"] = plain(TOP["mechanism"], mechanism, "")
     told = {
         "duration": scene.duration,
@@ -368,8 +368,8 @@ def _plain_save(save: Any) -> Any:
 def _plain_correlation(correlation: Any, mechanism: Mechanism) -> Any:
     if isinstance(correlation, dict):
         entries = tuple(Correlated(tuple(pair), value) for pair, value in correlation.items())
-        return in_plain_values(PAIRS, entries, "correlation", mechanism)
-    return in_plain_values(NumberArray(), correlation, "correlation", mechanism)
+        return PAIRS.plain(entries, "correlation", mechanism)
+    return NumberArray().plain(correlation, "correlation", mechanism)
 
 
 def _program() -> str:
@@ -377,3 +377,19 @@ def _program() -> str:
         return f"jaxclear {version('jaxclear')}"
     except PackageNotFoundError:
         return "jaxclear"
+
+
+def scene_schema() -> Schema:
+    """The JSON schema (draft 2020-12) of the files that `jaxclear.read_scene` reads, as a
+    dictionary, from the same forms by which these are read; classes of one's own are not in it. It
+    tells kinds, names, units and ranges; how numbers bound each other only reading tells."""
+    known: dict[str, Schema] = {}
+    of = lambda forms: {name: form.schema(known) for name, form in forms.items()}
+    properties = of(TOP) | {HEAD: {"const": FORMAT}, "run": mapping(of(RUN), [])}
+    return {
+        "$schema": DRAFT,
+        "title": "A scene of jaxclear",
+        "description": "A mechanism, how it is run, what varies of it, and responses; SI units.",
+        **mapping(properties, [HEAD, "mechanism"]),
+        "$defs": dict(sorted(known.items())),
+    }
