@@ -21,7 +21,7 @@ from jax.extend.core.primitives import closed_call_p
 
 import jaxclear  # noqa: F401  (float64)
 from jaxclear.native import explain, verdict, while_loop
-from jaxclear.native.rules import RULES
+from jaxclear.native.writer import RULES
 from jaxclear.native.verdicts import KERNELS
 from jaxclear.native.while_loops import once
 
