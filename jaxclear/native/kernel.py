@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxclear.native import check, control, dispatch, elementary, indexing, stopping  # noqa: F401  (rules register themselves)
+from jaxclear.native import check, dispatch, elementary, stopping
+from jaxclear.native import indexing as _indexing  # noqa: F401  (its rules register themselves)
 from jaxclear.native.control import loop
 from jaxclear.native.program import (
     Program,

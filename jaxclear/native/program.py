@@ -178,10 +178,8 @@ def known_first(program: ClosedJaxpr, arguments: Sequence[Any]) -> dict[Any, Any
 
 def read(atoms: Sequence[Any], values: dict[Any, Any]) -> list:
     """What variables and numbers of a program stand for."""
-    return [
-        jnp.asarray(atom.val, atom.aval.dtype) if isinstance(atom, Literal) else values[atom]
-        for atom in atoms
-    ]
+    number = lambda literal: jnp.asarray(literal.val, literal.aval.dtype)
+    return [number(atom) if isinstance(atom, Literal) else values[atom] for atom in atoms]
 
 
 def applied(equation: Any, inputs: Sequence[Any], parameters: dict[str, Any]) -> Sequence[Any]:

@@ -296,7 +296,9 @@ def checked(monkeypatch):
 
 def test_kernels_are_checked_where_that_is_asked_for(monkeypatch):
     looks, compared = [], check.compared
-    monkeypatch.setattr(check, "compared", lambda *given: looks.append(compared(*given)) or looks[-1])
+    monkeypatch.setattr(
+        check, "compared", lambda *given: looks.append(compared(*given)) or looks[-1]
+    )
     for wanted, factor in (("0", 0.43), ("1", 0.44)):
         monkeypatch.setenv("JAXCLEAR_CHECK_KERNELS", wanted)
         jax.jit(turns(lambda x, factor=factor: x * factor + 1.0, 3)[0])(0.3)
@@ -324,9 +326,7 @@ def test_a_wrong_kernel_is_caught_and_not_used(monkeypatch, caplog, checked):
 
 @slowly
 @pytest.mark.parametrize("beyond", [-1e-6, 1.5, 1e-2])
-def test_a_kernel_that_is_wrong_in_some_states_only_is_caught(
-    beyond, monkeypatch, caplog, checked
-):
+def test_a_kernel_that_is_wrong_in_some_states_only_is_caught(beyond, monkeypatch, caplog, checked):
     """Of negative numbers, of large ones, of small ones: those that a contact parts by."""
     monkeypatch.setitem(writer.RULES, "mul", writer.RULES["add"])
     monkeypatch.setitem(arithmetic._FLOAT_OPS, "mul", "fadd")
