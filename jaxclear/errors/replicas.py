@@ -12,9 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.quantity import concrete
-from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.events import Events
-from jaxclear.integrators.stepping import SLIVER
 from jaxclear.results.trajectory import Trajectory
 
 # Share of a run's time in which steps may be as long as the run's own.

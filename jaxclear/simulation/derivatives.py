@@ -5,9 +5,9 @@ with a number, and the derivative of one finished run scatters about that of the
 after one bounce, by a multiple after a few (-3.0 for 0.24 after three lossless ones in steps of 20
 us), and nothing tells by how much. So it is refused while it is being traced, unless the derivative
 of the discrete run is what was asked for. Steps that end at touches know it (`saltation`), those by
-rk4 whose derivatives are taken apart there (`mid_step`), those through rigid contact
-(`mid_impact`), and implicit ones and explicit ones of lower order, beside which the motion goes in
-finer parts where it is differentiated (`fine_motion`). Where nothing opens (ideal joints, permanent
+rk4 whose derivatives are taken apart there (`saltation`), those through rigid contact
+(`moreau_jean`), and implicit ones and explicit ones of lower order, beside which the motion goes in
+finer parts where it is differentiated (`variational`). Where nothing opens (ideal joints, permanent
 contact) the derivative of the discrete run converges to that of the motion, and passes: forwards
 through the steps, backwards as so many of these as numbers move.
 """

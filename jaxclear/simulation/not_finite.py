@@ -12,7 +12,7 @@ import numpy as np
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.wording import public_name
-from jaxclear.integrators.outcome import Outcome
+from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody.forces import effect_of
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import body_loads, coordinate_loads

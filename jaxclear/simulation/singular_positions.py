@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.quantity import constant, is_traced
-from jaxclear.integrators.outcome import Outcome
+from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody import constraints
 from jaxclear.multibody.constraints import HeldLoop, held_loops
 from jaxclear.multibody.mechanism import Mechanism

@@ -27,8 +27,7 @@ from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import pushed
-from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.stepping import SLIVER
+from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.derivatives import refusal

@@ -13,8 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.quantity import concrete, public_name
 from jaxclear.ground.warning import warn
-from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.stepping import MOST_STEPS
+from jaxclear.integrators.base import MOST_STEPS, AbstractIntegrator
 
 # Share by which saving may add to the steps before it is said.
 LITTLE = 0.01

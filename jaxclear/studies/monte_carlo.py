@@ -13,7 +13,7 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_known, check_number
 from jaxclear.ground.shown import AbstractShown
 from jaxclear.integrators import Outcome
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import chunk_size, evaluate_all
 from jaxclear.studies.datasets import of_samples

@@ -22,8 +22,8 @@ from jaxclear.ground.arguments import expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.shown import part_in_words
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
-from jaxclear.integrators.figures import Checks
-from jaxclear.integrators.promise import PART_OF, STUDIES, Promise
+from jaxclear.integrators.base import PART_OF, STUDIES, Promise
+from jaxclear.integrators.checks import Checks
 from jaxclear.multibody.assembly import (
     Sampled,
     Start,

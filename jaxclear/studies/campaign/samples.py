@@ -20,8 +20,7 @@ import numpy as np
 
 from jaxclear.ground.warning import warn
 from jaxclear.integrators import Outcome
-from jaxclear.integrators.checks import Check
-from jaxclear.integrators.figures import Checks, Figure
+from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.campaign.chunk_files import ChunkFiles
 from jaxclear.studies.campaign.layout import (

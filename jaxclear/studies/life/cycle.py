@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 from jaxclear.formulations.base import model_of
 from jaxclear.ground.arguments import check_number, expect
 from jaxclear.integrators import AbstractIntegrator, Outcome
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism, ungiven
 from jaxclear.multibody.state import names

@@ -9,9 +9,9 @@ import pytest
 from jax.extend.core import Literal
 
 import jaxclear as jc
-from jaxclear.native import pieces
+from jaxclear.native import barriers
 from jaxclear.native.loop import reference_in_pieces, reference_of_batch
-from jaxclear.native.replay import replayed
+from jaxclear.native.program import replayed
 from jaxclear.native.while_loops import while_loop
 
 
@@ -44,14 +44,14 @@ def looped(x):
     return jnp.where(x[0] > 0, x, jax.lax.cond(x[1] > 0, turned, jnp.cos, x)), rows
 
 
-def barriers(program):
+def barriers_in(program):
     return str(program).count("optimization_barrier")
 
 
 def in_pieces_of(function):
     def called(*given):
         program = jax.make_jaxpr(function)(*given)
-        return pieces.in_pieces(program)(*given)
+        return barriers.in_pieces(program)(*given)
 
     return called
 
@@ -61,7 +61,7 @@ def test_numbers_are_the_same(function):
     given = np.random.default_rng(3).normal(size=(8, 3))
     expected = jax.tree.leaves(jax.jit(jax.vmap(function))(given))
     found = jax.jit(jax.vmap(in_pieces_of(function)))(given)
-    assert barriers(jax.make_jaxpr(in_pieces_of(function))(given[0])) >= 2
+    assert barriers_in(jax.make_jaxpr(in_pieces_of(function))(given[0])) >= 2
     for one, other in zip(expected, found, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14)
 
@@ -91,7 +91,7 @@ def test_a_piece_ends_before_work_is_done_many_times():
     cut = jax.make_jaxpr(in_pieces_of(turned))(jnp.ones(3))
     flat = jax.make_jaxpr(lambda x: replayed(whole, [x]))(jnp.ones(3))
     # An operation of three terms that reads others of fewer than `WORK`.
-    assert most_work(cut) < 10 * pieces.WORK < 1e-6 * most_work(flat)
+    assert most_work(cut) < 10 * barriers.WORK < 1e-6 * most_work(flat)
 
 
 def looked_up(angle, table):
@@ -111,14 +111,14 @@ def test_where_to_read_is_worked_out_once():
     cut = jax.make_jaxpr(in_pieces_of(over))(angles, table)
     whole = jax.make_jaxpr(over)(angles, table)
     flat = jax.make_jaxpr(lambda *given: replayed(whole, given))(angles, table)
-    assert most_work(cut, "gather") <= pieces.LITTLE < 30 < most_work(flat, "gather")
+    assert most_work(cut, "gather") <= barriers.LITTLE < 30 < most_work(flat, "gather")
     found = in_pieces_of(over)(angles, table)
     np.testing.assert_allclose(found[0], over(angles, table), rtol=1e-12)
 
 
 def test_what_is_short_is_left_whole():
     program = jax.make_jaxpr(in_pieces_of(lambda x: jnp.sin(x) + x[0]))(jnp.ones(3))
-    assert barriers(program) == 0
+    assert barriers_in(program) == 0
 
 
 def lowered(platform):

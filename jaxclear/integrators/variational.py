@@ -1,28 +1,154 @@
-r"""The motion and its derivative over a time, in parts that resolve contacts.
+"""The variational equations beside steps that do not resolve contacts: derivatives of the motion.
+
+A step that damps a contact, or goes through it at once, cannot tell how a number moves what is
+behind: its own derivative converges slowly, or to nothing. But where runs are to be differentiated
+the motion itself can go beside the steps, in parts of these that are as short as contacts ask for
+and end at touches and releases (`followed`). Derivatives are those of that motion, at its places.
+How far the run has parted from it is known at every step: where that is too far the derivative is
+not the run's, and nan (`derivative_error.beside`); the motion goes no further then. Where loops are
+closed anew after every step, those of the motion are too, and the step itself ends closed: what
+closes the run's says nothing of the motion.
 
 In flight a part goes on to the end; in contact by a share of its vibration, and of the time in
 which friction stops a slip. Parts end where contacts touch and part: one that would pass such an
 instant is taken again, as long as Hermite's cubic says, and on until it ends there. Derivatives are
 taken at times that move with touches (`saltation`), so that no part of a derivative is that of a
 step across one.
+
+The motion is a derivative of zeros, which a loop carries: so none of it is in a program of which no
+derivative is asked.
 """
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array
 
+from jaxclear.formulations import closing
+from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.impact_speed import ContactMotion, cubic, passage, summit
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
-from jaxclear.ground.tangents import pushed, where_wanted
-from jaxclear.integrators import saltation
-from jaxclear.integrators.mid_step import Now, along, passed_within
-from jaxclear.integrators.peaks import Peaks, peaks
-from jaxclear.integrators.stepping import SLIVER
+from jaxclear.ground.tangents import derived, derived_once, moved, pushed, where_wanted, zeros_with
+from jaxclear.integrators.base import SLIVER
+from jaxclear.integrators.derivative_error import NO_SECOND, PARTED, beside, unknown_way
+from jaxclear.integrators.events import Peaks, nothing_met, peaks
+from jaxclear.integrators.saltation import Now, along, closed, motion_of, moves, passed_within
+from jaxclear.multibody.reach import gaps_passed
 from jaxclear.multibody.state import bristle_places
+
+
+class Beside(NamedTuple):
+    """Zeros. Their derivatives are, of the motion beside a run: how far its state is `away` from
+    the run's, how far its places have `parted` from these at most [1] of the narrowest gap, and the
+    `peaks` of each contact."""
+
+    away: Array
+    parted: Scalar
+    peaks: Peaks
+
+
+def nothing_beside(size: int, contacts: int, damped: bool) -> Beside:
+    """Where a run begins, of which the state has this size, and some contact is `damped`."""
+    return Beside(jnp.zeros(size), jnp.zeros(()), nothing_met(jnp.zeros(contacts), damped))
+
+
+def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> Callable:
+    """A step with the derivative of the motion beside it, as a function of (arrays, clock, state,
+    last, met, beside).
+
+    `plain(arrays, clock, y, last, met)`: the state at its end, what it leaves to the next, and the
+    peaks until then. `arrays`: of the model, and of all else; `clock`: its start and length [s];
+    `rest`: of the model."""
+    motion = motion_of(formulation, rest)
+
+    def remember(arrays, y, contacts, length):
+        """Contacts that are apart forget their impact speeds; those that begin closed have one."""
+        if not formulation.remembers(rest):
+            return y
+        model = eqx.combine(arrays, rest)
+        return formulation.remember(model, y, contacts, contacts, length)
+
+    def close(arrays, time, length, y):
+        return closing.closed(eqx.combine(arrays, rest), time, y, length)
+
+    def step(arrays, clock, y, last, met, beside):
+        end, *found = plain(arrays, clock, y, last, met)
+        return end, *found, zeros_with(end[0], beside)
+
+    @jax.custom_jvp
+    def known(*numbers):
+        return step(*numbers)
+
+    def moving(numbers, tangents):
+        arrays, clock, y, *_ = numbers
+        way, clock_way, state, _, met_way, beside = tangents
+        found = step(*numbers)
+        end, now, *_ = found
+        beside, met_way = jax.tree.map(moved, (beside, met_way))
+        longer = moved(clock_way[1]) if moves(clock_way) else None
+        ways = way[0], (clock_way[0], longer), moved(state)
+        begun = y + beside.away
+        own = remember, close if rest.projects else None
+        ended = _parted(motion, own, (arrays[0], clock, begun), ways, met_way, beside)
+        there, gone, higher, beside = ended
+        away = there - end
+        share = gaps_passed(eqx.combine(arrays[0], rest).system, away)
+        beside = beside._replace(away=away, parted=jnp.maximum(beside.parted, share))
+        return found, (gone, jax.tree.map(jnp.zeros_like, now), higher, beside)
+
+    known.defjvp(moving, symbolic_zeros=True)
+    return known
+
+
+def so_far(beside: Beside) -> Beside:
+    """What is known where a saving interval begins."""
+    zeros = lambda beside: jax.tree.map(lambda each: zeros_with(each, each), beside)
+    same = lambda numbers, tangents: jax.tree.map(moved, tangents[0])
+    return derived(zeros, same)(beside)
+
+
+def trusted_beside(end: Any, met: Any, watch: Any, known: Beside) -> tuple:
+    """All that was found of a run, where the derivative of the motion beside it can be trusted;
+    events have none."""
+    end, met = derived_once(NO_SECOND, beside((end, met), known.parted))
+    return end, met, unknown_way(watch) if watch is not None else None
+
+
+def _parted(
+    motion: Any, own: tuple, here: tuple, ways: tuple, higher: Any, beside: Beside
+) -> tuple:
+    """(state, its derivative, that of the peaks, what is known) behind a step from
+    `here` (arrays, clock, state); `own`: how its impact speeds are remembered, and its loops closed
+    (None: they are not). Where run and motion have parted nothing goes on."""
+    remember, close = own
+    arrays, (time, whole), y = here
+    way, (time_way, longer), state = ways
+    moving = longer is not None
+    rates = lambda at, y: motion.rates(arrays, closed(motion.contacts(arrays, at, y)), at, y)
+    if moving:
+        state = state - moved(time_way) * rates(time, y)
+    aware = lambda y, contacts: remember(arrays, y, contacts, whole)
+    together = beside.parted <= PARTED
+    known = together, y, (beside.peaks, higher)
+    part = followed(motion, aware, (arrays, time, whole), (way, state), known)
+    y, state, (highest, higher) = part.y, part.way, part.peaks
+    if close is not None:
+        at = time + whole
+        still = SymbolicZero.from_primal_value(at)
+        y, state = pushed(close, (arrays, at, whole, y), (way, still, still, state))
+    if moving:
+        state = state + (moved(time_way) + longer) * rates(time + whole, y)
+    ended = part.done >= whole * (1 - SLIVER)
+    parted = jnp.where(ended, beside.parted, jnp.inf)
+    beside = Beside(beside.away, parted, highest)
+    return y, state, higher, beside
+
 
 # A part in contact goes no further than by this angle of the contact's vibration [rad], and in it
 # friction brakes no more than this share of a slip, and bristles settle by no more of what they
@@ -98,7 +224,7 @@ def _further(motion: Any, remember: Callable, clock: tuple, way: Any, part: Part
     arrays, start, whole = clock
     time = start + part.done
     contacts = motion.contacts(arrays, time, part.y)
-    y, acting = remember(part.y, contacts), saltation.closed(contacts)
+    y, acting = remember(part.y, contacts), closed(contacts)
     left = whole - part.done
     begun = Now(arrays, time, y, left, contacts)
     resolved, lost = _resolved(motion, begun, acting, (whole, left))
@@ -107,7 +233,7 @@ def _further(motion: Any, remember: Callable, clock: tuple, way: Any, part: Part
     gone = _through(motion, begun._replace(length=length), acting, (way, part.way))
     landing = jnp.any(part.due > 0)
     after, crossed, share = gone.contacts, *_crossed(gone)
-    hit = landing & ((part.due > 0) | (saltation.closed(after) != acting))
+    hit = landing & ((part.due > 0) | (closed(after) != acting))
     late = jnp.where(hit, -safe_divide(after.depths, after.rates), -jnp.inf)
     late = jnp.where(landing, jnp.max(late), (share - 1) * length)
     there = jnp.where(landing, abs(late) <= AT_TOUCH * whole, ~jnp.any(crossed))
@@ -183,7 +309,7 @@ def _resolved(motion: Any, begun: Now, acting: Any, clock: tuple) -> tuple[Any, 
 
     def look(carry):
         i, (time, y), fastest = carry
-        acting = saltation.closed(motion.contacts(arrays, time, y))
+        acting = closed(motion.contacts(arrays, time, y))
         pushes = jax.jvp(lambda own: motion.rates(arrays, own, time, y), (apart,), (acting,))[1]
         along = lambda way: jax.jvp(lambda y: motion.rates(arrays, acting, time, y), (y,), (way,))
         resisted = along(jnp.where(moves, pushes, 0.0))[1]

@@ -12,7 +12,7 @@ from jax.interpreters import partial_eval as pe
 
 import jaxclear as jc
 from jaxclear.native import Kept, by_columns, loop, once, scan, while_loop
-from jaxclear.native.columns import columns_p
+from jaxclear.native.derivative_rules import columns_p
 
 PLACE = jnp.array([1.0, 0.7, 0.5])
 LONG = jnp.linspace(-1.0, 1.0, 200)

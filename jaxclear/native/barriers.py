@@ -13,9 +13,7 @@ from typing import Any
 import jax
 from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 
-from jaxclear.native.replay import applied, known_first, read, replayed
-
-__all__ = ["in_pieces"]
+from jaxclear.native.program import applied, known_first, read, replayed, traced
 
 # A piece ends where one of its numbers takes so many operations, those done anew included. Of 64,
 # 128 and 512, 128 was the fastest on an H200 (4096 slider-cranks, two integrators).
@@ -40,16 +38,8 @@ def in_pieces(program: ClosedJaxpr) -> Callable[..., list]:
 
 @functools.lru_cache(maxsize=LATEST)
 def _cut(program: ClosedJaxpr) -> ClosedJaxpr:
-    return _traced(_with_barriers, _traced(_written_out, program))
-
-
-def _traced(way: Callable, program: ClosedJaxpr) -> ClosedJaxpr:
-    given = [jax.ShapeDtypeStruct(aval.shape, aval.dtype) for aval in program.in_avals]
-    return jax.make_jaxpr(functools.partial(way, program))(*given)
-
-
-def _written_out(program: ClosedJaxpr, *values: Any) -> list:
-    return replayed(program, values)
+    written_out = traced(lambda *values: replayed(program, values), program.in_avals)
+    return traced(functools.partial(_with_barriers, written_out), program.in_avals)
 
 
 def _with_barriers(program: ClosedJaxpr, *arguments: Any) -> list:
