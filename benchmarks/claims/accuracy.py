@@ -12,7 +12,7 @@ from typing import Any
 import jaxclear as jc
 from benchmarks.measure import arguments, report
 from jaxclear.errors.accuracy import of_run
-from jaxclear.errors.rungs import RK4, TSIT5
+from jaxclear.errors.choice import RK4, TSIT5
 from jaxclear.simulation.simulate import How, chosen_for
 from jaxclear.studies.usual_integrator import usual_integrator
 from tests.rigs.accuracy_asked import CASES, Case, share_off, truth

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxclear.complementarity.friction_cone import natural_map, one_contact, project_on_cone
 from jaxclear.complementarity.friction_contact import FrictionContact
+from jaxclear.complementarity.interior_point import size_of
 from jaxclear.complementarity.kept_states import (
     REGULAR,
     Scaled,
@@ -24,9 +25,7 @@ from jaxclear.complementarity.kept_states import (
     linearised,
     scaled_contacts,
 )
-from jaxclear.complementarity.outcome import Outcome
-from jaxclear.complementarity.problem import AbstractSolver, Solution
-from jaxclear.complementarity.scaling import size_of
+from jaxclear.complementarity.problem import AbstractSolver, Outcome, Solution
 from jaxclear.ground.factorisation import eliminate
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
@@ -68,7 +67,7 @@ class ProjectedGaussSeidel(AbstractSolver):
         if not isinstance(problem, FrictionContact):
             raise ValueError(
                 f"ProjectedGaussSeidel is given a {type(problem).__name__}; it solves a "
-                "FrictionContact. For linear problems take Lemke."
+                "FrictionContact. For linear problems take InteriorPoint."
             )
         data = (*problem.acting(), problem.mu)
         finite = jnp.all(jnp.isfinite(jnp.concatenate([x.reshape(-1) for x in data])))

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.formulations.bristles_at_touches import has_bristles, put_right
+from jaxclear.formulations.impact_speed import has_bristles, put_right
 from jaxclear.formulations.model import Model
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.state_group import state_group

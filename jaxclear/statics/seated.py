@@ -22,7 +22,7 @@ from jaxclear.components.body import Connection, Marker
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import AbstractBodyCoupling
 from jaxclear.formulations import CompliantContact, model_of
-from jaxclear.formulations.unique_reactions import ReactionNotUnique
+from jaxclear.formulations.permanent_reactions import ReactionNotUnique
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import expect

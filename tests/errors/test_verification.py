@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.errors.replicas import between, step_taken, thinned
-from jaxclear.errors.told import Verified
-from jaxclear.errors.verification import MOST_STEPS
+from jaxclear.errors.estimates import Verified
+from jaxclear.errors.verification import MOST_STEPS, between, step_taken, thinned
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.integrators.promise import REFERENCE
 from jaxclear.native import stop
