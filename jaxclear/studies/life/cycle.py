@@ -27,7 +27,7 @@ from jaxclear.native import stoppable
 from jaxclear.results import response
 from jaxclear.results.state_history import SavedMotion, State
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.beginning import Past, beginning
+from jaxclear.simulation.initial_state import Past, beginning
 from jaxclear.simulation.loop import run
 from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.simulation.wear import Worn, unworn, worn_by_some

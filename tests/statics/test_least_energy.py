@@ -10,9 +10,9 @@ import pytest
 from scipy.optimize import brentq, minimize, minimize_scalar
 
 import jaxclear as jc
-from jaxclear.formulations.quasi_static import posed
-from jaxclear.simulation import least_energy
-from jaxclear.simulation.position_path import spots_along
+from jaxclear.statics import least_energy
+from jaxclear.statics.position_path import spots_along
+from jaxclear.statics.quasi_static import posed
 
 LAW = jc.contact.Hertz(stiffness=1e9)
 RADIUS, ARM, FORCE, PLAY, STIFFNESS = 12e-3, 0.15, 4.0, 60e-6, 40.0

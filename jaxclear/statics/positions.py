@@ -14,8 +14,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.components.body import Marker
-from jaxclear.formulations.equilibrium import Carried, Resting, case_of, resting
-from jaxclear.formulations.quasi_static import Posed, standing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.datasets import Column, dataset
@@ -26,6 +24,8 @@ from jaxclear.multibody.given import source
 from jaxclear.multibody.kinematics import relative_motion
 from jaxclear.results.histories import AbstractHistory, MarkerHistory, marker, measured
 from jaxclear.results.state_history import check_single, one_of, single
+from jaxclear.statics.equilibrium import Carried, Resting, case_of, resting
+from jaxclear.statics.quasi_static import Posed, standing
 
 # Share of a free motion from which on a freedom takes part in it [1].
 LOOSE = 1e-3

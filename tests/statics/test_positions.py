@@ -10,10 +10,8 @@ import pytest
 from scipy.optimize import brentq, minimize
 
 import jaxclear as jc
-from jaxclear.formulations.quasi_static import posed
-from jaxclear.simulation.position_path import spots_along
-from jaxclear.simulation.positions import positions_at
-from jaxclear.simulation.spot import settle, way_of
+from jaxclear.statics.position_path import positions_at, spots_along
+from jaxclear.statics.quasi_static import posed, settle, way_of
 
 CRANK, COUPLER, FOLLOWER, GROUND, CLEARANCE, GRAVITY = 0.1, 0.4, 0.3, 0.3, 0.3e-3, 9.81
 ANGLES = np.array([0.2, 1.5, 2.8, 4.1, 5.4])

@@ -13,18 +13,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxclear.complementarity.outcome import Outcome
+from jaxclear.complementarity.interior_point import Scaled, scaled
 from jaxclear.complementarity.problem import (
     AbstractLinearProblem,
     AbstractSolver,
+    Outcome,
     Solution,
+    natural_residual,
     posed,
+    size_of,
 )
-from jaxclear.complementarity.scaling import Scaled, scaled, scaled_residual
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import count
-
-__all__ = ["Lemke"]
 
 # A scaled solution whose scaled residual is below this counts as exact; sixteen digits less those
 # lost in a small system.
@@ -37,6 +37,14 @@ TIE = 1e-12
 # Solves that refine the final z: the first leaves the square of the tableau's rounding.
 REFINEMENTS = 2
 RUNNING = -1
+
+
+def scaled_residual(problem: Scaled, z: Float[Array, " n"]) -> Float[Array, ""]:
+    """Natural residual of a scaled problem relative to its data or the size of its solution [1];
+    infinite where z is not finite.
+    """
+    w = problem.matrix @ z + problem.offset
+    return jnp.where(jnp.all(jnp.isfinite(z + w)), natural_residual(z, w) / size_of(z), jnp.inf)
 
 
 class Tableau(NamedTuple):

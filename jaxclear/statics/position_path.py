@@ -1,39 +1,52 @@
-"""How positions of a mechanism are sought: by its loops and seats where these determine it, else by
-its potential energy; and how it is led from one position to the next, on the way of assembly on
-which it began.
+"""A mechanism over positions of its drives, without time: `positions`.
+
+Each position is sought from where its neighbour stood, by the loops and seats where these determine
+it (`quasi_static`), else by the potential energy (`least_energy`); the first ones are reached in
+steps, on the way of assembly on which they began.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, NoReturn
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
-from jaxclear.formulations.quasi_static import (
-    Posed,
-    Undetermined,
-    left_open,
-    loop_rows,
-    open_loops,
-    posed,
-    standing_motion,
-)
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.compiling import compiled_quickly
+from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.wording import described
 from jaxclear.multibody import constraints
 from jaxclear.multibody.assembly import nearest, ready
 from jaxclear.multibody.given import speed_scales
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.redundancy import DEPENDENT, rank_of, says_new
 from jaxclear.multibody.start_check import HELD
 from jaxclear.multibody.system import longest_arm, prepare
-from jaxclear.simulation import least_energy
-from jaxclear.simulation.least_energy import ByEnergy, Rest
-from jaxclear.simulation.spot import SETTLED, Spot, Way, moved_by, way_of
+from jaxclear.statics import least_energy
+from jaxclear.statics.least_energy import ByEnergy, Rest
+from jaxclear.statics.positions import Positions
+from jaxclear.statics.quasi_static import (
+    SETTLED,
+    Posed,
+    Spot,
+    Undetermined,
+    Way,
+    left_open,
+    loop_rows,
+    moved_by,
+    open_loops,
+    posed,
+    standing_motion,
+    way_of,
+)
 
 # Steps from a position to the next, at the least and at the most: they are halved where coordinates
 # move by more than the first bound within one, or the way of assembly changes and they move by more
@@ -44,9 +57,6 @@ STEPS_BETWEEN, MOST_BETWEEN = 4, 256
 FURTHEST, FURTHEST_ACROSS = 0.3, 0.06
 
 
-# A row of loops follows from the others where it says no more than this beside them, of what a
-# radian or the longest arm changes.
-DEPENDENT = 1e-6
 # Rows that a clearance joint closes as its play vanishes, in the order of a seat's numbers.
 PLACES = ("x", "y", "z", "x.z", "y.z")
 
@@ -136,7 +146,7 @@ def _by_loops(mechanism: Mechanism, held: tuple[str, ...], first: np.ndarray) ->
     except Undetermined:
         # Leaning journals let rows speak that say nothing in the plane.
         return None, None
-    return (scene, way) if _rank(_assembled(here, way).rows) == free else (None, None)
+    return (scene, way) if rank_of(np.asarray(_assembled(here, way).rows)) == free else (None, None)
 
 
 def _with_rows(scene: Posed, here: Posed, free: int) -> tuple[Any, Any]:
@@ -149,10 +159,9 @@ def _with_rows(scene: Posed, here: Posed, free: int) -> tuple[Any, Any]:
     way, before = Way(dict.fromkeys(scene.gaps, ())), None
     while way != before:
         rows = np.asarray(_slopes(here, q, way)[0])
-        if _rank(rows) != free:
+        if rank_of(rows) != free:
             return None, None
-        ranks = [0, *(_rank(rows[: i + 1]) for i in range(len(rows)))]
-        chosen = tuple(i for i in range(len(rows)) if ranks[i + 1] > ranks[i])
+        chosen = tuple(i for i, new in enumerate(says_new(rows)) if new)
         scene = dataclasses.replace(scene, rows=chosen)
         way, before = moved_by(scene, way), way
     anywhere = {n: tuple(map(PLACES.index, gap.ideal_rows)) for n, gap in scene.gaps.items()}
@@ -161,15 +170,6 @@ def _with_rows(scene: Posed, here: Posed, free: int) -> tuple[Any, Any]:
         return None, None
     left = shifts - rows @ np.linalg.lstsq(rows, shifts, rcond=DEPENDENT)[0]
     return (scene, way) if np.abs(left).max(initial=0.0) <= DEPENDENT else (None, None)
-
-
-def _rank(rows: Any) -> int:
-    """Rank of rows each of which counts alike."""
-    sizes = np.linalg.norm(rows, axis=1, keepdims=True)
-    if not np.size(rows) or not np.all(np.isfinite(sizes)) or not np.any(sizes):
-        return 0
-    alike = np.asarray(rows) / np.where(sizes > DEPENDENT * sizes.max(), sizes, np.inf)
-    return int(np.linalg.matrix_rank(alike, tol=DEPENDENT))
 
 
 def _loops(scene: Posed, q: Array, seats: dict[str, tuple]) -> tuple[Array, Array]:
@@ -299,3 +299,72 @@ def _refuse(scene: Posed, way: Any, spot: Any, i: int, now: np.ndarray) -> NoRet
         "there, or a dead point lies on the way from the position before; "
         f'{kind} joint "{name}" fits least. Give positions within reach, closer together.'
     )
+
+
+def positions_at(
+    scene: Posed, position: Float[Array, "positions drives"], starts: Any, way: Any
+) -> Positions:
+    """The mechanism at positions of its drives, each from its own start; pure."""
+    spots = way.each(scene, position, starts)
+    read = way.read(scene, position, spots)
+    finite = jnp.all(jnp.isfinite(spots.q), axis=-1)
+    # From where the nominal mechanism stands a sample may fall to another way of assembly.
+    kept = read.found & finite & (spots.branch == starts.branch)
+    return Positions(scene, position, *read._replace(found=kept))
+
+
+def checked_positions(positions: Any) -> tuple[tuple[str, ...], np.ndarray]:
+    """Joints that are held, and their coordinates (positions, joints) [rad, m]."""
+    expect(positions, Mapping, "positions", "a dictionary from joints to their coordinates")
+    columns = {}
+    for name, values in positions.items():
+        try:
+            column = np.asarray(values, float)
+        except (TypeError, ValueError):
+            column = np.full((), np.nan)
+        if column.ndim != 1 or not len(column) or not np.all(np.isfinite(column)):
+            raise ValueError(
+                f'positions of joint "{name}" are {described(values)}; they must be finite numbers '
+                "in a row [rad, m]."
+            )
+        columns[name] = column
+    if not columns:
+        return (), np.zeros((1, 0))
+    if len({len(column) for column in columns.values()}) > 1:
+        raise ValueError("positions must tell as many coordinates of each joint as of the others.")
+    return tuple(columns), np.stack(list(columns.values()), axis=1)
+
+
+@answering
+def positions(
+    mechanism: Mechanism, positions: Mapping[str, Any], *, both_ways: bool = False
+) -> Positions:
+    """A mechanism at rest at positions of its drives, without time.
+
+    `positions`: coordinates [rad, m] by joint, as many of each; every drive must be among them. {}
+    for a mechanism without drives, which then stands once. `start` and `guess` of the mechanism
+    choose between ways to assemble. Loads are quasi-static, as at 0 s; they act without friction
+    and inertia, and contacts are rigid. `both_ways`: also under reversed loads (`.reversed`), for
+    lost motion; springs and stops stay as they are.
+
+    Where the loops determine everything else each journal lies where its own reaction presses it.
+    Elsewhere (springs, freedoms that are left, journals that share a load, play in angle) the
+    mechanism rests where its potential energy is least: near the start, from one position to the
+    next. What nothing holds is named by `warnings` of the result. Raises `ValueError` with a
+    sentence for what cannot be asked or is out of reach.
+    """
+    check_double_precision()
+    expect(mechanism, Mechanism, "what is positioned", "a jaxclear.Mechanism")
+    check_flags("positions", both_ways=both_ways)
+    held, places = checked_positions(positions)
+    scene, way, starts = sought(mechanism, held, places)
+    return both(scene, jnp.asarray(places), starts, way, both_ways)
+
+
+def both(scene: Posed, places: Array, starts: Any, way: Any, both_ways: bool) -> Positions:
+    """The positions, with those under reversed loads where these are wanted."""
+    found = positions_at(scene, places, starts, way)
+    if not both_ways:
+        return found
+    other = positions_at(scene, places, starts, way.reversed)
+    return eqx.tree_at(lambda p: p.other, found, other, is_leaf=lambda x: x is None)

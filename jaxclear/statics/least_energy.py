@@ -20,16 +20,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.formulations import equilibrium
-from jaxclear.formulations.equilibrium import Carried, Case, Measures, Rounded, Terms
-from jaxclear.formulations.quasi_static import SEAT, Posed
 from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import is_traced
 from jaxclear.multibody.assembly import nearest, ready
 from jaxclear.multibody.closure_coordinates import angles_at_start
 from jaxclear.multibody.start_equations import ask, motions_at, retract
-from jaxclear.results.positions import Positions
+from jaxclear.statics import equilibrium
+from jaxclear.statics.equilibrium import Carried, Case, Measures, Rounded, Terms
+from jaxclear.statics.quasi_static import SEAT, Posed, Read
 
 # Turns after which a position that is not found counts as none, and turns of the last search.
 MOST_TURNS, LAST_TURNS = 300, 4
@@ -108,7 +107,7 @@ class ByEnergy(eqx.Module):
         ]
         return _split_before(jax.tree.map(lambda *own: jnp.stack(own), *found), starts)
 
-    def read(self, scene: Posed, position: Array, spots: Rest) -> Positions:
+    def read(self, scene: Posed, position: Array, spots: Rest) -> Read:
         """What is read of the mechanism at positions (positions, drives) and where it rests."""
         lies = lambda own, spot: equilibrium.offsets(_case(scene.at(own), spot, self), spot.q)
         seats = jax.vmap(lies)(position, spots)
@@ -116,7 +115,7 @@ class ByEnergy(eqx.Module):
         carried = Carried(*held, self.rounded, self.side)
         moving = {name: tuple(range(SEAT)) for name in seats}
         found = spots.change <= LEFT
-        return Positions(scene, position, spots.q, seats, found, 1.0, moving, None, carried)
+        return Read(spots.q, seats, found, 1.0, moving, None, carried)
 
     def amiss(self, scene: Posed, spot: Rest) -> tuple[dict[str, Any], dict[str, Any]]:
         """By how much loops are open [m, 1] and journals deep in their bearings [m], by joint."""

@@ -23,14 +23,6 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.formulations.permanent_reactions import Reaction
-from jaxclear.formulations.quasi_static import (
-    Posed,
-    acting,
-    loop_rows,
-    open_loops,
-    reactions_of,
-    unheld,
-)
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import closure_coordinates, constraints, contact_point, kinematics
 from jaxclear.multibody.forces import add_action_and_reaction
@@ -39,6 +31,14 @@ from jaxclear.multibody.start_equations import retract
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, prepare
 from jaxclear.multibody.tree import Motion
+from jaxclear.statics.quasi_static import (
+    Posed,
+    acting,
+    loop_rows,
+    open_loops,
+    reactions_of,
+    unheld,
+)
 
 # Of the slope [1] of a gap at the middle, beside 1: rounding.
 LEVEL = 1e-9
