@@ -210,7 +210,7 @@ def test_no_super_and_no_hasattr(path):
     ]
     # an exception hands its message to Python's own base class; a module of the platform may lack a
     # function
-    lines = {"simulation/simulate.py": ["super"], "studies/batch.py": ["hasattr"]}
+    lines = {"simulation/simulate.py": ["super"], "studies/ledger/batch.py": ["hasattr"]}
     assert [name for name in called if name in ("super", "hasattr")] == lines.get(
         identify(path), []
     )

@@ -18,7 +18,8 @@ from jaxclear.commands import antenna, design, flap, four_bar, guide, parallel_3
 from jaxclear.commands.examples import example
 from jaxclear.commands.own_scene import monte_carlo, parameters, run
 from jaxclear.commands.report.command import report
-from jaxclear.studies.store import OtherStudy
+from jaxclear.studies.ledger.ledger import OtherStudy
+from jaxclear.studies.ledger.pieces import Unwritable
 
 __all__ = ["answer"]
 
@@ -54,7 +55,7 @@ def answer(name: str, options: dict[str, Any]) -> None:
         given["show"] = not given.pop("quiet")
     try:
         COMMANDS[name](**given)
-    except (jc.SimulationError, OtherStudy) as error:
+    except (jc.SimulationError, OtherStudy, Unwritable) as error:
         raise click.ClickException(str(error)) from None
 
 

@@ -15,10 +15,10 @@ from jaxclear.ground.shown import AbstractShown
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.figures import Checks
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.batch import chunk_size, evaluate_all
 from jaxclear.studies.datasets import of_samples
 from jaxclear.studies.endless import answered, check_told, endless_sentences, refuse_endless
 from jaxclear.studies.growing import FIRST_SAMPLES, Grown, first_of, responses_of, until_accurate
+from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
 from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
 from jaxclear.studies.statistics.accuracy import asked_of

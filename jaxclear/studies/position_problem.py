@@ -27,8 +27,8 @@ from jaxclear.simulation.position_path import sought
 from jaxclear.simulation.positions import both, checked_positions
 from jaxclear.simulation.spot import Spot, Way
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
-from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.inputs import correlation_matrix
+from jaxclear.studies.ledger.batch import sample_of_chunk
 from jaxclear.studies.responses import answer, by_name, check_answers, check_responses
 from jaxclear.studies.variable import (
     AbstractMechanismVariable,

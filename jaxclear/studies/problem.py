@@ -59,7 +59,6 @@ from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.answers import answers
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
-from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.chosen_integrator import (
     allowed,
     checked_asked,
@@ -67,6 +66,7 @@ from jaxclear.studies.chosen_integrator import (
     unasked,
 )
 from jaxclear.studies.inputs import correlation_matrix
+from jaxclear.studies.ledger.batch import sample_of_chunk
 from jaxclear.studies.responses import Thinned, by_name, check_answers, check_responses
 from jaxclear.studies.variable import (
     AbstractMechanismVariable,

@@ -20,7 +20,7 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.batch import chunk_size, evaluate_all
+from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.statistics.numerical_error import NumericalError, bias_of
 
 __all__ = [
@@ -112,7 +112,6 @@ def replicas_of(
         chunk=together,
         progress_bar=progress_bar,
         label="replicas",
-        kept_as="replicas",
     )
     return together_with(problem, found, finer, count)
 

@@ -29,8 +29,7 @@ from jaxclear.files.reading import read
 from jaxclear.files.scene_file import RUN, TOP, scene_text
 from jaxclear.files.text import parsed
 from jaxclear.files.writing import in_plain_values
-from jaxclear.studies.identity import first_difference
-from jaxclear.studies.texts import in_texts
+from jaxclear.studies.texts import difference, in_texts
 
 # Numbers that bound each other, words of a few, and what only fits together.
 TOGETHER = {
@@ -419,7 +418,7 @@ def test_a_scene_asks_the_same_after_it_was_written(ending, tmp_path):
     scene = asked()
     again = written_and_read(scene, tmp_path / f"scene{ending}")
     assert in_texts(again.problem()) == in_texts(scene.problem())
-    assert first_difference(scene.problem(), again.problem()) == ""
+    assert difference(scene.problem(), again.problem()) == ""
 
 
 def test_numbers_keep_every_digit(tmp_path):

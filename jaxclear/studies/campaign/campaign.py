@@ -11,22 +11,20 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.wording import listed, meant
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.campaign.layout import KIND
 from jaxclear.studies.campaign.plan import planned
 from jaxclear.studies.campaign.recorded import RecordedProblem
 from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.campaign.run import Wanted, computed
-from jaxclear.studies.campaign.samples import Samples
+from jaxclear.studies.campaign.samples import KIND, Samples
 from jaxclear.studies.campaign.studies import kept_study, refuse_uncompiled
 from jaxclear.studies.campaign.work import AbstractWork, Threads
 from jaxclear.studies.campaign.workers import Workers, check_client
 from jaxclear.studies.growing import FIRST_SAMPLES, first_of
+from jaxclear.studies.ledger.ledger import refuse_other
+from jaxclear.studies.ledger.pieces import checked_folder
 from jaxclear.studies.sampling import check_sampled, checked_scramblings
 from jaxclear.studies.statistics.accuracy import asked_of
-from jaxclear.studies.store import checked_folder, refuse_other
 from jaxclear.studies.texts import in_texts
-
-__all__ = ["campaign", "open_campaign"]
 
 # What a campaign takes beside the arguments that it names.
 SAMPLED = ("sampling", "scramblings", "accuracy", "chunk")
@@ -45,13 +43,14 @@ def campaign(
     progress_bar: bool = False,
     **settings: Any,
 ) -> Any:
-    """A Monte Carlo study of any size, kept in a folder (Zarr) chunk by chunk: values, responses,
-    outcomes, warnings, seed, versions and what the problem is.
+    """A Monte Carlo study of any size, kept in a folder chunk by chunk: values, responses,
+    outcomes, warnings, seed, versions and what the problem is, as text and NumPy's archives.
 
     Asked again, it goes on from the chunks that are finished, also to more samples: it becomes what
     it would be had it been asked for them at once, in the scramblings that the folder has.
     Samples in a last chunk that was not full are computed again, and count as unfinished until
-    then. A folder of another problem, or of other samples, is refused with what differs. Ctrl-C
+    then; so are chunks that are missing or damaged, and a warning says so. A folder of another
+    problem, or of other samples, is refused with what differs. Ctrl-C
     keeps all finished chunks; whatever ends the process, the chunks in work, one a thread, are all
     that is lost. Several processes may work at one folder: each chunk is claimed by one. Memory
     does not grow with the samples.

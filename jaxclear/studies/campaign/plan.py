@@ -5,20 +5,16 @@ alone: it is the same to the last bit in whatever chunks, threads and processes 
 """
 
 import threading
-from collections.abc import Callable
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from jaxclear.native import stops
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.batch import CHUNK_MEMORY, asked_of_lapack
-from jaxclear.studies.campaign.devices import devices, laid_out, on_all_devices
+from jaxclear.studies.ledger.batch import Program, devices, usual_batch
 from jaxclear.studies.sampling import Drawing, groups
-
-__all__ = ["Evaluation", "Plan", "Program", "Stopped", "planned", "usual_batch"]
 
 # A campaign has about this many chunks at the most. Samples that are cheap beside a file come in
 # fewer and larger ones.
@@ -28,10 +24,6 @@ MOST_CHUNKS, MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK = 1024, 32, 1 << 14
 BATCHES, OF_CAMPAIGN = 4, 64
 # Samples are drawn in blocks of whole chunks, about so many, because a small draw costs as much.
 DRAWN = 1 << 14
-
-
-class Stopped(Exception):
-    """The chunk in work was interrupted; what was computed of it counts for nothing."""
 
 
 class Plan(NamedTuple):
@@ -66,12 +58,6 @@ class Plan(NamedTuple):
         return groups(self.samples, self.scramblings)
 
 
-def usual_batch(problem: AbstractProblem) -> int:
-    """Samples of a problem that are best computed together."""
-    fits = max(CHUNK_MEMORY // max(problem.sample_memory(), 1), 1)
-    return int(min(problem.most_together(), fits))
-
-
 def planned(
     problem: AbstractProblem, drawn: tuple[int, int, str, int], chunk: int | None, most: int
 ) -> Plan:
@@ -88,35 +74,6 @@ def planned(
     return Plan(*drawn, min(batch, most), -(-chunk // batch) * batch)
 
 
-class Program:
-    """A problem's compiled program in this process, shared by its threads."""
-
-    def __init__(self, problem: AbstractProblem):
-        self.problem = problem
-        self._compiling, self._alone = threading.Lock(), threading.Lock()
-        # By size of batches: what one of no work gave, and whether the program calls LAPACK.
-        self._compiled: dict[int, tuple[SampleResult, bool]] = {}
-
-    def begun(self, batch: int) -> SampleResult:
-        """What a batch of work as little as possible gives; compiles the program, once."""
-        return self._of(batch * devices())[0]
-
-    def run(self, values: np.ndarray) -> SampleResult:
-        """What a batch of samples gives."""
-        # Programs that call LAPACK go one by one (see `native.calls_lapack`).
-        _, calls_lapack = self._of(len(values))
-        with self._alone if calls_lapack else _Free():
-            return _evaluated(self.problem, values)[0]
-
-    def _of(self, batch: int) -> tuple[SampleResult, bool]:
-        with self._compiling:
-            if batch not in self._compiled:
-                nominal = np.tile(self.problem.nominal(), (batch, 1))
-                found, lapack = _evaluated(self.problem.idle(), nominal)
-                self._compiled[batch] = found, bool(lapack)
-            return self._compiled[batch]
-
-
 class Evaluation:
     """What a plan asks a program for, chunk by chunk."""
 
@@ -125,10 +82,6 @@ class Evaluation:
         self._stops = stops()
         self._drawing = threading.Lock()
         self._drawn: dict[int, np.ndarray] = {}
-
-    def follow(self, plan: Plan) -> None:
-        """Goes over to a plan of other sizes."""
-        self.plan, self._drawn = plan, {}
 
     @cached_property
     def _sample(self) -> Drawing:
@@ -154,25 +107,6 @@ class Evaluation:
         batch, count = self.plan.batch * devices(), len(values)
         # The last batch is filled up with copies, so that all run the one compiled program.
         padded = np.concatenate([values, np.repeat(values[-1:], -count % batch, axis=0)])
-        found = [self._one(piece) for piece in padded.reshape(-1, batch, values.shape[1])]
+        pieces = padded.reshape(-1, batch, values.shape[1])
+        found = [self.program.run(piece, self._stops) for piece in pieces]
         return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *found)
-
-    def _one(self, values: np.ndarray) -> SampleResult:
-        found = self.program.run(values)
-        if stops() != self._stops:
-            raise Stopped
-        return found
-
-
-class _Free:
-    """A lock that everyone may hold."""
-
-    def __enter__(self) -> None: ...
-
-    def __exit__(self, *reason: Any) -> None: ...
-
-
-def _evaluated(problem: AbstractProblem, values: np.ndarray) -> tuple[SampleResult, Any]:
-    """What a batch on each device gives, on the host, and whether its program calls LAPACK."""
-    evaluate: Callable = asked_of_lapack
-    return jax.tree.map(np.asarray, evaluate(on_all_devices(), problem, laid_out(values)))

@@ -13,8 +13,7 @@ from jaxclear.ground.shown import shown_in_words
 from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.dataset import dataset_of
-from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.campaign.verified import known_replicas
+from jaxclear.studies.campaign.samples import VALUES, Samples
 from jaxclear.studies.endless import answered
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.limits import Limits, check_limits
@@ -22,10 +21,7 @@ from jaxclear.studies.statistics.numerical_error import NumericalError
 from jaxclear.studies.statistics.scrambled import Statistic
 from jaxclear.studies.statistics.summary import summary_of, summary_row
 from jaxclear.studies.statistics.tolerance_interval import ToleranceInterval
-from jaxclear.studies.store import first_difference
-from jaxclear.studies.texts import in_texts
-
-__all__ = ["READ", "Campaign"]
+from jaxclear.studies.texts import difference, first_difference, in_texts
 
 # Samples that are read together, about.
 READ = 1 << 16
@@ -69,7 +65,7 @@ class Campaign:
     @property
     def versions(self) -> tuple[dict[str, str], ...]:
         """Versions of jaxclear, JAX, Python and others that computed these samples."""
-        return tuple(self._samples.versions().values())
+        return self._samples.versions()
 
     @cached_property
     def sample(self) -> MonteCarlo:
@@ -78,7 +74,7 @@ class Campaign:
             raise self._empty()
         parts = [self._samples.found(at) for at in self._spans()]
         found = jax.tree.map(lambda *own: np.concatenate(own), *parts)
-        values = np.concatenate([self._samples.read("values", at) for at in self._spans()])
+        values = np.concatenate([self._samples.read(at, VALUES)[VALUES] for at in self._spans()])
         return self._study(values, found)
 
     def sample_of(self, problem: AbstractProblem) -> MonteCarlo:
@@ -174,8 +170,7 @@ class Campaign:
     def to_dataset(self) -> Any:
         """All samples as an xarray Dataset that is read when it is used: variables and responses by
         name with units, outcomes, figures of the checks; what was computed and by what, as
-        attributes. Samples that are not finished have outcome -1 and nan; where there are such, all
-        is read at once."""
+        attributes. Samples that are not finished have outcome -1 and nan."""
         return dataset_of(self._samples)
 
     def sentence(self) -> str:
@@ -255,7 +250,7 @@ class Campaign:
             found.checks,
             self._groups(),
             self._unfinished(),
-            known_replicas(self.folder),
+            self._samples.replicas(),
             self._samples.earlier(),
         )
 
@@ -264,3 +259,20 @@ def _as_figure(beyond: np.ndarray) -> Figure:
     """A figure that is infinite where it is beyond its limit (samples,)."""
     worst: Any = np.where(beyond, np.inf, 0.0).astype(np.float16)[:, None]
     return Figure(worst, np.zeros_like(worst), ("",))
+
+
+GivenSample = MonteCarlo | Campaign
+
+
+def given_sample(problem: AbstractProblem, sample: GivenSample) -> MonteCarlo:
+    """The sample that a study is given instead of drawing one, in memory. Raises `ValueError` with
+    a sentence for one of another problem."""
+    if isinstance(sample, Campaign):
+        return sample.sample_of(problem)
+    differs = difference(sample.problem, problem)
+    if differs:
+        raise ValueError(
+            f"the sample is of another problem ({differs}); give a sample of this one, "
+            "jaxclear.monte_carlo(problem), or how many samples to draw."
+        )
+    return sample

@@ -5,21 +5,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import described, listed
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.campaign.requests import kept_requests
 from jaxclear.studies.design.design import design
+from jaxclear.studies.ledger.ledger import Ledger, current
+from jaxclear.studies.ledger.pieces import checked_folder
 from jaxclear.studies.life.lives import wear_lives
 from jaxclear.studies.life.wear_life import wear_life
 from jaxclear.studies.reliability.reliability import reliability
 from jaxclear.studies.sensitivity.sensitivity import sensitivity
 from jaxclear.studies.statistics.shapley import shapley_effects
 from jaxclear.studies.statistics.sobol_indices import sobol_indices
-from jaxclear.studies.store import checked_folder
 from jaxclear.studies.surface.surface import surface
+from jaxclear.studies.texts import in_texts
 from jaxclear.studies.worst_case import worst_case
-
-__all__ = ["kept_study", "refuse_uncompiled"]
 
 # What they keep, in words. Some keep records of their own; of others all samples are kept.
 OWN_RECORDS = {wear_life: "a wear life", wear_lives: "wear lives", design: "a design"}
@@ -63,7 +63,8 @@ def kept_study(
     try:
         if study in OWN_RECORDS:
             return study(problem, store=path, **settings)
-        with kept_requests(path, BY_SAMPLES[study]):
+        expect(problem, AbstractProblem, "problem of campaign", "a jaxclear.Problem")
+        with current(Ledger.opened(path, BY_SAMPLES[study], in_texts(problem))):
             return study(problem, **settings)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(

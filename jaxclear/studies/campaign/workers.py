@@ -8,8 +8,6 @@ chunks that are quick; each of them is written by itself.
 """
 
 import functools
-import hashlib
-import json
 import secrets
 import threading
 import time
@@ -22,13 +20,13 @@ import numpy as np
 
 from jaxclear.ground.wording import described
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.campaign.layout import SAMPLES
-from jaxclear.studies.campaign.plan import Evaluation, Plan, Program
+from jaxclear.studies.campaign.plan import Evaluation, Plan
 from jaxclear.studies.campaign.samples import Samples
 from jaxclear.studies.campaign.work import PATIENCE, AbstractWork, Heard, done, finer
+from jaxclear.studies.ledger.batch import Program
+from jaxclear.studies.ledger.ledger import STUDY
+from jaxclear.studies.ledger.pieces import address_of
 from jaxclear.studies.texts import in_texts
-
-__all__ = ["Workers", "check_client"]
 
 # Blocks asked of the scheduler at a time, at least, and for each thread of the workers; a thread is
 # given so many while nothing is known of their time.
@@ -60,32 +58,18 @@ class Workers(AbstractWork):
     def __init__(self, problem: AbstractProblem, client: Any):
         self.problem, self.client = problem, client
         # The texts that a problem is known by tell a worker whether it has compiled it before.
-        self.token = hashlib.sha256(json.dumps(in_texts(problem)).encode()).hexdigest()
+        self.token = address_of(in_texts(problem))
         self.there: Any = None
-        self.compiling: list[Any] = []
-
-    def begun(self, plan):
-        import distributed
-
-        self._joined()
-        # All workers compile side by side; what the first one finds is what all find.
-        options = {"allow_other_workers": True, "pure": False}
-        what = self.there, self.token, plan
-        self.compiling = [
-            self.client.submit(_compiled, *what, workers=[own], **options)
-            for own in self.client.nthreads()
-        ]
-        return next(distributed.as_completed(self.compiling)).result()
 
     def compute(self, samples, numbers, heard):
         """As of every work. Raises `RuntimeError` with a sentence where a chunk ends its
         workers."""
         import distributed
 
-        if numbers:
-            self._joined()
+        self._joined()
         # What a worker knows of a folder is as it was when this began.
-        what = self.there, self.token, str(samples.folder.resolve()), secrets.token_hex(8)
+        place, most = str(samples.folder.resolve()), samples.plan.samples
+        what = self.there, self.token, place, most, secrets.token_hex(8)
         blocks = Blocks(numbers, max(sum(self.client.nthreads().values()), 1))
         asked: dict[Any, list[int]] = {}
         running = distributed.as_completed()
@@ -124,7 +108,7 @@ class Workers(AbstractWork):
         return self
 
     def __exit__(self, *reason):
-        self.client.cancel([self.there, *self.compiling])
+        self.client.cancel([self.there])
 
 
 class Blocks:
@@ -184,16 +168,7 @@ def _itself(problem: AbstractProblem) -> AbstractProblem:
     return problem
 
 
-def _compiled(problem: AbstractProblem, token: str, plan: Plan) -> SampleResult:
-    """What a batch of a plan gives that does as little as possible, on a worker."""
-    with _MAKING:
-        program = _program(_Once(token, problem))
-    return program.begun(plan.batch)
-
-
-def _finer(
-    problem: AbstractProblem, token: str, plan: Plan, values: np.ndarray
-) -> SampleResult | None:
+def _finer(problem: AbstractProblem, token: str, plan: Plan, values: np.ndarray) -> SampleResult:
     """What samples of these values give in finer runs, on a worker, by the program of its own."""
     with _MAKING:
         program = _program(_Once(token, problem))
@@ -201,12 +176,12 @@ def _finer(
 
 
 def _on_worker(
-    problem: AbstractProblem, token: str, folder: str, campaign: str, block: list[int]
+    problem: AbstractProblem, token: str, folder: str, most: int, campaign: str, block: list[int]
 ) -> tuple[list[int | None], float]:
     """Computes and keeps the chunks of a block, on a worker: what `done` says of each, and how
     long they took [s]."""
     with _MAKING:
-        samples, evaluation = _ready(_Once(token, problem), folder, campaign)
+        samples, evaluation = _ready(_Once(token, problem), folder, most, campaign)
     begun = time.perf_counter()
     failed = [done(samples, evaluation, number) for number in block]
     return failed, time.perf_counter() - begun
@@ -229,16 +204,16 @@ class _Once:
 @functools.lru_cache(maxsize=4)
 def _program(known: _Once) -> Program:
     """The program of the problem that came first: it serves later campaigns too."""
-    return Program(known.problem)
+    return Program(known.problem, wide=True)
 
 
 @functools.lru_cache(maxsize=4)
-def _ready(known: _Once, folder: str, campaign: str) -> tuple[Samples, Evaluation]:
+def _ready(known: _Once, folder: str, most: int, campaign: str) -> tuple[Samples, Evaluation]:
     """The folder and the program of a campaign on this worker."""
-    if not (Path(folder) / SAMPLES).exists():
+    if not (Path(folder) / STUDY).exists():
         raise ValueError(
             f"a worker does not see the folder {folder} of the campaign; give one that all workers "
             "share."
         )
-    samples = Samples(Path(folder))
+    samples = Samples.opened(folder).view(most)
     return samples, Evaluation(_program(known), samples.plan)
