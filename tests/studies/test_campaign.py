@@ -14,7 +14,6 @@ import pytest
 import jaxclear as jc
 from jaxclear.native import stop
 from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.campaign.workers import WORTH, Blocks
 from jaxclear.studies.ledger import batch
 from jaxclear.studies.ledger.ledger import Ledger
 from jaxclear.studies.ledger.pieces import PIECES
@@ -258,40 +257,3 @@ def test_any_study_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
         jc.campaign(asked, 64, folder=tmp_path / "kept", study=jc.monte_carlo)
     with pytest.raises(ValueError, match="sensitivity has no client"):
         jc.campaign(asked, 64, client=1, **ask)
-
-
-def asked(chunks, threads, each):
-    """Sizes of the blocks that threads are given whose chunks take so long [s] each, and what is
-    heard: blocks are answered in their order."""
-    blocks, waiting, sizes, told = Blocks(range(chunks), threads), [], [], []
-    while blocks.left or waiting:
-        while blocks.left and len(waiting) < blocks.most:
-            waiting.append(blocks.next())
-            sizes.append(len(waiting[-1]))
-        block = waiting.pop(0)
-        others = blocks.heard(
-            block, [0] * len(block), each * len(block), lambda n, _: told.append(n)
-        )
-        assert not others
-    assert sorted(told) == list(range(chunks))
-    return sizes
-
-
-def test_a_task_of_dask_is_as_many_chunks_as_are_worth_it():
-    """Nothing is known of the first ones; quick ones come in blocks, fewer toward the end."""
-    quick = asked(5000, 2, WORTH / 100)
-    assert quick[:4] == [1] * 4
-    assert max(quick) == 100
-    assert quick[-1] == 1
-    assert sum(quick[-4:]) < 10
-    assert set(asked(100, 2, 3 * WORTH)) == {1}
-    assert max(asked(40, 4, 1e-6)) <= 40 / 4
-    assert max(asked(40, 4, 0.0)) <= 40 / 4
-
-
-def test_chunks_that_others_are_at_are_asked_for_again():
-    blocks, told = Blocks(range(2), 1), []
-    first = blocks.next()
-    assert blocks.heard(first, [None], 0.1, lambda *own: told.append(own))
-    assert list(blocks.left) == [1, 0]
-    assert not told

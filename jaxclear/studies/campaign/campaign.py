@@ -11,11 +11,10 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.wording import listed, meant
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.campaign.plan import planned
 from jaxclear.studies.campaign.recorded import RecordedProblem
 from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.campaign.run import Wanted, computed
-from jaxclear.studies.campaign.samples import KIND, Samples
+from jaxclear.studies.campaign.samples import KIND, Samples, planned
 from jaxclear.studies.campaign.studies import kept_study, refuse_uncompiled
 from jaxclear.studies.campaign.work import AbstractWork, Threads
 from jaxclear.studies.campaign.workers import Workers, check_client

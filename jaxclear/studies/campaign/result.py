@@ -1,5 +1,6 @@
 """What a campaign has found so far, read from its folder as it is asked for."""
 
+import functools
 import json
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
@@ -17,14 +18,26 @@ from jaxclear.studies.campaign.samples import VALUES, Samples
 from jaxclear.studies.endless import answered
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.limits import Limits, check_limits
-from jaxclear.studies.statistics.numerical_error import NumericalError
-from jaxclear.studies.statistics.scrambled import Statistic
 from jaxclear.studies.statistics.summary import summary_of, summary_row
-from jaxclear.studies.statistics.tolerance_interval import ToleranceInterval
 from jaxclear.studies.texts import difference, first_difference, in_texts
 
 # Samples that are read together, about.
 READ = 1 << 16
+
+
+def _of_all(method: Callable) -> Any:
+    """A method of `MonteCarlo`, asked of the whole study in memory."""
+    return functools.wraps(method)(lambda self, *given, **how: method(self.sample, *given, **how))
+
+
+def _of_one(method: Callable) -> Any:
+    """A method of `MonteCarlo` that asks about a response, with that one in memory."""
+
+    @functools.wraps(method)
+    def asked(self: "Campaign", response: str, *given: Any, **how: Any) -> Any:
+        return method(self._reduced(response), response, *given, **how)
+
+    return asked
 
 
 @shown_in_words
@@ -108,57 +121,18 @@ class Campaign:
         """Indices of the samples that did not fail and carry a warning."""
         return self._reduced(self.problem.response_names[0]).warned
 
-    def failures(self) -> dict[int, str]:
-        """Why each failed sample failed, by its index."""
-        return self.sample.failures()
-
-    def warnings(self) -> dict[int, tuple[str, ...]]:
-        """What each sample warns of that does, by its index."""
-        return self.sample.warnings()
-
-    def rerun(self, index: int) -> Any:
-        """One sample alone, bit for bit as it was, as `MonteCarlo.rerun`."""
-        return self.sample.rerun(index)
-
-    def table(self) -> Any:
-        """All samples as a pandas table, as `MonteCarlo.table`."""
-        return self.sample.table()
-
-    def mean(self, response: str) -> Statistic:
-        """Mean of a response."""
-        return self._reduced(response).mean(response)
-
-    def numerical_error(
-        self, response: str, statistic: Callable[[np.ndarray], float] = np.mean
-    ) -> NumericalError:
-        """As `MonteCarlo.numerical_error`."""
-        return self._reduced(response).numerical_error(response, statistic)
-
-    def standard_deviation(self, response: str) -> Statistic:
-        """Standard deviation of a response."""
-        return self._reduced(response).standard_deviation(response)
-
-    def quantile(self, response: str, share: float) -> Statistic:
-        """The value that a `share` [1] of the samples does not exceed."""
-        return self._reduced(response).quantile(response, share)
-
-    def share_within(self, limits: Mapping[str, Limits]) -> Statistic:
-        """The yield [1], as `MonteCarlo.share_within`."""
-        return self.sample.share_within(limits)
-
-    def process_capability(self, response: str, limits: Limits) -> Statistic:
-        """Cpk [1] between limits, as `MonteCarlo.process_capability`."""
-        return self._reduced(response).process_capability(response, limits)
-
-    def tolerance_interval(
-        self, response: str, content: float = 0.99, confidence: float = 0.95, **how: Any
-    ) -> ToleranceInterval:
-        """As `MonteCarlo.tolerance_interval`."""
-        return self._reduced(response).tolerance_interval(response, content, confidence, **how)
-
-    def error_budget(self, response: str) -> dict[str, Statistic]:
-        """What each variable contributes to the variance, as `MonteCarlo.error_budget`."""
-        return self.sample.error_budget(response)
+    failures = _of_all(MonteCarlo.failures)
+    warnings = _of_all(MonteCarlo.warnings)
+    rerun = _of_all(MonteCarlo.rerun)
+    table = _of_all(MonteCarlo.table)
+    share_within = _of_all(MonteCarlo.share_within)
+    error_budget = _of_all(MonteCarlo.error_budget)
+    mean = _of_one(MonteCarlo.mean)
+    numerical_error = _of_one(MonteCarlo.numerical_error)
+    standard_deviation = _of_one(MonteCarlo.standard_deviation)
+    quantile = _of_one(MonteCarlo.quantile)
+    process_capability = _of_one(MonteCarlo.process_capability)
+    tolerance_interval = _of_one(MonteCarlo.tolerance_interval)
 
     def summary(self, limits: Mapping[str, Limits] | None = None) -> Any:
         """The table of `MonteCarlo.summary`, one response at a time."""

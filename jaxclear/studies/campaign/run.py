@@ -2,24 +2,26 @@
 larger where more are asked for, what it lacks is computed, and its first samples get replicas.
 """
 
+import dataclasses
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from tqdm import tqdm
 
 from jaxclear.ground.warning import warn
-from jaxclear.studies.campaign.plan import Plan
+from jaxclear.integrators.figures import Checks
 from jaxclear.studies.campaign.recorded import in_json
 from jaxclear.studies.campaign.result import READ, Campaign
-from jaxclear.studies.campaign.samples import KIND, RESPONSES, VALUES, Samples
+from jaxclear.studies.campaign.samples import KIND, RESPONSES, VALUES, Plan, Samples
 from jaxclear.studies.campaign.work import AbstractWork, Heard
 from jaxclear.studies.growing import until_accurate
 from jaxclear.studies.ledger.batch import usual_batch
 from jaxclear.studies.ledger.ledger import refuse_other
-from jaxclear.studies.replicas import MOST_REPLICAS, joined, together_with
+from jaxclear.studies.replicas import MOST_REPLICAS
 from jaxclear.studies.sampling import groups
 from jaxclear.studies.statistics.accuracy import Asked, Piece
 from jaxclear.studies.texts import in_texts
@@ -122,19 +124,21 @@ def _verify(samples: Samples, by: AbstractWork) -> None:
     import filelock
 
     with filelock.FileLock(samples.folder / VERIFYING, thread_local=False):
-        known, lacking = samples.replicas(), _lacking(samples)
+        known, lacking = samples.finer(), _lacking(samples)
         if not len(lacking):
             return
-        at = slice(lacking.start, lacking.stop)
-        finer = by.replicated(samples.plan, samples.read(at, VALUES)[VALUES])
-        found = together_with(by.problem, samples.found(at), finer, len(lacking))
-        samples.keep_replicas(found if known is None else joined(known, found))
+        values = samples.read(slice(lacking.start, lacking.stop), VALUES)[VALUES]
+        found = dataclasses.replace(by.replicated(samples.plan, values), checks=Checks())
+        parts = [own for own in (known, found) if own is not None]
+        samples.keep_finer(jax.tree.map(lambda *own: np.concatenate(own), *parts))
 
 
 def _lacking(samples: Samples) -> range:
     """Numbers of the first samples without replicas."""
-    known = samples.replicas()
-    return range(0 if known is None else known.count, min(MOST_REPLICAS, samples.plan.samples))
+    known = samples.finer()
+    return range(
+        0 if known is None else len(known.outcome), min(MOST_REPLICAS, samples.plan.samples)
+    )
 
 
 @contextmanager

@@ -1,5 +1,5 @@
-"""Samples of a campaign in its folder: a file for each chunk, found by what the samples are drawn
-from, and what the folder tells of them.
+"""Samples of a campaign in its folder: which ones are planned, a file for each chunk of them, found
+by what they are drawn from, and what the folder tells of them.
 
 A chunk is finished where its file has all its samples, or more: a sample is the same whatever
 becomes of the plan. A last chunk that was not full is written again where the samples become more.
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,8 +20,8 @@ from jaxclear.ground.warning import warn
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.figures import Checks, Figure
-from jaxclear.studies.base import SampleResult
-from jaxclear.studies.campaign.plan import Plan
+from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.ledger.batch import devices, usual_batch
 from jaxclear.studies.ledger.earlier import EarlierSamples
 from jaxclear.studies.ledger.ledger import STUDY, DamagedFolder, refuse_foreign, tell, told_of
 from jaxclear.studies.ledger.pieces import (
@@ -32,8 +32,15 @@ from jaxclear.studies.ledger.pieces import (
     put,
     refuse_unwritable,
 )
-from jaxclear.studies.replicas import Replicas
+from jaxclear.studies.replicas import Replicas, together_with
+from jaxclear.studies.sampling import groups
 
+# A campaign has about this many chunks at the most. Samples that are cheap beside a file come in
+# fewer and larger ones.
+MOST_CHUNKS, MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK = 1024, 32, 1 << 14
+# A chunk of runs is a batch, of a large campaign so many batches (files cost where runs are quick),
+# but no more than this part of it.
+BATCHES, OF_CAMPAIGN = 4, 64
 KIND = "a Monte Carlo campaign"
 # What is kept of each sample; the figures of its checks, and when they were met.
 VALUES, RESPONSES, OUTCOME, ENDED, WORST, WHEN = COLUMNS = (
@@ -46,12 +53,60 @@ VALUES, RESPONSES, OUTCOME, ENDED, WORST, WHEN = COLUMNS = (
 )
 # Columns that repeat themselves.
 SQUEEZED = (OUTCOME, ENDED, WORST, WHEN)
-VERSIONS = "versions"
+VERSIONS, FINER = "versions", "finer"
 # Held while the plan is changed.
 PLANNING = ".planning"
 # Up to how many samples all had been finished once; what versions up to 0.29 found of the nominal
 # sample.
 WHOLE, NOMINAL = "whole", "second_look"
+
+
+class Plan(NamedTuple):
+    """`samples` in independent `scramblings`, drawn from `seed`; computed in batches of `batch`,
+    kept in chunks of `chunk` samples, a multiple of the batch."""
+
+    samples: int
+    seed: int
+    sampling: str
+    scramblings: int
+    batch: int
+    chunk: int
+
+    @property
+    def chunks(self) -> int:
+        """Number of chunks."""
+        return -(-self.samples // self.chunk)
+
+    def larger(self, samples: int, usual: int) -> "Plan":
+        """The plan of more samples. A campaign that was to be smaller than a batch of the `usual`
+        size gets larger ones; nothing of it stays, for no chunk is smaller than such a batch."""
+        small = self.samples < self.chunk
+        larger = max(self.batch, min(usual, samples)) if small else self.batch
+        return self._replace(samples=samples, batch=larger)
+
+    def span(self, number: int) -> tuple[int, int]:
+        """First sample of a chunk, and the one after its last."""
+        return number * self.chunk, min((number + 1) * self.chunk, self.samples)
+
+    def groups(self) -> np.ndarray:
+        """The scrambling (samples,) of every sample."""
+        return groups(self.samples, self.scramblings)
+
+
+def planned(
+    problem: AbstractProblem, drawn: tuple[int, int, str, int], chunk: int | None, most: int
+) -> Plan:
+    """The plan of samples, seed, sampling and scramblings to begin with, of which there will be
+    `most`; in chunks of at least so many samples if they are given. Chunks are of whole batches of
+    the usual size, also where there are not as many samples."""
+    batch = usual_batch(problem)
+    if chunk is None:
+        # Runs have an idle form; what is evaluated at once has none.
+        cheap = problem.idle() is problem
+        some = min(BATCHES * batch, most // OF_CAMPAIGN)
+        chunks, least = (MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK) if cheap else (MOST_CHUNKS, some)
+        chunk = max(-(-most // chunks), least, batch * devices())
+    return Plan(*drawn, min(batch, most), -(-chunk // batch) * batch)
 
 
 class Samples:
@@ -246,33 +301,28 @@ class Samples:
         outcome = columns[OUTCOME].astype(np.int32)
         return SampleResult(by_name, outcome, columns[ENDED], Checks.of(figures))
 
+    def finer(self) -> SampleResult | None:
+        """What the first samples gave in finer runs; None where none is kept."""
+        piece = self.pieces.read(address_of(self._drawn, FINER))
+        if piece is None:
+            return None if self._earlier is None else self._earlier.finer()
+        columns: dict[str, Any] = piece.arrays
+        by_name = dict(zip(self._names, columns[RESPONSES], strict=True))
+        return SampleResult(by_name, columns[OUTCOME], columns[ENDED])
+
+    def keep_finer(self, found: SampleResult) -> None:
+        """Keeps what the first samples gave in finer runs."""
+        rows = np.stack([found.responses[name] for name in self._names])
+        columns = {RESPONSES: rows, OUTCOME: found.outcome, ENDED: found.ended}
+        self.pieces.write(address_of(self._drawn, FINER), {}, columns)
+
     def replicas(self) -> Replicas | None:
         """The replicas of the first samples; None where there are none."""
-        piece = self.pieces.read(address_of(self._drawn, "replicas"))
-        if piece is None:
-            kept = None if self._earlier is None else self._earlier.replicas()
-            if kept is None:
-                return None
-            share, numbers = kept["share"], kept
-            sides: Any = [[kept[side][n] for n in self._names] for side in ("own", "responses")]
-        else:
-            share, numbers = piece.about["share"], piece.arrays
-            sides = [piece.arrays[side] for side in ("own", "responses")]
-        own, finer = (
-            {name: np.array(row, float) for name, row in zip(self._names, side, strict=True)}
-            for side in sides
-        )
-        outcome, ended = np.array(numbers["outcome"], int), np.array(numbers["ended"], float)
-        return Replicas(own, finer, outcome, ended, share)
-
-    def keep_replicas(self, found: Replicas) -> None:
-        """Keeps the replicas of the first samples."""
-        own, finer = (
-            np.stack([side[name] for name in self._names]) for side in (found.own, found.responses)
-        )
-        numbers = {"own": own, "responses": finer, "outcome": found.outcome, "ended": found.ended}
-        address = address_of(self._drawn, "replicas")
-        self.pieces.write(address, {"share": found.share}, numbers)
+        finer = self.finer()
+        count = 0 if finer is None else len(finer.outcome)
+        if finer is None or len(self.finished()) < -(-count // self.plan.chunk):
+            return None
+        return together_with(self._names, self.found(slice(0, count)), finer, count)
 
     def earlier(self) -> tuple[str, ...]:
         """What a version up to 0.29 found to be off in a second look at the nominal sample."""

@@ -12,7 +12,6 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,21 +19,24 @@ import numpy as np
 
 from jaxclear.ground.wording import described
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.campaign.plan import Evaluation, Plan
-from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.campaign.work import PATIENCE, AbstractWork, Heard, done, finer
+from jaxclear.studies.campaign.samples import Plan, Samples
+from jaxclear.studies.campaign.work import (
+    PATIENCE,
+    AbstractWork,
+    Evaluation,
+    done,
+    finer,
+)
 from jaxclear.studies.ledger.batch import Program
 from jaxclear.studies.ledger.ledger import STUDY
 from jaxclear.studies.ledger.pieces import address_of
 from jaxclear.studies.texts import in_texts
 
-# Blocks asked of the scheduler at a time, at least, and for each thread of the workers; a thread is
-# given so many while nothing is known of their time.
-LEAST_ASKED, ASKED_A_THREAD, ASKED_AT_FIRST = 64, 4, 2
-# [s] that a block is to take, about: Dask's own work is little beside it, progress is still seen.
+# Blocks of chunks asked of the scheduler at a time, for each thread of the workers.
+ASKED_A_THREAD = 2
+# [s] after which a worker answers, whatever is left of its block: Dask's own work is little beside
+# it, and progress is still seen.
 WORTH = 1.0
-# [s] that a chunk takes at least: less is not told by a clock.
-QUICKEST = 1e-9
 # [s] for the first worker to join.
 JOINING = 60.0
 # Held by the thread of a worker that makes what all its threads share.
@@ -70,21 +72,28 @@ class Workers(AbstractWork):
         # What a worker knows of a folder is as it was when this began.
         place, most = str(samples.folder.resolve()), samples.plan.samples
         what = self.there, self.token, place, most, secrets.token_hex(8)
-        blocks = Blocks(numbers, max(sum(self.client.nthreads().values()), 1))
-        asked: dict[Any, list[int]] = {}
+        threads = max(sum(self.client.nthreads().values()), 1)
+        left, asked = deque(numbers), {}
         running = distributed.as_completed()
         try:
-            while blocks.left or asked:
-                while blocks.left and len(asked) < blocks.most:
-                    block = blocks.next()
+            while left or asked:
+                while left and len(asked) < ASKED_A_THREAD * threads:
+                    # A block that takes too long comes back, so its size need only be fair.
+                    many = -(-len(left) // (ASKED_A_THREAD * threads))
+                    block = [left.popleft() for _ in range(many)]
                     future = self.client.submit(_on_worker, *what, block, pure=False)
                     asked[future.key] = block
                     running.add(future)
                 future = next(running)
                 block = asked.pop(future.key)
-                failed, seconds = _answer(future, block)
-                others = blocks.heard(block, failed, seconds, heard)
-                time.sleep(PATIENCE if others else 0)
+                answers = _answer(future, block)
+                for number, failed in zip(block, answers, strict=False):
+                    if failed is not None:
+                        heard(number, failed)
+                    else:
+                        left.append(number)
+                left.extend(block[len(answers) :])
+                time.sleep(PATIENCE if None in answers else 0)
         finally:
             self.client.cancel([*running.futures])
 
@@ -111,44 +120,7 @@ class Workers(AbstractWork):
         self.client.cancel([self.there])
 
 
-class Blocks:
-    """Cuts the chunks that are `left` into blocks: as many as take about as long as a task is to,
-    and fewer toward the end, so that all threads are busy until then."""
-
-    def __init__(self, numbers: Sequence[int], threads: int):
-        self.left, self.threads = deque(numbers), threads
-        self._each: float | None = None
-
-    @property
-    def most(self) -> int:
-        """How many blocks may be asked for at a time."""
-        if self._each is None:
-            return ASKED_AT_FIRST * self.threads
-        return max(LEAST_ASKED, ASKED_A_THREAD * self.threads)
-
-    def next(self) -> list[int]:
-        """Numbers of the next block's chunks."""
-        share = -(-len(self.left) // (ASKED_AT_FIRST * self.threads))
-        # Chunks that others had finished took no time at all.
-        many = 1 if self._each is None else int(min(share, WORTH / max(self._each, QUICKEST)))
-        return [self.left.popleft() for _ in range(max(many, 1))]
-
-    def heard(
-        self, block: list[int], failed: list[int | None], seconds: float, heard: Heard
-    ) -> bool:
-        """Tells of the chunks of a block that are finished, which took so long [s]; whether others
-        are at some of them, which are left."""
-        busy = [number for number, own in zip(block, failed, strict=True) if own is None]
-        if len(busy) < len(block):
-            self._each = seconds / (len(block) - len(busy))
-        for number, own in zip(block, failed, strict=True):
-            if own is not None:
-                heard(number, own)
-        self.left.extend(busy)
-        return bool(busy)
-
-
-def _answer(future: Any, block: list[int]) -> tuple[list[int | None], float]:
+def _answer(future: Any, block: list[int]) -> list[int | None]:
     """What a worker says of a block."""
     import distributed
 
@@ -177,14 +149,17 @@ def _finer(problem: AbstractProblem, token: str, plan: Plan, values: np.ndarray)
 
 def _on_worker(
     problem: AbstractProblem, token: str, folder: str, most: int, campaign: str, block: list[int]
-) -> tuple[list[int | None], float]:
-    """Computes and keeps the chunks of a block, on a worker: what `done` says of each, and how
-    long they took [s]."""
+) -> list[int | None]:
+    """Computes and keeps chunks of a block, on a worker, for as long as a task is to take: what
+    `done` says of each."""
     with _MAKING:
         samples, evaluation = _ready(_Once(token, problem), folder, most, campaign)
-    begun = time.perf_counter()
-    failed = [done(samples, evaluation, number) for number in block]
-    return failed, time.perf_counter() - begun
+    ends, failed = time.perf_counter() + WORTH, [done(samples, evaluation, block[0])]
+    for number in block[1:]:
+        if time.perf_counter() > ends:
+            break
+        failed.append(done(samples, evaluation, number))
+    return failed
 
 
 class _Once:

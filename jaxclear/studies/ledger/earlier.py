@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxclear.studies.base import SampleResult
 from jaxclear.studies.ledger.pieces import Piece
 from jaxclear.studies.texts import first_difference
 
@@ -59,10 +60,16 @@ class EarlierSamples:
         mark = format(int(marks[number]), "x")
         return Piece({"samples": last - first, "figures": self.figures, "versions": mark}, arrays)
 
-    def replicas(self) -> dict[str, Any] | None:
-        """Of the first samples: numbers by name, and the `share` of their steps."""
+    def finer(self) -> SampleResult | None:
+        """What the first samples gave in finer runs."""
         path = self.folder / "replicas.json"
-        return json.loads(path.read_text()) if path.exists() else None
+        if not path.exists():
+            return None
+        kept = json.loads(path.read_text())
+        by_name: Any = {name: np.array(own, float) for name, own in kept["responses"].items()}
+        outcome: Any = np.array(kept["outcome"], int)
+        ended: Any = np.array(kept["ended"], float)
+        return SampleResult(by_name, outcome, ended)
 
 
 class EarlierRecords:

@@ -55,7 +55,7 @@ def wear_life(
     where none comes it is a mean over as many as bring its noise below that, `most` at the
     most, and what noise is left belongs to the error. With `most` of 32 or more such cycles run
     eight side by side from the second rate on, by a program of their own: once that is compiled
-    (15 s for the 3RSR), each takes a third of the time. `store`: a folder (Zarr) that keeps every
+    (15 s for the 3RSR), each takes a third of the time. `store`: a folder that keeps every
     cycle; asked again, the life goes on from there. A cycle that fails ends the life, with what was
     reached and why. Raises `ValueError` with a sentence for what cannot be asked, and
     `SimulationError` where the very first cycle fails.
