@@ -11,7 +11,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.studies.campaign import samples as kept
 from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.campaign.work import Evaluation, done
+from jaxclear.studies.campaign.threads import Evaluation, done
 from jaxclear.studies.ledger.batch import Program
 from jaxclear.studies.ledger.pieces import PIECES
 from tests.studies.test_campaign import LIMITS, assert_same_study, contents, problem

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.campaign import workers
+from jaxclear.studies.campaign import dask_workers
 from jaxclear.studies.ledger import pieces
 from tests.studies.test_campaign import contents, problem
 
@@ -141,7 +141,7 @@ def test_a_cluster_whose_workers_have_not_joined_is_waited_for(tmp_path, monkeyp
     how = {"n_workers": 0, "threads_per_worker": 1, "dashboard_address": None}
     with distributed.LocalCluster(**how) as cluster, distributed.Client(cluster) as client:
         with monkeypatch.context() as patched:
-            patched.setattr(workers, "JOINING", 0.1)
+            patched.setattr(dask_workers, "JOINING", 0.1)
             with pytest.raises(RuntimeError, match="no worker has joined"):
                 jc.campaign(problem(), 100, folder=tmp_path, client=client)
         threading.Timer(0.5, cluster.scale, (1,)).start()

@@ -15,7 +15,7 @@ from jaxclear import plot
 from jaxclear.commands.report.campaign_page import campaign_page
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.campaign.work import failures
+from jaxclear.studies.campaign.threads import failures
 from jaxclear.studies.design.freedom import freedom_of
 from jaxclear.studies.design.question import Question, checked_limits
 from jaxclear.studies.design.runs import Runs

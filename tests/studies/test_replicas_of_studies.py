@@ -16,7 +16,7 @@ from jaxclear.integrators.checks import Check
 from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.plot.studies import _warned_samples
 from jaxclear.studies.base import SampleResult
-from jaxclear.studies.campaign import work
+from jaxclear.studies.campaign import threads
 from jaxclear.studies.campaign.samples import Samples
 from jaxclear.studies.ledger.batch import evaluate_chunk
 from jaxclear.studies.ledger.pieces import PIECES
@@ -336,12 +336,12 @@ def test_a_replica_that_fails_of_a_strangers_problem_is_named():
 
 def test_a_campaign_keeps_its_replicas_and_adds_what_it_lacks(tmp_path, monkeypatch):
     """A larger one has those of the smaller, and eight more; nothing is run twice."""
-    asked, counts, finer = long_steps(), [], work.finer
+    asked, counts, finer = long_steps(), [], threads.finer
     counted = lambda problem, plan, values: (
         counts.append(len(values)),
         finer(problem, plan, values),
     )[1]
-    monkeypatch.setattr(work, "finer", counted)
+    monkeypatch.setattr(threads, "finer", counted)
     how = {"folder": tmp_path, "scramblings": 4}
     first = jc.campaign(asked, 8, **how)
     assert first.sample.replicas.count == 8

@@ -17,12 +17,12 @@ from jaxclear.integrators.figures import Checks
 from jaxclear.studies.campaign.recorded import in_json
 from jaxclear.studies.campaign.result import READ, Campaign
 from jaxclear.studies.campaign.samples import KIND, RESPONSES, VALUES, Plan, Samples
-from jaxclear.studies.campaign.work import AbstractWork, Heard
-from jaxclear.studies.growing import until_accurate
+from jaxclear.studies.campaign.threads import AbstractWork, Heard
 from jaxclear.studies.ledger.batch import usual_batch
 from jaxclear.studies.ledger.ledger import refuse_other
 from jaxclear.studies.replicas import MOST_REPLICAS
 from jaxclear.studies.sampling import groups
+from jaxclear.studies.sequential import until_accurate
 from jaxclear.studies.statistics.accuracy import Asked, Piece
 from jaxclear.studies.texts import in_texts
 

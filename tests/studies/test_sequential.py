@@ -8,8 +8,8 @@ import pytest
 import jaxclear as jc
 from jaxclear.studies.campaign import run
 from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.growing import Grown
 from jaxclear.studies.sampling import Drawing, groups
+from jaxclear.studies.sequential import Grown
 from jaxclear.studies.statistics.accuracy import told
 from jaxclear.studies.statistics.scrambled import jackknifed
 from tests.studies.test_campaign import problem

@@ -117,14 +117,6 @@ class AbstractWork(ABC):
     def replicated(self, plan: Plan, values: np.ndarray) -> SampleResult:
         """What samples of these values (samples, variables) give in finer runs."""
 
-    @abstractmethod
-    def __enter__(self) -> "AbstractWork":
-        """Begins; all is done within."""
-
-    @abstractmethod
-    def __exit__(self, *reason: Any) -> None:
-        """Lets go of what it held."""
-
 
 class Threads(AbstractWork):
     """The threads of this process, side by side. Interrupted, it loses the chunks in work."""
@@ -153,8 +145,3 @@ class Threads(AbstractWork):
                 return finer(self.problem, plan, values)
             except Stopped:
                 raise KeyboardInterrupt from None
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *reason): ...

@@ -20,7 +20,7 @@ import numpy as np
 from jaxclear.ground.wording import described
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.samples import Plan, Samples
-from jaxclear.studies.campaign.work import (
+from jaxclear.studies.campaign.threads import (
     PATIENCE,
     AbstractWork,
     Evaluation,
@@ -61,7 +61,7 @@ class Workers(AbstractWork):
         self.problem, self.client = problem, client
         # The texts that a problem is known by tell a worker whether it has compiled it before.
         self.token = address_of(in_texts(problem))
-        self.there: Any = None
+        self.there = client.submit(_itself, problem, pure=False)
 
     def compute(self, samples, numbers, heard):
         """As of every work. Raises `RuntimeError` with a sentence where a chunk ends its
@@ -112,11 +112,8 @@ class Workers(AbstractWork):
                 "and ask the same again."
             ) from reason
 
-    def __enter__(self):
-        self.there = self.client.submit(_itself, self.problem, pure=False)
-        return self
-
-    def __exit__(self, *reason):
+    def close(self) -> None:
+        """The workers let go of the problem."""
         self.client.cancel([self.there])
 
 
