@@ -25,8 +25,8 @@ from jaxclear.statics.position_path import both, checked_positions, sought
 from jaxclear.statics.positions import Positions
 from jaxclear.statics.quasi_static import Posed, Spot, Way
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
-from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.inputs import correlation_matrix
+from jaxclear.studies.ledger.batch import sample_of_chunk
 from jaxclear.studies.responses import answer, by_name, check_answers, check_responses
 from jaxclear.studies.variable import (
     AbstractMechanismVariable,

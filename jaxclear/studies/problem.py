@@ -57,7 +57,6 @@ from jaxclear.simulation.simulate import (
 from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.studies.answers import answers
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
-from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.chosen_integrator import (
     allowed,
     checked_asked,
@@ -65,6 +64,7 @@ from jaxclear.studies.chosen_integrator import (
     unasked,
 )
 from jaxclear.studies.inputs import correlation_matrix
+from jaxclear.studies.ledger.batch import sample_of_chunk
 from jaxclear.studies.responses import Thinned, by_name, check_answers, check_responses
 from jaxclear.studies.variable import (
     AbstractMechanismVariable,

@@ -8,8 +8,8 @@ import pytest
 import jaxclear as jc
 from jaxclear.studies.campaign import run
 from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.growing import Grown
 from jaxclear.studies.sampling import Drawing, groups
+from jaxclear.studies.sequential import Grown
 from jaxclear.studies.statistics.accuracy import told
 from jaxclear.studies.statistics.scrambled import jackknifed
 from tests.studies.test_campaign import problem
@@ -56,7 +56,7 @@ def test_an_accuracy_is_judged_with_some_chunks_in_memory(tmp_path, monkeypatch)
     monkeypatch.setattr(
         Samples,
         "read",
-        lambda self, n, at: (sizes.append(at.stop - at.start), read(self, n, at))[1],
+        lambda self, at, *n: (sizes.append(at.stop - at.start), read(self, at, *n))[1],
     )
     asked = {"accuracy": {"area": 1e-9}, "seed": 3}
     found = jc.campaign(problem(), 16_384, folder=tmp_path, chunk=4096, **asked)

@@ -8,13 +8,10 @@ chunks that are quick; each of them is written by itself.
 """
 
 import functools
-import hashlib
-import json
 import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,21 +19,24 @@ import numpy as np
 
 from jaxclear.ground.wording import described
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.campaign.layout import SAMPLES
-from jaxclear.studies.campaign.plan import Evaluation, Plan, Program
-from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.campaign.work import PATIENCE, AbstractWork, Heard, done, finer
+from jaxclear.studies.campaign.samples import Plan, Samples
+from jaxclear.studies.campaign.threads import (
+    PATIENCE,
+    AbstractWork,
+    Evaluation,
+    done,
+    finer,
+)
+from jaxclear.studies.ledger.batch import Program
+from jaxclear.studies.ledger.ledger import STUDY
+from jaxclear.studies.ledger.pieces import address_of
 from jaxclear.studies.texts import in_texts
 
-__all__ = ["Workers", "check_client"]
-
-# Blocks asked of the scheduler at a time, at least, and for each thread of the workers; a thread is
-# given so many while nothing is known of their time.
-LEAST_ASKED, ASKED_A_THREAD, ASKED_AT_FIRST = 64, 4, 2
-# [s] that a block is to take, about: Dask's own work is little beside it, progress is still seen.
+# Blocks of chunks asked of the scheduler at a time, for each thread of the workers.
+ASKED_A_THREAD = 2
+# [s] after which a worker answers, whatever is left of its block: Dask's own work is little beside
+# it, and progress is still seen.
 WORTH = 1.0
-# [s] that a chunk takes at least: less is not told by a clock.
-QUICKEST = 1e-9
 # [s] for the first worker to join.
 JOINING = 60.0
 # Held by the thread of a worker that makes what all its threads share.
@@ -60,47 +60,40 @@ class Workers(AbstractWork):
     def __init__(self, problem: AbstractProblem, client: Any):
         self.problem, self.client = problem, client
         # The texts that a problem is known by tell a worker whether it has compiled it before.
-        self.token = hashlib.sha256(json.dumps(in_texts(problem)).encode()).hexdigest()
-        self.there: Any = None
-        self.compiling: list[Any] = []
-
-    def begun(self, plan):
-        import distributed
-
-        self._joined()
-        # All workers compile side by side; what the first one finds is what all find.
-        options = {"allow_other_workers": True, "pure": False}
-        what = self.there, self.token, plan
-        self.compiling = [
-            self.client.submit(_compiled, *what, workers=[own], **options)
-            for own in self.client.nthreads()
-        ]
-        return next(distributed.as_completed(self.compiling)).result()
+        self.token = address_of(in_texts(problem))
+        self.there = client.submit(_itself, problem, pure=False)
 
     def compute(self, samples, numbers, heard):
         """As of every work. Raises `RuntimeError` with a sentence where a chunk ends its
         workers."""
         import distributed
 
-        if numbers:
-            self._joined()
+        self._joined()
         # What a worker knows of a folder is as it was when this began.
-        what = self.there, self.token, str(samples.folder.resolve()), secrets.token_hex(8)
-        blocks = Blocks(numbers, max(sum(self.client.nthreads().values()), 1))
-        asked: dict[Any, list[int]] = {}
+        place, most = str(samples.folder.resolve()), samples.plan.samples
+        what = self.there, self.token, place, most, secrets.token_hex(8)
+        threads = max(sum(self.client.nthreads().values()), 1)
+        left, asked = deque(numbers), {}
         running = distributed.as_completed()
         try:
-            while blocks.left or asked:
-                while blocks.left and len(asked) < blocks.most:
-                    block = blocks.next()
+            while left or asked:
+                while left and len(asked) < ASKED_A_THREAD * threads:
+                    # A block that takes too long comes back, so its size need only be fair.
+                    many = -(-len(left) // (ASKED_A_THREAD * threads))
+                    block = [left.popleft() for _ in range(many)]
                     future = self.client.submit(_on_worker, *what, block, pure=False)
                     asked[future.key] = block
                     running.add(future)
                 future = next(running)
                 block = asked.pop(future.key)
-                failed, seconds = _answer(future, block)
-                others = blocks.heard(block, failed, seconds, heard)
-                time.sleep(PATIENCE if others else 0)
+                answers = _answer(future, block)
+                for number, failed in zip(block, answers, strict=False):
+                    if failed is not None:
+                        heard(number, failed)
+                    else:
+                        left.append(number)
+                left.extend(block[len(answers) :])
+                time.sleep(PATIENCE if None in answers else 0)
         finally:
             self.client.cancel([*running.futures])
 
@@ -119,52 +112,12 @@ class Workers(AbstractWork):
                 "and ask the same again."
             ) from reason
 
-    def __enter__(self):
-        self.there = self.client.submit(_itself, self.problem, pure=False)
-        return self
-
-    def __exit__(self, *reason):
-        self.client.cancel([self.there, *self.compiling])
+    def close(self) -> None:
+        """The workers let go of the problem."""
+        self.client.cancel([self.there])
 
 
-class Blocks:
-    """Cuts the chunks that are `left` into blocks: as many as take about as long as a task is to,
-    and fewer toward the end, so that all threads are busy until then."""
-
-    def __init__(self, numbers: Sequence[int], threads: int):
-        self.left, self.threads = deque(numbers), threads
-        self._each: float | None = None
-
-    @property
-    def most(self) -> int:
-        """How many blocks may be asked for at a time."""
-        if self._each is None:
-            return ASKED_AT_FIRST * self.threads
-        return max(LEAST_ASKED, ASKED_A_THREAD * self.threads)
-
-    def next(self) -> list[int]:
-        """Numbers of the next block's chunks."""
-        share = -(-len(self.left) // (ASKED_AT_FIRST * self.threads))
-        # Chunks that others had finished took no time at all.
-        many = 1 if self._each is None else int(min(share, WORTH / max(self._each, QUICKEST)))
-        return [self.left.popleft() for _ in range(max(many, 1))]
-
-    def heard(
-        self, block: list[int], failed: list[int | None], seconds: float, heard: Heard
-    ) -> bool:
-        """Tells of the chunks of a block that are finished, which took so long [s]; whether others
-        are at some of them, which are left."""
-        busy = [number for number, own in zip(block, failed, strict=True) if own is None]
-        if len(busy) < len(block):
-            self._each = seconds / (len(block) - len(busy))
-        for number, own in zip(block, failed, strict=True):
-            if own is not None:
-                heard(number, own)
-        self.left.extend(busy)
-        return bool(busy)
-
-
-def _answer(future: Any, block: list[int]) -> tuple[list[int | None], float]:
+def _answer(future: Any, block: list[int]) -> list[int | None]:
     """What a worker says of a block."""
     import distributed
 
@@ -184,16 +137,7 @@ def _itself(problem: AbstractProblem) -> AbstractProblem:
     return problem
 
 
-def _compiled(problem: AbstractProblem, token: str, plan: Plan) -> SampleResult:
-    """What a batch of a plan gives that does as little as possible, on a worker."""
-    with _MAKING:
-        program = _program(_Once(token, problem))
-    return program.begun(plan.batch)
-
-
-def _finer(
-    problem: AbstractProblem, token: str, plan: Plan, values: np.ndarray
-) -> SampleResult | None:
+def _finer(problem: AbstractProblem, token: str, plan: Plan, values: np.ndarray) -> SampleResult:
     """What samples of these values give in finer runs, on a worker, by the program of its own."""
     with _MAKING:
         program = _program(_Once(token, problem))
@@ -201,15 +145,18 @@ def _finer(
 
 
 def _on_worker(
-    problem: AbstractProblem, token: str, folder: str, campaign: str, block: list[int]
-) -> tuple[list[int | None], float]:
-    """Computes and keeps the chunks of a block, on a worker: what `done` says of each, and how
-    long they took [s]."""
+    problem: AbstractProblem, token: str, folder: str, most: int, campaign: str, block: list[int]
+) -> list[int | None]:
+    """Computes and keeps chunks of a block, on a worker, for as long as a task is to take: what
+    `done` says of each."""
     with _MAKING:
-        samples, evaluation = _ready(_Once(token, problem), folder, campaign)
-    begun = time.perf_counter()
-    failed = [done(samples, evaluation, number) for number in block]
-    return failed, time.perf_counter() - begun
+        samples, evaluation = _ready(_Once(token, problem), folder, most, campaign)
+    ends, failed = time.perf_counter() + WORTH, [done(samples, evaluation, block[0])]
+    for number in block[1:]:
+        if time.perf_counter() > ends:
+            break
+        failed.append(done(samples, evaluation, number))
+    return failed
 
 
 class _Once:
@@ -229,16 +176,16 @@ class _Once:
 @functools.lru_cache(maxsize=4)
 def _program(known: _Once) -> Program:
     """The program of the problem that came first: it serves later campaigns too."""
-    return Program(known.problem)
+    return Program(known.problem, wide=True)
 
 
 @functools.lru_cache(maxsize=4)
-def _ready(known: _Once, folder: str, campaign: str) -> tuple[Samples, Evaluation]:
+def _ready(known: _Once, folder: str, most: int, campaign: str) -> tuple[Samples, Evaluation]:
     """The folder and the program of a campaign on this worker."""
-    if not (Path(folder) / SAMPLES).exists():
+    if not (Path(folder) / STUDY).exists():
         raise ValueError(
             f"a worker does not see the folder {folder} of the campaign; give one that all workers "
             "share."
         )
-    samples = Samples(Path(folder))
+    samples = Samples.opened(folder).view(most)
     return samples, Evaluation(_program(known), samples.plan)
