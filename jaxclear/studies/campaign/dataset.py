@@ -18,7 +18,7 @@ from jaxclear.studies.campaign.layout import (
 )
 from jaxclear.studies.campaign.samples import Samples
 from jaxclear.studies.campaign.verified import known_replicas
-from jaxclear.studies.datasets import FINER, finer_name
+from jaxclear.studies.monte_carlo import FINER, finer_name
 
 __all__ = ["dataset_of"]
 
