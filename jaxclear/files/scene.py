@@ -18,9 +18,9 @@ from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.positions import checked_positions, positions
 from jaxclear.simulation.seated import seated
 from jaxclear.simulation.simulate import check_duration, simulate
+from jaxclear.studies.mechanism_problem import by_name
 from jaxclear.studies.position_problem import PositionProblem
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.responses import by_name
 
 __all__ = ["Scene"]
 

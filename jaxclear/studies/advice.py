@@ -32,8 +32,8 @@ from jaxclear.simulation.beginning import beginning
 from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.simulate import How, check_run, repeated
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
+from jaxclear.studies.mechanism_problem import answer
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.responses import answer
 from jaxclear.studies.sampling import draw
 from jaxclear.studies.statistics.scrambled import student
 
