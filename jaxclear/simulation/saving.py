@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from jaxclear.ground.arguments import check_count
 from jaxclear.ground.quantity import concrete, public_name
 from jaxclear.ground.warning import warn
+from jaxclear.ground.wording import described
 from jaxclear.integrators.base import MOST_STEPS, AbstractIntegrator
 
 
