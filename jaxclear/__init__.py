@@ -62,10 +62,10 @@ from jaxclear.results import response
 from jaxclear.results.pointing_error import pointing_error
 from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.positions import positions
 from jaxclear.simulation.saving import Saving
-from jaxclear.simulation.seated import seated
 from jaxclear.simulation.simulate import SimulationError, simulate
+from jaxclear.statics.position_path import positions
+from jaxclear.statics.seated import seated
 from jaxclear.studies import distribution, limit_state
 from jaxclear.studies.advice import PilotSettings, advise
 from jaxclear.studies.base import AbstractProblem, AbstractVariable

@@ -2,7 +2,7 @@
 clearances against its pointing error, the four-bar's clearance and links against worn depth and
 follower error at once.
 
-Writes figures (PNG), tables (CSV) and stores (Zarr) into a folder, from which an interrupted design
+Writes figures (PNG), tables (CSV) and stores into a folder, from which an interrupted design
 goes on, and prints what it found.
 """
 

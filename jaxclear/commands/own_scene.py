@@ -294,6 +294,6 @@ def monte_carlo(
 def _remember(scene: Path, folder: Path) -> None:
     """Keeps the scene beside its samples, once there are any."""
     kept = folder / SCENE
-    if folder.is_dir() and any(folder.glob("*.zarr")) and not kept.exists():
+    if folder.is_dir() and any(folder.iterdir()) and not kept.exists():
         with contextlib.suppress(ValueError):
             jc.write_scene(jc.read_scene(scene), kept)

@@ -31,6 +31,7 @@ import jaxclear as jc
 from jaxclear import plot
 from jaxclear.ground.table import as_table
 from jaxclear.plot.canvas import canvas
+from jaxclear.studies.campaign.samples import holds_campaign
 
 DOTS_PER_INCH = 130
 
@@ -256,12 +257,12 @@ def folder_page(folder: Path) -> Page | None:
     return Page(told.get("title", folder.resolve().name), sentence, sections)
 
 
-CAMPAIGN, PAGE = "samples.zarr", "report.html"
+PAGE = "report.html"
 
 
 def report(store: Path, to: Path | None = None) -> None:
     """Writes one page of what a folder holds, beside it as report.html or to a file."""
-    page = campaign_page(store) if (store / CAMPAIGN).exists() else folder_page(store)
+    page = campaign_page(store) if holds_campaign(store) else folder_page(store)
     if page is None:
         raise click.UsageError(
             f"{store} holds neither a campaign nor figures or tables; it must be a folder that "

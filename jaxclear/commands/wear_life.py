@@ -1,7 +1,7 @@
 """The wear of a life from one command: a four-bar whose bearing wears as lubricated steel does, its
 settled cycle, depth and forces over a million cycles, the groove that it digs.
 
-Writes figures (PNG), tables (CSV) and a store (Zarr) into a folder, from which an interrupted life
+Writes figures (PNG), tables (CSV) and a store into a folder, from which an interrupted life
 goes on, and prints what it found.
 """
 

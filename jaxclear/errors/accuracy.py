@@ -14,7 +14,7 @@ from jaxclear.ground.arguments import check_known, check_number, expect
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.shown import in_a_line
 from jaxclear.ground.wording import described, public_name
-from jaxclear.integrators.promise import Promise
+from jaxclear.integrators.base import Promise
 from jaxclear.results.response import unit_of
 from jaxclear.results.trajectory import Trajectory
 

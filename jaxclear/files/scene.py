@@ -43,14 +43,14 @@ from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.ground.wording import described, listed, unknown
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.results.positions import Positions
 from jaxclear.results.response import AbstractResponse
 from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.positions import checked_positions, positions
 from jaxclear.simulation.saving import Saving, as_saving
-from jaxclear.simulation.seated import seated
 from jaxclear.simulation.simulate import check_duration, simulate
+from jaxclear.statics.position_path import checked_positions, positions
+from jaxclear.statics.positions import Positions
+from jaxclear.statics.seated import seated
 from jaxclear.studies.position_problem import PositionProblem
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.responses import by_name

@@ -26,9 +26,9 @@ from jaxclear.plot.studies import (
     worst_case,
 )
 from jaxclear.results.pointing_error import PointingError
-from jaxclear.results.positions import Positions
 from jaxclear.results.response import PeakContactForce
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.statics.positions import Positions
 from jaxclear.studies.advice import Advice
 from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.design.result import Design

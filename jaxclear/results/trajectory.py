@@ -22,9 +22,8 @@ from jaxclear.ground.arguments import check_count, check_flags, check_known
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.shown import AbstractShown, shown_in_words
 from jaxclear.ground.table import as_table
+from jaxclear.integrators.checks import Checks, Outcome
 from jaxclear.integrators.events import Events
-from jaxclear.integrators.figures import Checks
-from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import state
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import explain

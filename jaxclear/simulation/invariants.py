@@ -35,9 +35,9 @@ from jaxclear.integrators.checks import (
     UNHELD,
     WHOLE,
     Check,
+    Checks,
+    Outcome,
 )
-from jaxclear.integrators.figures import Checks
-from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import constraints, dynamics, kinematics, loops, state
 from jaxclear.multibody.contact_point import depths
 from jaxclear.multibody.reach import rooms, shortest_part

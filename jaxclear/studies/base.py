@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.ground.shown import in_a_line, number_in_words
 from jaxclear.ground.wording import described, listed, public_name
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
 from jaxclear.studies.inputs import Inputs, joint
 

@@ -28,9 +28,9 @@ from jaxclear.studies.base import (
     one_distribution,
     stacked,
 )
-from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.distribution import AbstractDistribution
 from jaxclear.studies.inputs import correlation_matrix
+from jaxclear.studies.ledger.batch import sample_of_chunk
 
 __all__ = ["Dimension", "FunctionProblem"]
 

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxclear.errors.replicas import thinned
+from jaxclear.errors.verification import thinned
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import is_one_number
 from jaxclear.ground.warning import asked, shape_of

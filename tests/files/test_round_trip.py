@@ -26,8 +26,7 @@ from jaxclear.files.forms import (
 from jaxclear.files.parts import Part, arguments, members
 from jaxclear.files.scene import RUN, TOP, scene_text
 from jaxclear.files.text import parsed
-from jaxclear.studies.identity import first_difference
-from jaxclear.studies.texts import in_texts
+from jaxclear.studies.texts import difference, in_texts
 
 # Numbers that bound each other, words of a few, and what only fits together.
 TOGETHER = {
@@ -416,7 +415,7 @@ def test_a_scene_asks_the_same_after_it_was_written(ending, tmp_path):
     scene = asked()
     again = written_and_read(scene, tmp_path / f"scene{ending}")
     assert in_texts(again.problem()) == in_texts(scene.problem())
-    assert first_difference(scene.problem(), again.problem()) == ""
+    assert difference(scene.problem(), again.problem()) == ""
 
 
 def test_numbers_keep_every_digit(tmp_path):

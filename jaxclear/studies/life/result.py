@@ -15,7 +15,7 @@ from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.ground.datasets import provenance
 from jaxclear.ground.shown import AbstractShown, shown_in_words
 from jaxclear.ground.table import as_table
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.results.response import concerned
 from jaxclear.results.state_history import State
 from jaxclear.simulation.wear import Worn
