@@ -7,7 +7,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.commands.reported import report_warnings
+from jaxclear.commands.study import report_warnings
 from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.plot.canvas import canvas, captioned
 from jaxclear.results.pointing_error import pointing_error

@@ -12,7 +12,7 @@ import numpy as np
 from jaxclear.integrators import base
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.base import Promise
-from jaxclear.results.abstract_response import REACHES
+from jaxclear.results.response import REACHES
 
 
 # Of every rung: the limit beyond which a run warns of it.

@@ -19,9 +19,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import derived, moved, moving_with
-from jaxclear.ground.unknown import Unknown
 from jaxclear.integrators.error_control import AbstractAround
 
 # What a second derivative through contacts is told.
@@ -43,7 +43,7 @@ PARTED = 0.03
 IMPACT_FIGURES = 7
 # Derivatives through impacts of rigid contact have grown too much where these shares, times their
 # growth, are beyond this. Slopes whose parts nearly cancel are off by more of themselves, which
-# slopes in other steps tell (`simulation.step_comparison`): with this and that none of 3672 told in
+# slopes in other steps tell (`simulation.derivatives`): with this and that none of 3672 told in
 # steps of 1 to 20 us was off by a fiftieth (`benchmarks.claims.compared_slopes`).
 TRUSTED_IMPACTS = 1e-2
 # All errors of a derivative together may be as large a share of the largest that it has been as

@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.formulations.bristles_at_touches import has_bristles, put_right
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
+from jaxclear.formulations.impact_speed import has_bristles, put_right
 from jaxclear.formulations.model import Model
 from jaxclear.ground.quantity import Scalar, concrete, constant, count, quantity
 from jaxclear.ground.tangents import derived_once

@@ -40,9 +40,9 @@ from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.rigid import RigidContact, Strikes
 from jaxclear.formulations.unilateral import MoreauJeanSettings
 from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.ground.tangents import derived, derived_once, moved, moving_with, pushed, where_wanted
-from jaxclear.ground.unknown import Unknown
 from jaxclear.integrators.base import RIGID, AbstractIntegrator, Interval, divide, searching_steps
 from jaxclear.integrators.derivative_error import IMPACT_FIGURES, NO_SECOND, trusted_impacts
 from jaxclear.integrators.saltation import FIRST

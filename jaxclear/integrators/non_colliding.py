@@ -7,8 +7,8 @@ from typing import ClassVar
 import equinox as eqx
 
 from jaxclear.formulations.closing import closed
+from jaxclear.formulations.joint_friction import NonCollidingSettings
 from jaxclear.formulations.permanent import PermanentContact
-from jaxclear.formulations.permanent_friction import NonCollidingSettings
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.integrators.base import PERMANENT, AbstractIntegrator, searching_steps
 

@@ -25,9 +25,9 @@ from jaxclear.multibody.state import names
 from jaxclear.multibody.validation import check_values
 from jaxclear.native import stoppable
 from jaxclear.results import response
-from jaxclear.results.saved_state import SavedMotion, State
+from jaxclear.results.state_history import SavedMotion, State
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.beginning import Past, beginning
+from jaxclear.simulation.initial_state import Past, beginning
 from jaxclear.simulation.loop import run
 from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.simulation.wear import Worn, unworn, worn_by_some

@@ -13,6 +13,7 @@ from jax.flatten_util import ravel_pytree
 
 from jaxclear.integrators.checks import Check, Checks
 from jaxclear.simulation.wear import Worn
+from jaxclear.studies.ledger.ledger import Ledger
 from jaxclear.studies.life.cycle import (
     Cycle,
     asked_of,
@@ -27,7 +28,6 @@ from jaxclear.studies.life.prediction import Place, predicted, units_of_coordina
 from jaxclear.studies.life.settling import Patience, Settling, settle, settle_side_by_side
 from jaxclear.studies.life.steps import CycleFailed
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.store import Store
 
 # What a narrow contact makes of depths.
 NARROW = (Check.WEAR_BY_CELLS,)
@@ -39,7 +39,7 @@ LANES, WORTH = 8, 4
 class Living:
     """A life on its way: its problem, the cycles simulated so far, where the motion settled."""
 
-    def __init__(self, problem: Problem, values: Any, patience: Patience, store: Store | None):
+    def __init__(self, problem: Problem, values: Any, patience: Patience, store: Ledger | None):
         self.problem, self.patience, self.store = problem, patience, store
         self.asked = asked_of(problem, values)
         self.motion, self.worn = first_state(problem, values)
