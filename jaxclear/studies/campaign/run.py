@@ -119,7 +119,7 @@ def _verify(samples: Samples, by: AbstractWork) -> None:
     """Adds the replicas that the finished samples in a folder lack, if their problem has any:
     finer runs of the first ones, written once all samples are there. A campaign that becomes larger
     keeps them, and adds what it lacks."""
-    if by.problem.replica() is None or not len(_lacking(samples)):
+    if not len(_lacking(samples)) or by.problem.replica() is None:
         return
     import filelock
 
