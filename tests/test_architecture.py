@@ -29,6 +29,7 @@ FLOORS = (
     ("results",),
     ("errors",),
     ("simulation", "mesh"),
+    ("statics",),
     ("studies",),
     ("files", "plot"),
     ("commands",),

@@ -15,13 +15,10 @@ import jax
 
 import jaxclear as jc
 from jaxclear.commands import antenna, design, flap, four_bar, guide, parallel_3rsr, wear_life
-from jaxclear.commands.examples import example
-from jaxclear.commands.own_scene import monte_carlo, parameters, run
-from jaxclear.commands.report.command import report
+from jaxclear.commands.own_scene import example, monte_carlo, parameters, run
+from jaxclear.commands.report import report
 from jaxclear.studies.ledger.ledger import OtherStudy
 from jaxclear.studies.ledger.pieces import Unwritable
-
-__all__ = ["answer"]
 
 STUDIES = {
     "four-bar": four_bar,

@@ -12,7 +12,7 @@ from scipy import stats
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.commands.report.campaign_page import campaign_page
+from jaxclear.commands.report import campaign_page
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.threads import failures

@@ -12,8 +12,7 @@ import scipy
 
 import jaxclear as jc
 from jaxclear.ground.shown import with_error
-from jaxclear.integrators.checks import Check
-from jaxclear.integrators.figures import Checks, Figure
+from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.plot.studies import _warned_samples
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.campaign import threads

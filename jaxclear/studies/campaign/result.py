@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.shown import shown_in_words
-from jaxclear.integrators.figures import Checks, Figure
+from jaxclear.integrators.checks import Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.dataset import dataset_of
 from jaxclear.studies.campaign.samples import VALUES, Samples

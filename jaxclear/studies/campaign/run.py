@@ -13,7 +13,7 @@ import numpy as np
 from tqdm import tqdm
 
 from jaxclear.ground.warning import warn
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.studies.campaign.recorded import in_json
 from jaxclear.studies.campaign.result import READ, Campaign
 from jaxclear.studies.campaign.samples import KIND, RESPONSES, VALUES, Plan, Samples

@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.ground.versions import told_versions
+from jaxclear.ground.datasets import told_versions
 from jaxclear.ground.warning import warn
 from jaxclear.integrators import Outcome
-from jaxclear.integrators.checks import Check
-from jaxclear.integrators.figures import Checks, Figure
+from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.ledger.batch import devices, usual_batch
 from jaxclear.studies.ledger.earlier import EarlierSamples

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_count, check_number, expect
 from jaxclear.integrators import Outcome
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.multibody.validation import check_values
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.base import AbstractProblem, SampleResult
@@ -26,8 +26,8 @@ from jaxclear.studies.life.living import Living
 from jaxclear.studies.life.result import DEPTH, VOLUME, WearLife
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.wear_life import SETTLED, check_asked, lived
+from jaxclear.studies.mechanism_problem import answer, by_name, check_responses
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.responses import answer, by_name, check_responses
 from jaxclear.studies.variable import AbstractMechanismVariable
 
 __all__ = ["LifeProblem"]

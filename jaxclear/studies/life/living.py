@@ -11,8 +11,7 @@ import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from jaxclear.integrators.checks import Check
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Check, Checks
 from jaxclear.simulation.wear import Worn
 from jaxclear.studies.ledger.ledger import Ledger
 from jaxclear.studies.life.cycle import (

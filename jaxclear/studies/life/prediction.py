@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import prepare
-from jaxclear.results.saved_state import SavedMotion
+from jaxclear.results.state_history import SavedMotion
 
 # So many times the way between two surfaces a line is carried on at the most.
 FURTHEST = 4.0
