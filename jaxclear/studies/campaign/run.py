@@ -15,7 +15,7 @@ from tqdm import tqdm
 from jaxclear.ground.warning import warn
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.campaign.recorded import in_json
-from jaxclear.studies.campaign.result import READ, Campaign
+from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.campaign.samples import KIND, RESPONSES, VALUES, Plan, Samples
 from jaxclear.studies.campaign.threads import AbstractWork, Heard
 from jaxclear.studies.ledger.batch import usual_batch
@@ -26,6 +26,8 @@ from jaxclear.studies.sequential import until_accurate
 from jaxclear.studies.statistics.accuracy import Asked, Piece
 from jaxclear.studies.texts import in_texts
 
+# Samples that are read together, about.
+READ = 1 << 16
 # Held by the process that adds replicas.
 VERIFYING = ".verifying"
 
