@@ -8,18 +8,6 @@ from collections.abc import Iterable
 from types import ModuleType
 from typing import Any
 
-__all__ = [
-    "described",
-    "final_members",
-    "listed",
-    "meant",
-    "nearest",
-    "offered_like",
-    "public_name",
-    "unit_of_rate",
-    "unknown",
-]
-
 # Longest text of a value in a sentence, and the most names that one lists.
 LONGEST, MOST_NAMES = 60, 16
 # Share of letters in common from which on a name counts as a slip of the pen (difflib's own).

@@ -1,7 +1,7 @@
 """What a problem answers for one set of values, with its derivatives.
 
-Where derivatives are compared with those in other steps (`step_comparison`), responses are what is
-compared: what nearly cancels in one is seen.
+Where derivatives are compared with those in other steps (`simulation.derivatives`), responses are
+what is compared: what nearly cancels in one is seen.
 """
 
 from typing import Any
@@ -15,15 +15,16 @@ from jaxclear.ground.quantity import inside, numbers
 from jaxclear.integrators import Outcome
 from jaxclear.multibody.assembly import is_sound
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.derivatives import backwards, guarded
-from jaxclear.simulation.singular_positions import diagnosed_outcome
-from jaxclear.simulation.step_comparison import (
+from jaxclear.simulation.derivatives import (
+    backwards,
     compared,
+    guarded,
     in_other_steps,
     is_compared,
     order_of,
     where_alike,
 )
+from jaxclear.simulation.singular_positions import diagnosed_outcome
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.responses import answer
 

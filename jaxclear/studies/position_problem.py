@@ -13,22 +13,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.formulations.quasi_static import Posed
 from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import inside, numbers
 from jaxclear.ground.wording import listed
 from jaxclear.integrators import Outcome
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.results.positions import Positions
 from jaxclear.results.response import unit_of
-from jaxclear.simulation.least_energy import ByEnergy, Rest
-from jaxclear.simulation.position_path import sought
-from jaxclear.simulation.positions import both, checked_positions
-from jaxclear.simulation.spot import Spot, Way
+from jaxclear.statics.least_energy import ByEnergy, Rest
+from jaxclear.statics.position_path import both, checked_positions, sought
+from jaxclear.statics.positions import Positions
+from jaxclear.statics.quasi_static import Posed, Spot, Way
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
-from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.inputs import correlation_matrix
+from jaxclear.studies.ledger.batch import sample_of_chunk
 from jaxclear.studies.responses import answer, by_name, check_answers, check_responses
 from jaxclear.studies.variable import (
     AbstractMechanismVariable,

@@ -15,15 +15,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.errors.estimates import remedy_of_depths
 from jaxclear.errors.observables import GAPS
-from jaxclear.errors.replicas import between, replica
-from jaxclear.errors.told import remedy_of_depths
+from jaxclear.errors.verification import between, replica
 from jaxclear.ground.arguments import expect
-from jaxclear.ground.in_words import part_in_words
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.shown import part_in_words
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
-from jaxclear.integrators.figures import Checks
-from jaxclear.integrators.promise import PART_OF, STUDIES, Promise
+from jaxclear.integrators.base import PART_OF, STUDIES, Promise
+from jaxclear.integrators.checks import Checks
 from jaxclear.multibody.assembly import (
     Sampled,
     Start,
@@ -38,15 +38,14 @@ from jaxclear.multibody.reach import narrowest_gap, rooms
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import longest_arm, prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
-from jaxclear.results.abstract_response import needs_of
-from jaxclear.results.response import concerned, unit_of
-from jaxclear.results.saved_state import State
+from jaxclear.results.response import concerned, needs_of, unit_of
+from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.beginning import Past, past_of, state_of
 from jaxclear.simulation.derivatives import refusal
+from jaxclear.simulation.initial_state import Past, past_of, state_of
 from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
 from jaxclear.simulation.loop import Extras, sketched
-from jaxclear.simulation.saving import Saving, as_saving, checked_saving
+from jaxclear.simulation.saving import Saving, as_saving, check_steps, checked_saving
 from jaxclear.simulation.simulate import (
     How,
     check_duration,
@@ -56,10 +55,8 @@ from jaxclear.simulation.simulate import (
     saving_times,
 )
 from jaxclear.simulation.singular_positions import diagnosed
-from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.answers import answers
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
-from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.chosen_integrator import (
     allowed,
     checked_asked,
@@ -67,6 +64,7 @@ from jaxclear.studies.chosen_integrator import (
     unasked,
 )
 from jaxclear.studies.inputs import correlation_matrix
+from jaxclear.studies.ledger.batch import sample_of_chunk
 from jaxclear.studies.responses import Thinned, by_name, check_answers, check_responses
 from jaxclear.studies.variable import (
     AbstractMechanismVariable,

@@ -7,10 +7,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxclear.errors.replicas import thinned
+from jaxclear.errors.verification import thinned
 from jaxclear.ground.arguments import expect
-from jaxclear.ground.given_functions import asked, shape_of
 from jaxclear.ground.quantity import is_one_number
+from jaxclear.ground.warning import asked, shape_of
 from jaxclear.ground.wording import described
 
 __all__ = ["Thinned", "answer", "by_name", "check_answers", "check_responses"]

@@ -19,8 +19,8 @@ from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.endless import answered, why_unanswered
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.texts import in_texts
 from jaxclear.studies.warned import told
 

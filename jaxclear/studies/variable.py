@@ -12,7 +12,7 @@ from jaxclear.ground.arguments import check_number, expect
 from jaxclear.ground.quantity import is_one_number
 from jaxclear.ground.wording import described, meant
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.own_numbers import own_numbers
+from jaxclear.multibody.topology import own_numbers
 from jaxclear.studies.base import AbstractVariable, one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
 

@@ -26,12 +26,12 @@ from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.ground.shown import AbstractShown, shown_in_words
 from jaxclear.ground.table import as_table
 from jaxclear.integrators import Outcome
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_corners
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.endless import answered, finite_beside, why_unanswered
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.warned import by_kind, codes_of, concerning

@@ -20,7 +20,7 @@ from jaxclear.formulations.impact_speed import (
     end_at_passage,
     remembered,
 )
-from jaxclear.integrators.impacts import EndingAtTouches, Judged
+from jaxclear.integrators.error_control import EndingAtTouches, Judged
 from jaxclear.laws.contact import dissipation
 from jaxclear.multibody.assembly import guess
 from jaxclear.simulation.simulate import run

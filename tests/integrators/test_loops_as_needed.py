@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.files.forms import Part
-from jaxclear.files.writing import in_plain_values
+from jaxclear.files.parts import Part
 from jaxclear.integrators.checks import Check
 from jaxclear.multibody.loops import AsNeeded
 from jaxclear.simulation.simulate import run
@@ -75,7 +74,7 @@ def test_the_mechanism_of_a_run_goes_on_by_another_integrator():
 
 def test_a_file_holds_what_was_given():
     def told(rig):
-        return in_plain_values(Part((jc.Mechanism,)), rig, "", rig).get("stabilisation")
+        return Part((jc.Mechanism,)).plain(rig, "", rig).get("stabilisation")
 
     assert told(slider_crank()) is None
     assert "Projection" in str(told(slider_crank(jc.Projection())))

@@ -18,16 +18,16 @@ from jaxtyping import Array, Float, Int
 from jaxclear.formulations.base import model_of
 from jaxclear.ground.arguments import check_number, expect
 from jaxclear.integrators import AbstractIntegrator, Outcome
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism, ungiven
 from jaxclear.multibody.state import names
 from jaxclear.multibody.validation import check_values
 from jaxclear.native import stoppable
 from jaxclear.results import response
-from jaxclear.results.saved_state import SavedMotion, State
+from jaxclear.results.state_history import SavedMotion, State
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.beginning import Past, beginning
+from jaxclear.simulation.initial_state import Past, beginning
 from jaxclear.simulation.loop import run
 from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.simulation.wear import Losses, Worn, lost_between, unworn, worn_by

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_count, check_number, expect
 from jaxclear.integrators import Outcome
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.multibody.validation import check_values
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.base import AbstractProblem, SampleResult

@@ -15,12 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from jaxclear.integrators.checks import Check
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Check, Checks
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import prepare
-from jaxclear.results.saved_state import SavedMotion
+from jaxclear.results.state_history import SavedMotion
 from jaxclear.simulation.wear import Worn
+from jaxclear.studies.ledger.ledger import Ledger
 from jaxclear.studies.life.cycle import (
     Cycle,
     asked_of,
@@ -34,7 +34,6 @@ from jaxclear.studies.life.cycle import (
 from jaxclear.studies.life.settling import Patience, Settling, settle, settle_side_by_side
 from jaxclear.studies.life.steps import Cells, CycleFailed, Losses, Rate
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.store import Store
 
 # What a narrow contact makes of depths.
 NARROW = (Check.WEAR_BY_CELLS,)
@@ -52,7 +51,7 @@ GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 class Rates:
     """Of a machine: its problem, the cycles simulated so far, where the motion settled."""
 
-    def __init__(self, problem: Problem, values: Any, patience: Patience, store: Store | None):
+    def __init__(self, problem: Problem, values: Any, patience: Patience, store: Ledger | None):
         self.problem, self.patience, self.store = problem, patience, store
         self.asked = asked_of(problem, values)
         self.motion, self.worn = first_state(problem, values)

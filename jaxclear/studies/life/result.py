@@ -16,9 +16,9 @@ from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.ground.datasets import provenance
 from jaxclear.ground.shown import AbstractShown, shown_in_words
 from jaxclear.ground.table import as_table
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.results.response import concerned
-from jaxclear.results.saved_state import State
+from jaxclear.results.state_history import State
 from jaxclear.simulation.wear import Worn
 from jaxclear.studies.life.settling import Settling
 from jaxclear.studies.life.steps import Cells, Length, Node

@@ -15,6 +15,7 @@ from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
+from jaxclear.studies.ledger.ledger import Ledger
 from jaxclear.studies.life.cycle import as_problem
 from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import DEPTH, VOLUME, Stage, WearLife
@@ -31,7 +32,6 @@ from jaxclear.studies.life.steps import (
     live_by_jumps,
 )
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.store import Store
 from jaxclear.studies.texts import in_texts
 
 # Ends of a cycle this far apart are the same, as in `settled`.
@@ -63,7 +63,7 @@ def wear_life(
     where none comes it is a mean over as many as bring its noise below that, `most` at the
     most, and what noise is left belongs to the error. With `most` of 32 or more such cycles run
     eight side by side from the second rate on, by a program of their own: once that is compiled
-    (15 s for the 3RSR), each takes a third of the time. `store`: a folder (Zarr) that keeps every
+    (15 s for the 3RSR), each takes a third of the time. `store`: a folder that keeps every
     cycle; asked again, the life goes on from there. A cycle that fails ends the life, with what was
     reached and why. Raises `ValueError` with a sentence for what cannot be asked, and
     `SimulationError` where the very first cycle fails.
@@ -76,7 +76,7 @@ def wear_life(
     check_count("most of wear_life", most)
     check_flags("wear_life", progress_bar=progress_bar)
     check_asked(problem)
-    kept = None if store is None else Store.opened(store, "a wear life", in_texts(problem))
+    kept = None if store is None else Ledger.opened(store, "a wear life", in_texts(problem))
     rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, most), kept)
     with progress.bar(progress_bar, "wear life"):
         result = lived(rates, float(cycles), float(accuracy), jump)

@@ -28,10 +28,10 @@ from jaxclear.ground.shown import AbstractShown, left_out
 from jaxclear.ground.table import as_table
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_indices
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.inputs import Inputs
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import ROUNDING, UNKNOWN, Statistic, jackknifed
