@@ -70,7 +70,6 @@ from jaxclear.studies import distribution, limit_state
 from jaxclear.studies.advice import PilotSettings, advise
 from jaxclear.studies.base import AbstractProblem, AbstractVariable
 from jaxclear.studies.campaign.campaign import campaign, open_campaign
-from jaxclear.studies.condition import Condition, Heating
 from jaxclear.studies.design import catalogue, cost, limit
 from jaxclear.studies.design.design import design, design_front
 from jaxclear.studies.design.settings import DesignSettings
@@ -92,7 +91,12 @@ from jaxclear.studies.statistics.sobol_indices import sobol_indices
 from jaxclear.studies.surface.correction import corrected
 from jaxclear.studies.surface.surface import surface
 from jaxclear.studies.sweep import sweep
-from jaxclear.studies.variable import AbstractMechanismVariable, Variable
+from jaxclear.studies.variable import (
+    AbstractMechanismVariable,
+    Condition,
+    Heating,
+    Variable,
+)
 from jaxclear.studies.worst_case import worst_case
 
 from jaxclear import scenes  # isort: skip

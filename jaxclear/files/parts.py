@@ -47,9 +47,8 @@ from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.multibody.loops import AsNeeded, Baumgarte, Projection
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.simulation.saving import Saving
-from jaxclear.studies.condition import Condition, Heating
 from jaxclear.studies.distribution import FromScipy
-from jaxclear.studies.variable import AbstractMechanismVariable, Variable
+from jaxclear.studies.variable import AbstractMechanismVariable, Condition, Heating, Variable
 
 KIND = "kind"
 # What a class may refuse its arguments with.

@@ -51,9 +51,9 @@ from jaxclear.simulation.simulate import check_duration, simulate
 from jaxclear.statics.position_path import checked_positions, positions
 from jaxclear.statics.positions import Positions
 from jaxclear.statics.seated import seated
+from jaxclear.studies.mechanism_problem import by_name
 from jaxclear.studies.position_problem import PositionProblem
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.responses import by_name
 from jaxclear.studies.variable import AbstractMechanismVariable
 
 SEATED = "seated"

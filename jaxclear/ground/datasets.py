@@ -92,11 +92,12 @@ def of_table(table: Any, dimension: str, units: Mapping[str, str] | None = None)
         name, unit = (own[1], own[2]) if own else (str(label), (units or {}).get(label, ""))
         values = table[label].to_numpy()
         numbers = np.asarray(values).dtype.kind in "fiub"
-        found[_spelt(name)] = Column((dimension,), values, unit or ("1" if numbers else ""))
+        found[spelt(name)] = Column((dimension,), values, unit or ("1" if numbers else ""))
     return found
 
 
-def _spelt(name: str) -> str:
+def spelt(name: str) -> str:
+    """A name without signs that files take for something else."""
     return name.replace("%", "percent").replace("/", " per ")
 
 

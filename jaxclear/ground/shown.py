@@ -189,10 +189,10 @@ def _in_html(part: Any) -> str:
     return f"<details><summary>{first}</summary><pre>{folded}</pre></details>"
 
 
-def left_out(failed: int, sample: str) -> list[str]:
-    """A sentence for samples that failed; none where none did."""
+def left_out(failed: int, sample: str) -> str:
+    """A sentence for samples that failed; "" where none did."""
     several = f"{failed} {sample}s failed and are left out."
-    return [several if failed > 1 else f"1 {sample} failed and is left out."] if failed else []
+    return several if failed > 1 else f"1 {sample} failed and is left out." if failed else ""
 
 
 def as_written(number: Any) -> str:

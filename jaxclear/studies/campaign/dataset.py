@@ -15,7 +15,7 @@ from jaxclear.studies.campaign.samples import (
     WORST,
     Samples,
 )
-from jaxclear.studies.datasets import FINER, finer_name
+from jaxclear.studies.monte_carlo import FINER, finer_name
 
 # An outcome that no sample has, and how outcomes are kept.
 UNKNOWN = (np.dtype(np.int8), -1)

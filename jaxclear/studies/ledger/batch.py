@@ -80,19 +80,20 @@ def chunk_size(problem: AbstractProblem, samples: int, chunk: int | None = None)
     return max(1, min(usual_batch(problem), -(-samples // threads_of())))
 
 
+@eqx.filter_jit
+def _mapped(function: Callable[[Array], Any], values: Float[Array, "samples variables"]) -> Any:
+    return jax.vmap(function)(values)
+
+
 def sample_of_chunk(
-    function: Callable[[Any, Array], Any],
-    problem: AbstractProblem,
-    values: Float[Array, " variables"],
-    index: int,
-    chunk: int,
+    function: Callable[[Array], Any], values: Float[Array, " variables"], index: int, chunk: int
 ) -> Any:
-    """What a compiled function of a chunk gives for sample `index` of a study in chunks of this
-    size, bit for bit as it was there: in the same lane of the same kernel, between copies of
-    itself.
+    """What a function of one sample, a method of a problem, gives for sample `index` of a study in
+    chunks of this size, bit for bit as it was there: in the same lane of the same kernel, between
+    copies of itself.
     """
     with stoppable():
-        found = function(problem, jnp.tile(values, (chunk, 1)))
+        found = _mapped(function, jnp.tile(values, (chunk, 1)))
         return jax.tree.map(lambda leaf: leaf[index % chunk], jax.block_until_ready(found))
 
 

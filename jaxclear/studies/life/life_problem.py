@@ -26,8 +26,8 @@ from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import DEPTH, VOLUME, WearLife
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.wear_life import SETTLED, check_asked, lived
+from jaxclear.studies.mechanism_problem import answer, by_name, check_responses
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.responses import answer, by_name, check_responses
 from jaxclear.studies.variable import AbstractMechanismVariable
 
 __all__ = ["LifeProblem"]
