@@ -72,7 +72,7 @@ from jaxclear.studies.base import AbstractProblem, AbstractVariable
 from jaxclear.studies.campaign.campaign import campaign, open_campaign
 from jaxclear.studies.design import catalogue, cost, limit
 from jaxclear.studies.design.design import design, design_front
-from jaxclear.studies.design.settings import DesignSettings
+from jaxclear.studies.design.search import DesignSettings
 from jaxclear.studies.fidelity.multi_fidelity import multi_fidelity
 from jaxclear.studies.function_problem import Dimension, FunctionProblem
 from jaxclear.studies.life.derivative import wear_life_derivatives

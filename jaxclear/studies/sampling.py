@@ -15,6 +15,7 @@ from functools import partial
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -158,3 +159,23 @@ def _of_block(
 ) -> Float[Array, "samples variables"]:
     """Values of the variables from independent standard normal numbers [1]."""
     return inputs.values(normal)
+
+
+@eqx.filter_jit
+def _of_each(problem, normal):
+    return jax.vmap(problem.inputs.values)(normal)
+
+
+def all_values(problem: AbstractProblem, normal: np.ndarray) -> np.ndarray:
+    """Values (samples, variables) that standard normal numbers (samples, variables) stand for."""
+    return np.array(_of_each(problem, jnp.asarray(normal)))
+
+
+@eqx.filter_jit
+def _slopes_of_each(problem, normal):
+    return jax.vmap(jax.jacfwd(problem.inputs.values))(normal)
+
+
+def value_slopes(problem: AbstractProblem, normal: np.ndarray) -> np.ndarray:
+    """How the values move with the standard normal numbers, (samples, variables, variables)."""
+    return np.asarray(_slopes_of_each(problem, jnp.asarray(normal)))

@@ -10,9 +10,8 @@ from jaxclear.ground.shown import as_written, in_few, with_error
 from jaxclear.ground.table import as_table
 from jaxclear.studies.answer import VARIABLE, AbstractAnswer, Column, Stated, columns_of
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.design.abstract_limit import AbstractLimit
-from jaxclear.studies.design.freedom import NOMINAL
-from jaxclear.studies.design.question import Question
+from jaxclear.studies.design.limit import AbstractLimit
+from jaxclear.studies.design.question import NOMINAL, Question
 from jaxclear.studies.design.search import Round
 from jaxclear.studies.surface.response_surface import TRUSTED
 from jaxclear.studies.warned import FEW_WARNED, sentences, warned_share

@@ -11,10 +11,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.studies.design.abstract_limit import AbstractLimit, Sample
-from jaxclear.studies.design.endless_limits import SAME
-from jaxclear.studies.design.model import AbstractModel
-from jaxclear.studies.design.population import Points, points
+from jaxclear.studies.design.limit import SAME, AbstractLimit, Sample
+from jaxclear.studies.design.population import AbstractModel, Points, points
 from jaxclear.studies.design.question import Question
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.endless import finite_beside, refuse_endless

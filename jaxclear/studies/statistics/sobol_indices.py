@@ -41,9 +41,8 @@ from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import ROUNDING, UNKNOWN, Statistic, jackknifed
 from jaxclear.studies.surface.fitting import HIGHEST
-from jaxclear.studies.surface.polynomials import levels, orthonormal, powers, products
+from jaxclear.studies.surface.polynomials import Expansion, levels, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.surface.variances import Expansion
 from jaxclear.studies.warned import told
 
 # Runs for each term of a polynomial: as in `jaxclear.sensitivity`.

@@ -25,9 +25,10 @@ from jaxclear.studies.datasets import of_corrected
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
+from jaxclear.studies.sampling import all_values
+from jaxclear.studies.scrambling import scrambled_normal
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
 from jaxclear.studies.statistics.summary import ERRORS
-from jaxclear.studies.surface.drawing import all_values, scrambled_normal
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
 
