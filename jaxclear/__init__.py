@@ -85,6 +85,7 @@ from jaxclear.studies.monte_carlo import monte_carlo
 from jaxclear.studies.position_problem import PositionProblem
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.reliability.reliability import reliability
+from jaxclear.studies.screening import screening
 from jaxclear.studies.sensitivity.sensitivity import sensitivity
 from jaxclear.studies.statistics.shapley import shapley_effects
 from jaxclear.studies.statistics.sobol_indices import sobol_indices
@@ -185,6 +186,7 @@ __all__ = [
     "response",
     "scene_schema",
     "scenes",
+    "screening",
     "seated",
     "sensitivity",
     "settled",

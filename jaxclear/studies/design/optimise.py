@@ -16,8 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
+from jaxclear.studies.design.cost import Processes
 from jaxclear.studies.design.population import AbstractModel, Points
-from jaxclear.studies.design.question import Question
+from jaxclear.studies.design.question import TOLERANCE, Question
 
 # A limit broken by less than this share is kept: rounding of the optimiser.
 KEPT = 1e-6
@@ -148,6 +149,83 @@ def multipliers(
     if columns.size:
         found[deciding] = scipy.optimize.nnls(columns, -slopes[0])[0][: len(deciding)]
     return found
+
+
+def chosen(search: Search, relaxed: Candidate) -> Candidate:
+    """The best candidate by a choice of processes, where costs offer one, and of what catalogues
+    have. With few processes every combination is searched, else one after the other is changed
+    while that helps."""
+    spans = _processes(search)
+    if not spans:
+        return chosen_from_catalogues(search, relaxed)
+    tried: dict[tuple[int, ...], Candidate] = {}
+
+    def best(which: tuple[int, ...]) -> Candidate:
+        if which not in tried:
+            own = [span[k] for span, k in zip(spans.values(), which, strict=True)]
+            narrow = _narrowed(search, dict(zip(spans, own, strict=True)))
+            found = cheapest(narrow, [np.clip(relaxed.place, narrow.low, narrow.high)])
+            tried[which] = chosen_from_catalogues(narrow, found)
+        return tried[which]
+
+    counts = [len(span) for span in spans.values()]
+    if np.prod([float(count) for count in counts]) <= MOST_SEARCHES:
+        return best_of([best(which) for which in itertools.product(*map(range, counts))])
+    here = tuple(
+        int(
+            np.argmin(
+                [abs(np.clip(relaxed.place[i], s.low, s.high) - relaxed.place[i]) for s in own]
+            )
+        )
+        for i, own in spans.items()
+    )
+    for _ in range(SWEEPS):
+        before = here
+        for k, count in enumerate(counts):
+            for other in range(count):
+                moved = (*here[:k], other, *here[k + 1 :])
+                here = moved if best(moved).better(best(here)) else here
+        if here == before:
+            break
+    return best(here)
+
+
+class _Span(NamedTuple):
+    """A process by its number, and the places (low, high) of the tolerances that it holds."""
+
+    process: int
+    low: float
+    high: float
+
+
+def _processes(search: Search) -> dict[int, list[_Span]]:
+    """The processes that each free tolerance without a catalogue may be made by, by its number."""
+    freedom, cost = search.question.freedom, search.question.cost
+    found: dict[int, list[_Span]] = {}
+    for i, choice in enumerate(freedom.choices):
+        own = cost.get(freedom.names[choice.variable]) if isinstance(cost, dict) else None
+        if choice.kind != TOLERANCE or choice.offered or not isinstance(own, Processes):
+            continue
+        spans = []
+        for number, ends in enumerate(np.asarray(own.ranges)):
+            places = [freedom.place(i, t) for t in np.clip(ends, choice.low, choice.high)]
+            low, high = max(places[0], search.low[i]), min(places[1], search.high[i])
+            if low <= high and ends[0] <= choice.high:
+                spans.append(_Span(number, low, high))
+        if spans:
+            found[i] = spans
+    return found
+
+
+def _narrowed(search: Search, spans: dict[int, _Span]) -> Search:
+    """The same search with these processes held, by the number of the free tolerance."""
+    low, high, question = search.low.copy(), search.high.copy(), search.question
+    for i, span in spans.items():
+        low[i], high[i] = span.low, span.high
+        name = question.freedom.names[question.freedom.choices[i].variable]
+        held = lambda q, name=name: q.cost[name].held
+        question = eqx.tree_at(held, question, jnp.asarray(span.process))
+    return search._replace(question=question, low=low, high=high)
 
 
 def chosen_from_catalogues(search: Search, relaxed: Candidate) -> Candidate:

@@ -86,6 +86,10 @@ class Freedom(eqx.Module):
         places = [_place(choice, values[choice.kind][choice.variable]) for choice in self.choices]
         return np.clip(np.array(places), 0.0, 1.0)
 
+    def place(self, i: int, number: float) -> float:
+        """The place between 0 and 1 of a value of a free number."""
+        return float(_place(self.choices[i], number))
+
     def places(self, i: int) -> list[float]:
         """Places of everything that the catalogue of a free number has, rising."""
         choice = self.choices[i]

@@ -21,7 +21,7 @@ from jaxclear.studies.design.optimise import (
     Candidate,
     Search,
     cheapest,
-    chosen_from_catalogues,
+    chosen,
 )
 from jaxclear.studies.design.population import (
     AbstractModel,
@@ -228,10 +228,10 @@ class _Seeking:
         if self.settings.noisy:
             seed = self.settings.seed + len(self.rounds)
             found = cheapest_by_noise(search, starts[0], self.runs, seed)
-            return chosen_from_catalogues(search, found)
+            return chosen(search, found)
         if self.settings.uses_steps(len(low)):
-            return chosen_from_catalogues(search, cheapest_by_steps(search, starts[0]))
-        return chosen_from_catalogues(search, cheapest(search, starts))
+            return chosen(search, cheapest_by_steps(search, starts[0]))
+        return chosen(search, cheapest(search, starts))
 
     def _checked(self, number: int, candidate: Candidate) -> Check:
         """The candidate by new runs; by more where they are less sure than is asked."""
