@@ -25,13 +25,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.studies.design.limit import Sample
 from jaxclear.studies.design.optimise import Candidate, Search, judged
 from jaxclear.studies.design.population import AbstractModel, Points, points
 from jaxclear.studies.design.question import NOMINAL, TOLERANCE, Question
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.endless import bounded
 from jaxclear.studies.sensitivity.direction import Direction, weights
+from jaxclear.studies.surface.control_variate import with_difference
 
 # Adam's steps: places run from 0 to 1.
 FIRST_STEP, LAST_SHARE = 0.03, 1e-3
@@ -199,10 +199,7 @@ def noisy(question: Question, model: AbstractModel, drawn: Points, batch: Batch,
         for limit, sample in zip(question.limits, samples, strict=True):
             if limit.response in surface and not limit.extreme():
                 here = batch.responses[limit.response], surface[limit.response]
-                values = jnp.concatenate([sample.values, *here])
-                sample = Sample(
-                    values, jnp.concatenate([sample.weights, share, -share]), sample.ends
-                )
+                sample = with_difference(sample, *here, share)
             excesses.append(limit.excess(sample))
         found = jnp.append(question.price(own), jnp.stack(excesses) / question.sizes)
         return found, found

@@ -22,6 +22,7 @@ import numpy as np
 from jaxclear.studies.fidelity.model import Model, told_by
 from jaxclear.studies.sampling import by_scrambling, draw
 from jaxclear.studies.scrambling import seed_of
+from jaxclear.studies.surface.control_variate import regressed
 
 # A gain that the pilot sample puts below this may be chance, and does not pay the pilot.
 LEAST_GAIN = 1.2
@@ -55,13 +56,6 @@ def scatter(numbers: np.ndarray, parts: int) -> np.ndarray:
     for one sample: n times that of n."""
     means = by_scrambling(numbers, parts).mean(axis=1)
     return means.var(axis=0, ddof=1) * (len(numbers) // parts)
-
-
-def regressed(upper: np.ndarray, lower: np.ndarray) -> np.ndarray:
-    """Weights (moments,) of the lower model's moments in those of the upper (samples, moments)."""
-    one, other = upper - upper.mean(axis=0), lower - lower.mean(axis=0)
-    spread = np.sum(other**2, axis=0)
-    return np.where(spread > 0, np.sum(one * other, axis=0) / np.where(spread > 0, spread, 1.0), 0)
 
 
 def chosen(moments: list[np.ndarray], costs: np.ndarray, wanted: np.ndarray, parts: int) -> Chain:

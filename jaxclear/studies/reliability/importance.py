@@ -15,7 +15,7 @@ import scipy
 from jaxclear.studies.limit_state import system_margin
 from jaxclear.studies.reliability.design_point import DesignPoint
 from jaxclear.studies.reliability.models import Probability, RunModel, SurfaceModel, refused
-from jaxclear.studies.scrambling import scrambled_normal
+from jaxclear.studies.surface.control_variate import Known, normal_blocks
 
 # Runs of one scrambling, scramblings before the first look, and added between looks.
 BLOCK, FIRST, MORE = 32, 8, 4
@@ -64,13 +64,6 @@ class Proposal(NamedTuple):
         return np.exp(-scipy.special.logsumexp(logs + np.log(self.shares), axis=1))
 
 
-class _Known(NamedTuple):
-    """The surface's own probability and the variance of that."""
-
-    value: float
-    variance: float
-
-
 def importance(
     model: RunModel,
     surface: SurfaceModel | None,
@@ -87,9 +80,8 @@ def importance(
     means, within, counts, unknown = np.zeros(0), np.zeros(0), 0, 0.0
     while True:
         new = FIRST if not len(means) else MORE
-        rngs = [np.random.default_rng([seed, 3, len(means) + k]) for k in range(new)]
-        raw = [scrambled_normal(BLOCK, proposal.dimensions, rng) for rng in rngs]
-        normal = proposal.drawn(np.concatenate(raw))
+        drawn = normal_blocks(new, BLOCK, proposal.dimensions, (seed, 3), first=len(means))
+        normal = proposal.drawn(drawn)
         margins, weights = model.margins(normal), proposal.weights(normal)
         lost = np.isnan(margins).any(axis=1)
         fails = lost | (system_margin(np.where(lost[:, None], -1.0, margins), cuts) < 0)
@@ -115,9 +107,7 @@ def importance(
     return found._replace(runs=runs, failed=model.failed - failed, unknown=share)
 
 
-def _answer(
-    means: np.ndarray, within: np.ndarray, known: _Known | None, counts: int
-) -> Probability:
+def _answer(means: np.ndarray, within: np.ndarray, known: Known | None, counts: int) -> Probability:
     """The answer so far: the mean of the blocks and its variation, by their spread or, where that
     is larger, by the spread within them (variances of means, (blocks,)): few blocks are like each
     other by chance, and sampling until they are would be biased. As if one failing sample more had
@@ -130,10 +120,8 @@ def _answer(
     return Probability(float(value), float(np.sqrt(variance) / value), blocks=len(means))
 
 
-def _own_probability(surface: SurfaceModel, proposal: Proposal, cuts, seed: int) -> _Known:
-    rngs = [np.random.default_rng([seed, 4, k]) for k in range(SURFACE_BLOCKS)]
-    raw = [scrambled_normal(SURFACE_POINTS, proposal.dimensions, rng) for rng in rngs]
-    normal = proposal.drawn(np.concatenate(raw))
+def _own_probability(surface: SurfaceModel, proposal: Proposal, cuts, seed: int) -> Known:
+    drawn = normal_blocks(SURFACE_BLOCKS, SURFACE_POINTS, proposal.dimensions, (seed, 4))
+    normal = proposal.drawn(drawn)
     fails = system_margin(surface.margins(normal), cuts) < 0
-    means = (proposal.weights(normal) * fails).reshape(SURFACE_BLOCKS, -1).mean(axis=1)
-    return _Known(float(means.mean()), float(means.var(ddof=1) / SURFACE_BLOCKS))
+    return Known.of(proposal.weights(normal) * fails, SURFACE_BLOCKS)
