@@ -141,7 +141,7 @@ class Samples:
         if known is None:
             refuse_foreign(path, "campaign")
             known = {"what": KIND, "plan": plan._asdict()} | told
-        with _planning(path):
+        with held(path / PLANNING):
             with suppress(DamagedFolder):
                 # Two processes may begin at once.
                 known = told_of(path) or known
@@ -158,7 +158,7 @@ class Samples:
     def extended(self, samples: int, usual: int) -> "Samples":
         """With room for so many, in batches of the `usual` size; for more, where another process
         has planned these."""
-        with _planning(self.folder):
+        with held(self.folder / PLANNING):
             told = told_of(self.folder) or self.told
             plan = Plan(**told["plan"])
             if plan.samples < samples:
@@ -170,7 +170,7 @@ class Samples:
     def conclude(self) -> None:
         """Puts down that all samples are finished, and tidies up."""
         if self.told.get(WHOLE, 0) < self.plan.samples:
-            with _planning(self.folder):
+            with held(self.folder / PLANNING):
                 told = told_of(self.folder) or self.told
                 tell(self.folder, told | {WHOLE: max(told.get(WHOLE, 0), self.plan.samples)})
         self.pieces.tidy()
@@ -375,16 +375,16 @@ def _told(path: Path, mend: bool) -> dict[str, Any] | None:
 
 
 @contextmanager
-def _planning(folder: Path) -> Iterator[None]:
-    """Holds the plan of a folder, which is made where there is none."""
+def held(path: Path) -> Iterator[None]:
+    """Holds a file in a folder, which is made where there is none, against other processes."""
     import filelock
 
-    lock = filelock.FileLock(folder / PLANNING, thread_local=False)
+    lock = filelock.FileLock(path, thread_local=False)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         lock.acquire()
     except OSError as reason:
-        refuse_unwritable(folder, reason)
+        refuse_unwritable(path.parent, reason)
     try:
         yield
     finally:
