@@ -18,12 +18,7 @@ from typing import Any
 from jaxclear.ground.wording import described
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.campaign.threads import (
-    PATIENCE,
-    AbstractWork,
-    Evaluation,
-    done,
-)
+from jaxclear.studies.campaign.threads import PATIENCE, AbstractWork, Evaluation, done
 from jaxclear.studies.ledger.batch import Program
 from jaxclear.studies.ledger.ledger import STUDY
 from jaxclear.studies.ledger.pieces import address_of

@@ -12,7 +12,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.datasets import told_versions
@@ -42,22 +41,15 @@ MOST_CHUNKS, MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK = 1024, 32, 1 << 14
 BATCHES, OF_CAMPAIGN = 4, 64
 KIND = "a Monte Carlo campaign"
 # What is kept of each sample; the figures of its checks, and when they were met.
-VALUES, RESPONSES, OUTCOME, ENDED, WORST, WHEN = COLUMNS = (
-    "values",
-    "responses",
-    "outcome",
-    "ended",
-    "worst",
-    "when",
-)
+COLUMNS = ("values", "responses", "outcome", "ended", "worst", "when")
+VALUES, RESPONSES, OUTCOME, ENDED, WORST, WHEN = COLUMNS
 # Columns that repeat themselves.
 SQUEEZED = (OUTCOME, ENDED, WORST, WHEN)
 FINER = "finer"
 # Held while the plan is changed.
 PLANNING = ".planning"
-# Up to how many samples all had been finished once; what versions up to 0.29 found of the nominal
-# sample.
-WHOLE, NOMINAL = "whole", "second_look"
+# Up to how many samples all had been finished once.
+WHOLE = "whole"
 
 
 class Plan(NamedTuple):
@@ -325,15 +317,6 @@ class Samples:
         if finer is None or len(self.finished()) < -(-count // self.plan.chunk):
             return None
         return together_with(self._names, self.found(slice(0, count)), finer, count)
-
-    def earlier(self) -> tuple[str, ...]:
-        """What a version up to 0.29 found to be off in a second look at the nominal sample."""
-        kept: Any = self.told.get(NOMINAL, ())
-        figures = {
-            Check[name]: Figure(jnp.asarray(worst), jnp.asarray(when), tuple(places))
-            for name, worst, when, places in kept
-        }
-        return Checks.of(figures).warnings
 
     def versions(self) -> tuple[dict[str, str], ...]:
         """Versions of the programs that computed finished chunks."""
