@@ -31,7 +31,7 @@ from jaxclear.simulation.initial_state import Past, beginning
 from jaxclear.simulation.loop import run
 from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.simulation.wear import Losses, Worn, lost_between, unworn, worn_by
-from jaxclear.studies.life.periodicity import apart
+from jaxclear.studies.life.periodicity import apart, warn_of_several
 from jaxclear.studies.problem import Problem
 
 # Of saving times are left, to tell what hangs on them.
@@ -217,7 +217,9 @@ def as_problem(owner: str, asked: Any, period: Any, state: State | None = None) 
     if period is None:
         raise ValueError(f"{owner} of a mechanism needs its period [s]: how long one cycle takes.")
     check_number(f"period of {owner}", period, "s", above=0)
-    return Problem(asked, usual_responses(asked), {}, duration=period, state=state)
+    problem = Problem(asked, usual_responses(asked), {}, duration=period, state=state)
+    warn_of_several(owner, problem)
+    return problem
 
 
 def usual_responses(mechanism: Mechanism) -> dict[str, Callable]:

@@ -17,9 +17,9 @@ from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.ledger.ledger import Ledger
 from jaxclear.studies.life.cycle import as_problem
+from jaxclear.studies.life.periodicity import check_period
 from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import DEPTH, VOLUME, Stage, WearLife
-from jaxclear.studies.life.settled import check_period
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.steps import (
     CycleFailed,
@@ -93,12 +93,14 @@ def lived(
     lengths: Sequence[Length] = (),
 ) -> WearLife:
     """The life, and what is kept of it; by steps of these `lengths` if they are given."""
-    row, cells = rates.first_row, rates.cells
+    row, cells, problem = rates.first_row, rates.cells, rates.problem
+    check_period("wear_life", problem, float(rates.motion.time), rates.patience.most)
     try:
-        rate = rates.evaluate(row, set_down=rates.problem.state.motion is None)
+        rate = rates.evaluate(row, set_down=problem.state.motion is None)
     except CycleFailed as reason:
         raise SimulationError(f"The life has no first cycle: {reason}", rates.last_run) from None
-    check_period("wear_life", rates.problem, rate.settled.last)
+    ended = float(rate.settled.last.end.time)
+    check_period("wear_life", problem, ended - float(problem.duration))
     start = Node.first(row, rate, cells)
     machine = Machine(rates.evaluate, rates.carry, cells, rates.halves, progress.advance)
     if lengths:
