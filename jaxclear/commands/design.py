@@ -128,8 +128,8 @@ def study(scene: str, folder: Path, accuracy: float = 5e-3, show: bool = True) -
         asked.problem, asked.cost, asked.limits, bounds, **asked.choices, **options
     )
     for bound, one in zip(bounds, front, strict=True):
-        kept = "holds" if one.holds else "does not hold"
-        print(f"{asked.limits[0].words()} {bound:.4g}: cost {one.cost:.4g}, {kept}")
+        stands = "holds" if one.holds else "does not hold"
+        print(f"{asked.limits[0].words()} {bound:.4g}: cost {one.cost:.4g}, {stands}")
     kept.write_figures(design=plot.design(found), front=plot.design_front(front))
     spared = np.ptp([one.cost for one in front])
     print(f"\nBetween the ends of the front lies {spared:.3g} of cost. {kept.sentence()}")

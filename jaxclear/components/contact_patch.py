@@ -1,4 +1,5 @@
-r"""Which share of a lost volume each cell of a worn surface gives: its own pressure's.
+r"""Which share of a lost volume each cell of a worn surface gives: its own pressure's. For machine
+code a loop goes through the few cells that a contact touches; XLA is left to whole maps.
 
 Where the rigid outlines of the parts, worn as they are, would overlap by u, the pressure goes with
 :math:`\sqrt u`. On a surface without wear this is Hertz's pressure, of lines as of points; the
@@ -8,18 +9,9 @@ Source: Hertz 1882, doi:10.1515/crll.1882.92.156; virtual interpenetration for o
 Piotrowski & Kik 2008, Vehicle Syst. Dyn. 46, 27.
 
 A contact that moves while it wears leaves to each cell the mean of its pressures there over the arc
-of its way: the arc convolved with the contact's width. Arcs that follow upon each other add up to
-the whole, however many they are.
-
-The pressure is that after the loss, so a loss brings the wall at most to the shape of the part that
-has cut it: no loss, however large, digs waves. Where a contact is narrower than two cells, the loss
-is that of a contact as wide as these.
-
-What a part takes off the cells that it touches, gone through one by one.
-
-The same numbers as by `contact_patch.depth_lost`, for machine code: of a map of a thousand cells a
-contact touches a few, and a loop that ends behind these costs as many times less. XLA, which starts
-each operation of such a loop by itself, is left to whole maps.
+of its way: arcs that follow upon each other add up to the whole, however many they are. The
+pressure is that after the loss, so a loss brings the wall at most to the shape of the part that has
+cut it. Where a contact is narrower than two cells, the loss is that of one as wide as these.
 """
 
 from collections.abc import Callable, Sequence

@@ -100,8 +100,10 @@ class TimeTable(AbstractFunctionOfTime):
     `interpolation`: "cubic" (a spline, two continuous derivatives), "monotone" (PCHIP: no
     overshoot, one continuous derivative) or "linear". `beyond` the first and last time it is "held"
     there, goes "straight" on, or is "repeated". `factor` [1] multiplies it. JAX differentiates it
-    by time, `factor` and, where it is not monotone, by `values`. Raises `ValueError` for a table
-    that is none. A drive refuses one that jumps in its speed.
+    by time, `factor` and, where it is not monotone, by `values`. Between two times stands a
+    polynomial with `coefficients` [unit of the values/s^k]; `areas` [s times that unit] are its
+    integrals. Raises `ValueError` for a table that is none. A drive refuses one that jumps in its
+    speed.
 
     Source of "monotone": Fritsch & Butland 1984, SIAM J. Sci. Stat. Comput. 5, 300,
     doi:10.1137/0905021.
@@ -110,7 +112,6 @@ class TimeTable(AbstractFunctionOfTime):
     times: Float[Array, " n"]
     values: Float[Array, "n ..."]
     coefficients: Float[Array, "4 pieces ..."]
-    # Its integral up to each time.
     areas: Float[Array, "n ..."]
     factor: Scalar = quantity(1.0, "1", "factor of all values")
     interpolation: str = eqx.field(static=True, default="cubic")

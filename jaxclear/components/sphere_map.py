@@ -1,10 +1,6 @@
-"""How a map of cells is read between their centres: by quadratic B-splines.
-
-Where a ball wears its socket: depth in azimuth and elevation. Cells share a loss as in
-`contact_patch`, all over the sphere alike, poles included.
-
-What wears a socket's wall in one loss: where the ball comes closest, how wide and deep it is
-there, and which cells it may overlap.
+"""Where a ball wears its socket: depth in azimuth and elevation, which cells a loss may overlap,
+how wide and deep it is there. Cells share a loss as in `contact_patch`, all over the sphere alike,
+poles included; quadratic B-splines read the map between their centres.
 """
 
 import functools

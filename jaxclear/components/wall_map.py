@@ -1,8 +1,5 @@
-"""Where a slider wears its guide, and a guide its slider: depth along the two flat walls of either.
-Cells share a loss as in `wall_contact`.
-
-What wears a flat wall in one loss: the face of a slider that one of its corners presses against
-it, from that corner on as far as they overlap, and which cells that is.
+"""Where a slider wears its guide, and a guide its slider: depth along the two flat walls of either,
+by the face of a slider that one of its corners presses against the wall.
 
 The face is a straight line between its two corners, so on an unworn wall their overlaps tell that
 of every place between them. Pressure goes with the overlap, as of flat faces (Winkler's
@@ -11,8 +8,7 @@ corner tells: both together press as the face does. Source: Johnson 1985, Contac
 4.3, doi:10.1017/CBO9781139171731.
 
 A corner that moves while it wears leaves to each cell the mean of its pressures there over its way.
-The pressure is that after the loss, as in `contact_patch`: a loss brings the wall at most to the
-line of the face.
+The pressure is that after the loss, as in `contact_patch`.
 """
 
 import functools

@@ -1,15 +1,11 @@
-"""Where material is lost: worn depth on a cylinder (theta x z) or a sphere (azimuth x elevation).
+"""Where material is lost: worn depth on a cylinder (theta x z), with which of its cells a loss may
+overlap; and one depth where parts without a gap wear into each other.
 
 Every cell loses what its own pressure takes, which follows from its own gap on the worn surface
 (`contact_patch`): on a cylinder also along the tilted journal. Volume is conserved to rounding, and
 depth is a smooth function of where and how much. What is lost between two saving times is spread
 over the arc that the contact has gone through. Quadratic B-splines read the depth back when the
 worn surface enters the gap.
-
-How far parts without a gap have worn into each other: one depth, volume over bearing area.
-
-What wears a cylinder's wall in one loss: where the part comes closest, how wide and deep it is
-there, and which cells it may overlap.
 """
 
 import functools

@@ -4,25 +4,18 @@ Symmetric positive definite matrices (masses, Schur complements, Delassus matric
 roots or pivots, on sparse scalars, so that structural zeros cost nothing. A call to LAPACK costs
 more than the whole arithmetic of a 4 x 4 system inside a compiled loop, and hides these zeros;
 beyond `LARGEST_WRITTEN_OUT` unknowns (three free bodies) its Cholesky factorisation takes over, for
-which kernels have no rule: an implicit step of a floating mechanism is then several hundred times
-slower. Matrices without symmetry (the generalised Jacobian of contacts that slide) cannot do
-without pivots: `eliminate`. Source: Golub & Van Loan 2013, Matrix Computations, sections 3.4, 4.1.
+which kernels have no rule. Matrices without symmetry (the generalised Jacobian of contacts that
+slide) cannot do without pivots: `eliminate`. Source: Golub & Van Loan 2013, Matrix Computations,
+sections 3.4, 4.1.
 
-Least squares with a symmetric semidefinite matrix of known rank.
-
-Of $S = A A^T$ only `rank` rows are independent. $S \approx L L^T$ with so many columns, by pivots
-taken from the largest down (Higham 2002, Accuracy and Stability of Numerical Algorithms, section
-10.3, doi:10.1137/1.9780898718027): what rounding leaves of the other rows is never divided by. Then
-$L = Q R$, and $x = Q R^{-T} R^{-1} Q^T b$ is the least of all x that come nearest to $S x = b$ in
-the sense that $A^T x$ does to $A\,a = b$. Elementary operations only, so that a kernel of machine
-code may hold them.
-
-The smallest change that meets linear equations, the first of which count most.
-
-Rows are made orthogonal one after the other (Gram and Schmidt, each twice: Giraud, Langou &
-Rozloznik 2005, Comput. Math. Appl. 50, 1069, doi:10.1016/j.camwa.2005.08.009). A row that says
-nothing new is left out, so those before it decide. Written in elementary operations: it may run in
-a batch on several threads, where factorisations of LAPACK wait for each other for ever.
+Semidefinite matrices of known rank, $S \approx L L^T$ with so many columns, by pivots from the
+largest down (Higham 2002, Accuracy and Stability of Numerical Algorithms, section 10.3,
+doi:10.1137/1.9780898718027); then $L = Q R$, and $x = Q R^{-T} R^{-1} Q^T b$ is the least of all x
+that come nearest to $S x = b$. The smallest change that meets linear equations, the first of which
+count most: rows are made orthogonal one after the other (Gram and Schmidt, each twice: Giraud,
+Langou & Rozloznik 2005, Comput. Math. Appl. 50, 1069, doi:10.1016/j.camwa.2005.08.009), and one
+that says nothing new is left out. Elementary operations only: factorisations of LAPACK wait for
+each other in a batch on several threads.
 """
 
 from collections.abc import Sequence

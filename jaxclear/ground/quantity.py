@@ -330,8 +330,9 @@ def quantity(
     """A scalar field with a unit (SI, "1" if none), a sentence of meaning and the range of its
     values.
 
-    `default` may be a number or `None`. The range is checked when an object is built (see
-    `AbstractQuantified`), for all numbers of a mechanism, and for every sample of a study.
+    `default` may be a number or `None`. The range, `above`, `at_least`, `below`, `at_most` [unit],
+    is checked when an object is built (see `AbstractQuantified`), for all numbers of a mechanism,
+    and for every sample of a study.
     `converter` is for what may be given in other ways than as one number. `usual`: (least, largest,
     likely slip) of what mechanisms have; beyond them a `Mechanism` warns.
     """

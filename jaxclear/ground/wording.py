@@ -81,6 +81,16 @@ def public_name(kind: Any) -> str:
     return _offered(sys.modules[__name__.partition(".")[0]], kind) or kind.__qualname__
 
 
+def as_typed(path: str) -> str:
+    """The dotted path of one of the package's classes as users type it; its name where they are
+    offered none."""
+    module, _, name = path.rpartition(".")
+    offered = _offered(
+        sys.modules[__name__.partition(".")[0]], getattr(sys.modules.get(module), name, path)
+    )
+    return f"jaxclear.{offered}" if offered else name
+
+
 def final_members(family: type) -> list[type]:
     """Final classes of a family, in the order in which they were defined."""
     found: list[type] = []

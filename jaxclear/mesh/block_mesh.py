@@ -124,7 +124,9 @@ PASSES = 2
 
 
 class BlockDeformation(eqx.Module):
-    """What carries a displacement of the points `held` [m] to all points of a mesh."""
+    """What carries a displacement of the points `held` [m] to all points of a mesh: by weights of
+    the volume `spline` [1] and of its `affine` part [1/m, 1], by arc `lengths` [1] within blocks
+    and over `links` [1] between these."""
 
     mesh: BlockMesh
     held: Int[np.ndarray, " held"]

@@ -1,22 +1,14 @@
-"""Laws of contacts that are told whether they count as closed or as apart, whatever their
-indentation: where a contact closes or parts, the equations of motion on one side of that instant
-are those of the other side with another share of the contact, 1 or 0, and between them affine in
-it (`integrators.saltation`).
-
-Contact laws on worn surfaces: where a surface asks for it (`Wearing.worn_radius`), what a law
-takes from the geometry (stiffness, radii, clearance) is fitted anew, to the radii at the contact.
-
-A bearing or socket worn by h has the radius R + h there, a journal or ball R - h; so the clearance
-grows by both. The gap itself is that of the worn surface anyway. Source: Hou, Deng & Zeng 2021, J.
-Cent. South Univ. 28, 712, doi:10.1007/s11771-021-4640-y, where the curvature radius of a worn
-element is the socket's radius and the element's depth.
-
-One clearance joint at one instant: from relative motion to forces, rates of the laws' memories
+"""One clearance joint at one instant: from relative motion to forces, rates of the laws' memories
 and lost material.
 
 Normal forces act along the gradient of the indentation with respect to the relative displacement,
 so normal power is exactly -F_n d(delta)/dt, worn and tilted surfaces included. Friction acts at the
 point of contact, against the relative velocity of the two material points there.
+
+Laws may be told whether a contact counts as closed (`integrators.saltation`). Where a surface asks
+for it (`Wearing.worn_radius`) laws are fitted anew to the radii at the contact: a bearing or socket
+worn by h has R + h there, a journal or ball R - h, and the clearance grows by both. Source: Hou,
+Deng & Zeng 2021, J. Cent. South Univ. 28, 712, doi:10.1007/s11771-021-4640-y.
 """
 
 from typing import Any, NamedTuple

@@ -49,7 +49,8 @@ def check_plane(topology: Topology, bodies: dict, connections: dict, loads: dict
 
 def across_the_plane(mechanism: Any) -> Iterator[str]:
     """Of a mechanism all of whose bodies move in the ground's xy plane, sentences for what moves
-    nothing: gravity along z, and a centre of mass beside the plane of all joints."""
+    nothing: a centre of mass beside the plane of all joints, and gravity along z where all is drawn
+    in one plane: an arm drawn in space may turn about upright axes, whose bearings carry it."""
     bodies, connections, loads = mechanism.bodies, mechanism.connections, mechanism.loads
     flat = all(len(body.inertia) == 1 for body in bodies.values())
     if not flat or not all(map(_keeps_z, connections.values())):
@@ -64,7 +65,9 @@ def across_the_plane(mechanism: Any) -> Iterator[str]:
             )
     for label, load in loads.items():
         pull = sp.vec3(load.acceleration) if isinstance(load, Gravity) else None
-        if pull is not None and _off(pull[2]) and not (_off(pull[0]) or _off(pull[1])):
+        if pull is None or beside or not _off(pull[2]):
+            continue
+        if not (_off(pull[0]) or _off(pull[1])):
             yield (
                 f'load "{label}" pulls along z, across the xy plane in which all bodies move, and '
                 "moves nothing: is it to be Gravity((0, -9.81))?"

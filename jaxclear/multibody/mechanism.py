@@ -1,11 +1,5 @@
-"""Named parts of a built mechanism, read-only: the tree and all checks are of the time of building,
-so what was put in later would be printed and not move.
-
-A mechanism in words: what `print` shows of it, every number with its unit.
-
-What is absent is left out; `Mechanism.parameters()` is the same as a table.
-
-A mechanism: bodies, connections and loads by name, checked before anything is traced.
+"""A mechanism: bodies, connections and loads by name, read-only and checked before anything is
+traced; and what `print` shows of it.
 
 The numbers are leaves of a pytree; names, joint types and what is absent are its structure. Values
 that are being traced are not checked: they were when the mechanism was built with numbers.

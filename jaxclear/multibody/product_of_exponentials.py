@@ -1,25 +1,14 @@
-"""Homogeneous transformation matrices T in SE(3), and the twists between them.
-
-T (4, 4) maps a child's coordinates to the parent's, x_parent = R x_child + p. Twists V [m, rad] are
-linear then angular, in body axes. For dense kinematics that are mapped over a run: products of
-matrices compile several times faster than those of jaxlie's quaternions, and than those of the
-scalars of `pose`, which keep structural zeros and serve the equations of motion. jaxlie gives the
-exponential and the logarithm, whose derivatives it keeps finite, and appears nowhere else here.
-Source: Lynch & Park 2017, Modern Robotics, doi:10.1017/9781316661239, chapter 3.
-
-Serial chains of connections through a mechanism: which joints lie between a base and a tip, and
-from which side each is met.
-
-Kinematics of a serial chain as a product of exponentials, and how deviations in its joints reach
-the tip.
+"""Kinematics of a serial chain of connections as a product of exponentials, and how deviations in
+its joints reach the tip.
 
 From base to tip, connection after connection: T = ... M_j exp [delta_j] N_j ..., with M_j fixed on
 a body, N_j the motion that the joint is made for (exp [S_j q_j], S_j its screw axis) and delta_j
 the twist, in the axes of the bearing (the parent's marker), by which the journal departs from it; a
 connection met from its child's side enters inverted. To first order the tip departs by the sum of
 [Ad_{Y_j^-1}] delta_j, Y_j the tip seen from the bearing of the nominal chain: the adjoint error
-model. One way of writing transformations throughout: the matrices of `ground.transform`. Source:
-POE in local form, Lynch & Park 2017, Modern Robotics, doi:10.1017/9781316661239, sections 4.1, 5.1.
+model. T (4, 4) maps a child's coordinates to the parent's; twists [m, rad] are linear then angular,
+in body axes. Products of matrices compile several times faster than jaxlie's quaternions. Source:
+Lynch & Park 2017, Modern Robotics, doi:10.1017/9781316661239, chapter 3, sections 4.1, 5.1.
 """
 
 from collections.abc import Iterator, Sequence

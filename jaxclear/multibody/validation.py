@@ -1,13 +1,9 @@
-"""Loads and drives of a user's own class answer what the equations of motion take from them: looked
-at once, by shapes alone, where a mechanism is built.
-
-What a mechanism is refused for, in sentences that name the body, joint or load and say what
-would be right.
+"""What a mechanism is refused for, in sentences that name the body, joint, load or coupling and say
+what would be right.
 
 A part checks itself when it is built; here is what needs the other parts: names, what a slot holds,
-numbers that were changed afterwards, drives, loads and starts that fit the tree.
-
-What a coupling is refused for, in sentences that name it and say what would be right.
+numbers that were changed afterwards, drives, loads and starts that fit the tree, and what loads and
+drives of a user's own class answer, looked at once by shapes alone.
 """
 
 import dataclasses

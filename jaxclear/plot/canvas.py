@@ -1,15 +1,11 @@
 """What the figures share: an empty canvas or the user's axes, shades of one colour, readable units,
-a joint's setting for a title, the warnings of the runs shown for a caption.
+a joint's setting for a title, warnings as a caption; and that their texts can be read: ticks with
+room for their labels, names and titles in lines as long as there is room. Where texts end is
+measured after matplotlib's own layout.
 
 Every function of the room takes `ax`. Without it the function makes a figure and returns that, so
 that a notebook shows it and `.savefig` keeps it. With it the function draws there and returns the
 axes, as matplotlib's users expect: one axes, or as many as the figure has panels.
-
-That the texts of a figure can be read: ticks with room for their labels, and few of them on
-logarithmic axes; names and titles in lines as long as there is room; a figure so high that axes
-lose nothing by it.
-
-Where texts end is measured after matplotlib's own layout, so that no plot counts letters.
 """
 
 import re

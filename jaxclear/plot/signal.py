@@ -1,10 +1,5 @@
-"""A number of a run over time with its rate, by name: what phase portraits, sections, spectra and
-bifurcations are drawn of.
-
-A motion in its phase plane, at every period of it, and over a number that varies: phase
-portrait, Poincaré section, bifurcation.
-
-What frequencies a motion or a force holds.
+"""A number of a run over time with its rate, by name, and what is drawn of it: phase portrait,
+Poincaré section, bifurcation, spectrum.
 """
 
 from collections.abc import Mapping

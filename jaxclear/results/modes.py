@@ -1,24 +1,17 @@
-"""Touches and releases of a run as a table: when, in which joint, at what speed.
-
-How deep a joint's contacts were between the instants at which that is known, and from when to
-when one of them touched.
-
-Depths and rates are known at the saving times; where the run kept its events (touches and releases,
-located within its steps) also there, with depth 0. In between, indentation follows Hermite's cubic.
-Without events a touch is found within a fraction of a saving interval, and one that begins and ends
-within it where its rates tell of it; with events a contact opens and closes at these and nowhere
-else. Where some of an interval were not kept, the rest of it is as without.
-
-How the journal of a clearance joint moves: free flight, impact, contact; and from when to when.
+"""How the journal of a clearance joint moves: free flight, impact, contact, and from when to when;
+and touches and releases as a table.
 
 A joint touches where one of its indentations is above 0. Touching begins as an impact, and lasts as
 one until the bodies have come back from it: the indentation's rate, the approach speed at first,
 falls to 0 and turns, and the impact ends where it turns again or where they part; or, where they do
 not come back, as soon as the rate has fallen to 0. What lasts beyond is contact. 0 is `SHARE` of
-the approach speed. Where and when contacts touch and part is told by the run's events where it kept
-them, otherwise by its saving times (`contact_paths`).
+the approach speed. Source: the three modes of Ravn 1998, Multibody Syst. Dyn. 2, 1,
+doi:10.1023/A:1009759826529.
 
-Source: the three modes of Ravn 1998, Multibody Syst. Dyn. 2, 1, doi:10.1023/A:1009759826529.
+Depths and rates are known at the saving times; where the run kept its events (located within its
+steps) also there, with depth 0. In between, indentation follows Hermite's cubic. Without events a
+touch is found within a fraction of a saving interval; with events a contact opens and closes at
+these and nowhere else. Where some of an interval were not kept, the rest of it is as without.
 """
 
 import enum

@@ -1,17 +1,11 @@
-"""What bodies and joints look like in an animation: triangles, in metres, in the body's frame.
+"""What a run looks like in space: bodies and joints as triangles, each in the frame of its body
+[m], and worn walls as quadrilaterals, one for each cell of a wear map.
 
 A body without a mesh is the cuboid that has its mass and moments of inertia, as far as that is no
 larger than its joints are apart, with a rod to each of its joints; in the plane, where only one
-moment is known, a slender bar, or a square plate where all joints are in one place.
-
-The parts of a mechanism as triangles, each in the frame of its body; and where the joints are.
-
-A joint is drawn by what it holds: a pin in a bush, a ball, a slider on its rail. One with clearance
-is drawn in its own size where it has one.
-
-Worn walls as quadrilaterals, one for each cell of a wear map.
-
-What a run looks like in space: bodies, joints and worn walls as triangles and quadrilaterals.
+moment is known, a slender bar, or a square plate where all joints are in one place. A joint is
+drawn by what it holds: a pin in a bush, a ball, a slider on its rail; one with clearance in its own
+size where it has one.
 """
 
 from collections.abc import Callable, Iterable, Mapping
