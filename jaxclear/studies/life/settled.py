@@ -24,11 +24,12 @@ from jaxclear.studies.life.cycle import (
     as_problem,
     as_state,
     asked_of,
+    check_period,
     cycle,
     first_state,
+    restless,
     worst_of,
 )
-from jaxclear.studies.life.periodicity import check_period, restless
 from jaxclear.studies.life.settling import (
     Patience,
     Settling,
