@@ -7,10 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxclear.files.writing import in_plain_values
 
 import jaxclear as jc
-from jaxclear.files.forms import Part
+from jaxclear.files.parts import Part
 from jaxclear.integrators.checks import Check
 from jaxclear.multibody.loops import AsNeeded
 from jaxclear.simulation.simulate import run
