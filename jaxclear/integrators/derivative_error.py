@@ -155,15 +155,8 @@ class FollowingErrors(
     ends: tuple[int, int] = eqx.field(static=True)
     known: Any = None
 
-    @property
-    def interpolation_cls(self):
-        return self.solver.interpolation_cls
-
     def init(self, terms, t0, t1, y0, args):
         return self.solver.init(terms, t0, t1, y0, args), self.known
-
-    def func(self, terms, t0, y0, args):
-        return self.solver.func(terms, t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         own, known = solver_state

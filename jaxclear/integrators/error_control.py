@@ -57,6 +57,13 @@ class AbstractAround:
     def error_order(self, terms):
         return self.solver.error_order(terms)
 
+    @property
+    def interpolation_cls(self):
+        return self.solver.interpolation_cls
+
+    def func(self, terms, t0, y0, args):
+        return self.solver.func(terms, t0, y0, args)
+
 
 class Stages(AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
     """`solver`, an explicit Runge-Kutta method, by its tableau. Its stages are a loop, so that the
@@ -68,10 +75,6 @@ class Stages(AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWra
 
     solver: diffrax.AbstractERK  # type: ignore[misc]
     written_out: bool = eqx.field(static=True)
-
-    @property
-    def interpolation_cls(self):
-        return self.solver.interpolation_cls
 
     def func(self, terms, t0, y0, args):
         return terms.vf(t0, y0, args)
@@ -329,10 +332,6 @@ class TakingImpactSpeeds(
     events: int = eqx.field(static=True, default=0)
 
     @property
-    def interpolation_cls(self):
-        return self.solver.interpolation_cls
-
-    @property
     def scan_kind(self):
         """How an explicit solver goes through its stages; diffrax asks."""
         return self.solver.scan_kind
@@ -349,9 +348,6 @@ class TakingImpactSpeeds(
         begun = nothing_met(contacts.depths, self.damped)
         begun = since(self.so_far, self._risen(begun, y0, args, contacts))
         return own, contacts, begun, events, self.growth
-
-    def func(self, terms, t0, y0, args):
-        return self.solver.func(terms, t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         own, before, known, events, growth = solver_state

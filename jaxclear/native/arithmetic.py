@@ -94,29 +94,8 @@ def _negate(writer, equation, a):
 
 @rule("max", "min")
 def _extremum(writer, equation, a, b):
-    kind, largest = kinds_of(equation)[0], equation.primitive.name == "max"
-
-    def one(x, y):
-        if known(x, y):
-            return number_of(np.maximum(x, y) if largest else np.minimum(x, y))
-        if kind == TRUTH:
-            return writer.operate(("or" if largest else "and") + " {type} {0}, {1}", kind, x, y)
-        if kind == WHOLE:
-            first = writer.operate(
-                f"icmp {'sgt' if largest else 'slt'} {{type}} {{0}}, {{1}}", kind, x, y
-            )
-            return writer.choose(first, x, y, kind)
-        # A first operand that is not a number is passed on; a second one is too, because then
-        # neither comparison holds.
-        first = writer.operate(
-            f"fcmp {'ogt' if largest else 'olt'} {{type}} {{0}}, {{1}}", kind, x, y
-        )
-        if isinstance(x, str):
-            lost = writer.operate("fcmp uno {type} {0}, {0}", kind, x)
-            first = writer.operate("or {type} {0}, {1}", TRUTH, first, lost)
-        return writer.choose(first, x, y, kind)
-
-    return each(one, a, b)
+    name, kind = equation.primitive.name, kinds_of(equation)[0]
+    return each(lambda x, y: combine(writer, name, kind, x, y), a, b)
 
 
 @rule("clamp")
@@ -270,6 +249,8 @@ def combine(writer: Writer, name: str, kind: str, x: Any, y: Any) -> Any:
     if name in ("max", "min"):
         if known(x, y):
             return number_of(np.maximum(x, y) if name == "max" else np.minimum(x, y))
+        # A first operand that is not a number is passed on; a second one is too, because then
+        # neither comparison holds.
         first = compare(writer, "gt" if name == "max" else "lt", kind, x, y)
         if kind == FLOAT and isinstance(x, str):
             lost = writer.operate("fcmp uno {type} {0}, {0}", kind, x)
@@ -289,7 +270,7 @@ def _reduce(writer, equation, a):
         equation.primitive.name.removeprefix("reduce_"),
         kind_of(equation.invars[0].aval.dtype),
     )
-    a, axes = a, equation.params["axes"]
+    axes = equation.params["axes"]
     rest = [i for i in range(a.ndim) if i not in axes]
     rows = a.transpose([*rest, *axes]).reshape([a.shape[i] for i in rest] + [-1])
     out = np.empty(rows.shape[:-1], object)

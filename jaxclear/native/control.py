@@ -291,20 +291,8 @@ def _while(writer, equation, *arguments):
     if writer.leaves_rows and writer.depth < 2:
         # One of a library's, with tangents: no check sees through it to its end.
         raise Unsupported("a loop within turns that leave rows")
-    first, second = p["cond_nconsts"], p["body_nconsts"]
-    fixed_cond, fixed_body, carry = (
-        arguments[:first],
-        arguments[first : first + second],
-        arguments[first + second :],
-    )
-    kinds = [kind_of(atom.aval.dtype) for atom in equation.outvars]
-    return loop(
-        writer,
-        lambda state: write_closed(writer, p["cond_jaxpr"], [*fixed_cond, *state])[0].item(),
-        lambda state: write_closed(writer, p["body_jaxpr"], [*fixed_body, *state]),
-        carry,
-        kinds,
-    )
+    counts = p["cond_nconsts"], p["body_nconsts"]
+    return _inner_loop(writer, equation, (p["cond_jaxpr"], p["body_jaxpr"]), counts, arguments)
 
 
 @rule("jaxclear_loop", reads_memory=True)
@@ -313,20 +301,22 @@ def _time_loop(writer, equation, *arguments):
     program, rank = equation.params["program"], equation.params["rank"]
     if rank or program.length:
         raise Unsupported("a batch of loops within a loop")
-    first, second = program.condition_constants, program.body_constants
-    fixed_cond, fixed_body, carry = (
-        arguments[:first],
-        arguments[first : first + second],
-        arguments[first + second :],
-    )
     if program.once:
-        return write_closed(writer, program.body, [*fixed_body, *carry])
-    kinds = [kind_of(atom.aval.dtype) for atom in equation.outvars]
+        return write_closed(writer, program.body, arguments[program.condition_constants :])
+    counts = program.condition_constants, program.body_constants
+    programs = program.condition, program.body
+    return _inner_loop(writer, equation, programs, counts, arguments, outermost=True)
+
+
+def _inner_loop(writer, equation, programs, counts, arguments, outermost=False):
+    """A loop by its programs (condition, body), of whose arguments so many are constants."""
+    (condition, body), (first, second) = programs, counts
+    fixed_condition, fixed_body = arguments[:first], arguments[first : first + second]
     return loop(
         writer,
-        lambda state: write_closed(writer, program.condition, [*fixed_cond, *state])[0].item(),
-        lambda state: write_closed(writer, program.body, [*fixed_body, *state]),
-        carry,
-        kinds,
-        outermost=True,
+        lambda state: write_closed(writer, condition, [*fixed_condition, *state])[0].item(),
+        lambda state: write_closed(writer, body, [*fixed_body, *state]),
+        arguments[first + second :],
+        [kind_of(atom.aval.dtype) for atom in equation.outvars],
+        outermost=outermost,
     )

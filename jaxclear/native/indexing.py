@@ -308,47 +308,40 @@ def _gather(writer, equation, a, indices):
 def _scatter(writer, equation, a, indices, update):
     numbers, add = equation.params["dimension_numbers"], equation.primitive.name != "scatter"
     clips = "CLIP" in str(equation.params["mode"])
-    if clips and not (add or numbers.operand_batching_dims):
-        places = _windows(writer, numbers, a.shape, indices, update)
-        return _changed(writer, a, update, places, kind_of(equation.invars[0].aval.dtype))
-    refuse_memory(a, indices, update)
-    if numbers.operand_batching_dims or clips:
+    kind = kind_of(equation.invars[0].aval.dtype)
+    if not clips or add:
+        refuse_memory(a, indices, update)
+    if numbers.operand_batching_dims or (clips and add):
         raise Unsupported("this kind of scatter")
-    kind, out = kind_of(equation.invars[0].aval.dtype), a.copy()
-    window = [i for i in range(a.ndim) if i not in numbers.inserted_window_dims]
-    for index in np.ndindex(*update.shape):
-        batch = tuple(x for i, x in enumerate(index) if i not in numbers.update_window_dims)
-        inside = [x for i, x in enumerate(index) if i in numbers.update_window_dims]
-        place: list[Any] = [0] * a.ndim
-        for where, axis in enumerate(numbers.scatter_dims_to_operand_dims):
-            place[axis] = indices[(*batch, where)]
-        for axis, offset in zip(window, inside, strict=True):
-            place[axis] = _plus(writer, place[axis], offset)
+    places = _places(writer, numbers, a.shape, indices, update.shape, clips)
+    if clips:
+        return _changed(writer, a, update, places, kind)
+    out = a.copy()
+    for index, place in places.items():
         if not add:
-            _put_entry(writer, out, tuple(place), update[index], kind)
+            _put_entry(writer, out, place, update[index], kind)
         elif known(*place) and all(0 <= i < n for i, n in zip(place, a.shape, strict=True)):
-            out[tuple(place)] = combine(writer, "sum", kind, out[tuple(place)], update[index])
+            out[place] = combine(writer, "sum", kind, out[place], update[index])
         else:
             raise Unsupported("an addition at a place known only at run time")
     return out
 
 
-def _windows(writer, numbers, shape, indices, update):
-    """Where the entries of an update go in an array of this shape, whose windows are moved within
-    it as a whole: what the update of a slice becomes where several arrays are updated at the same
-    place."""
+def _places(writer, numbers, shape, indices, updated, clips):
+    """Where the entries of an update go in an array of this shape; `clips`: windows are moved
+    within it as a whole, what the update of a slice becomes where several arrays are updated at the
+    same place."""
     window = [i for i in range(len(shape)) if i not in numbers.inserted_window_dims]
     sizes = dict.fromkeys(range(len(shape)), 1)
-    sizes |= {i: update.shape[d] for i, d in zip(window, numbers.update_window_dims, strict=True)}
+    sizes |= {i: updated[d] for i, d in zip(window, numbers.update_window_dims, strict=True)}
     places = {}
-    for index in np.ndindex(*update.shape):
+    for index in np.ndindex(*updated):
         batch = tuple(x for i, x in enumerate(index) if i not in numbers.update_window_dims)
-        inside = [index[d] for d in numbers.update_window_dims]
         place: list[Any] = [0] * len(shape)
         for where, axis in enumerate(numbers.scatter_dims_to_operand_dims):
-            largest = shape[axis] - sizes[axis]
-            place[axis] = _within(writer, indices[(*batch, where)], largest)
-        for axis, offset in zip(window, inside, strict=True):
-            place[axis] = _plus(writer, place[axis], offset)
+            start = indices[(*batch, where)]
+            place[axis] = _within(writer, start, shape[axis] - sizes[axis]) if clips else start
+        for axis, d in zip(window, numbers.update_window_dims, strict=True):
+            place[axis] = _plus(writer, place[axis], index[d])
         places[index] = tuple(place)
     return places

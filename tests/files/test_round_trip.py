@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.commands.report import RUN
 from jaxclear.files.forms import (
     ByName,
     Choice,
@@ -30,7 +29,7 @@ from jaxclear.files.forms import (
     Whole,
 )
 from jaxclear.files.parts import Part, arguments, members
-from jaxclear.files.scene import TOP, scene_text
+from jaxclear.files.scene import RUN, TOP, scene_text
 from jaxclear.files.text import parsed
 from jaxclear.studies.texts import difference, in_texts
 

@@ -158,7 +158,7 @@ def test_a_file_that_was_not_written_whole_counts_for_nothing(
         with pytest.raises(SystemExit):
             jc.campaign(problem(), 10_000, folder=place, seed=3, chunk=4096)
     if writes:
-        assert jc.open_campaign(place).finished == 4096 * max(writes - 2, 0)
+        assert jc.open_campaign(place).finished == min(4096 * (writes - 1), 10_000)
     jc.campaign(problem(), 10_000, folder=place, seed=3, chunk=4096)
     assert contents(place) == contents(folder)
 

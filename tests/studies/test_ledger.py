@@ -8,6 +8,7 @@ import shutil
 import warnings
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import filelock
 import numpy as np
@@ -153,7 +154,7 @@ def test_a_full_disk_costs_nothing_that_is_finished(whole, tmp_path, monkeypatch
     place, write, count = tmp_path / "kept", Path.write_bytes, iter(range(100))
     monkeypatch.setattr(batch, "threads_of", lambda: 1)
     with monkeypatch.context() as patched:
-        fills = lambda *own: full() if next(count) >= 4 else write(*own)
+        fills = lambda *own: full() if next(count) >= 3 else write(*own)
         patched.setattr(Path, "write_bytes", fills)
         said = r"written into the folder .*kept \(No space left on device\).*make room, ask the sam"
         with pytest.raises(Unwritable, match=said):
@@ -174,6 +175,18 @@ def test_a_finished_folder_that_is_read_only_answers(folder, monkeypatch, comput
     with pytest.raises(Unwritable, match=said):
         ask(folder, 20_000)
     assert contents(folder) == before and not computed
+
+
+def test_a_result_that_cannot_be_written_is_said_where_something_is_new(tmp_path):
+    result = SimpleNamespace(to_zarr=read_only)
+    kept = Ledger.opened(tmp_path, "records", {})
+    with pytest.raises(Unwritable, match="Read-only file system"):
+        kept.conclude(result)
+    (tmp_path / RESULT).mkdir()
+    kept.conclude(result)
+    kept.add(np.zeros(1), np.zeros(1))
+    with pytest.raises(Unwritable, match="Read-only file system"):
+        kept.conclude(result)
 
 
 def of_0_32(name, place, asked):

@@ -2,7 +2,7 @@
 
 import functools
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -20,9 +20,6 @@ from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.limits import Limits, check_limits
 from jaxclear.studies.statistics.summary import summary_of, summary_row
 from jaxclear.studies.texts import difference, first_difference, in_texts
-
-# Samples that are read together, about.
-READ = 1 << 16
 
 
 def _of_all(method: Callable) -> Any:
@@ -174,27 +171,13 @@ class Campaign:
         every = self.plan.groups()
         return np.concatenate([every[at] for at in self._spans()] or [every[:0]])
 
-    def _pieces(self) -> Iterator[slice]:
-        """Finished samples in pieces of some chunks."""
-        begun = None
-        for at in self._spans():
-            if begun is None:
-                begun = at
-            elif begun.stop == at.start and at.stop - begun.start <= READ:
-                begun = slice(begun.start, at.stop)
-            else:
-                yield begun
-                begun = at
-        if begun is not None:
-            yield begun
-
     def _reduced(self, *names: str) -> MonteCarlo:
         """The study of one response, or of a few, without values; of every check whether it is
         beyond its limit."""
         for name in names:
             check_known("response", name, self.problem.response_names, " in this study")
         columns, outcomes, beyond = [], [], []
-        for at in self._pieces():
+        for at in self._spans():
             found = self._samples.found(at)
             told = answered(self.problem, found.responses)
             columns.append({n: np.where(told, found.responses[n], np.nan) for n in names})

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from jaxclear.ground.warning import warn
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.campaign.recorded import in_json
-from jaxclear.studies.campaign.result import READ, Campaign
+from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.campaign.samples import KIND, RESPONSES, VALUES, Plan, Samples
 from jaxclear.studies.campaign.threads import AbstractWork, Heard
 from jaxclear.studies.ledger.batch import usual_batch
@@ -26,6 +26,8 @@ from jaxclear.studies.sequential import until_accurate
 from jaxclear.studies.statistics.accuracy import Asked, Piece
 from jaxclear.studies.texts import in_texts
 
+# Samples that are read together, about.
+READ = 1 << 16
 # Held by the process that adds replicas.
 VERIFYING = ".verifying"
 
@@ -119,7 +121,7 @@ def _verify(samples: Samples, by: AbstractWork) -> None:
     """Adds the replicas that the finished samples in a folder lack, if their problem has any:
     finer runs of the first ones, written once all samples are there. A campaign that becomes larger
     keeps them, and adds what it lacks."""
-    if by.problem.replica() is None or not len(_lacking(samples)):
+    if not len(_lacking(samples)) or by.problem.replica() is None:
         return
     import filelock
 

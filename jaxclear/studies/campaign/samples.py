@@ -24,11 +24,11 @@ from jaxclear.studies.ledger.batch import devices, usual_batch
 from jaxclear.studies.ledger.earlier import EarlierSamples
 from jaxclear.studies.ledger.ledger import STUDY, DamagedFolder, refuse_foreign, tell, told_of
 from jaxclear.studies.ledger.pieces import (
+    MENDED,
     Piece,
     Pieces,
     address_of,
     checked_folder,
-    put,
     refuse_unwritable,
 )
 from jaxclear.studies.replicas import Replicas, together_with
@@ -52,7 +52,7 @@ VALUES, RESPONSES, OUTCOME, ENDED, WORST, WHEN = COLUMNS = (
 )
 # Columns that repeat themselves.
 SQUEEZED = (OUTCOME, ENDED, WORST, WHEN)
-VERSIONS, FINER = "versions", "finer"
+FINER = "finer"
 # Held while the plan is changed.
 PLANNING = ".planning"
 # Up to how many samples all had been finished once; what versions up to 0.29 found of the nominal
@@ -117,8 +117,8 @@ class Samples:
         self.plan = Plan(**told["plan"])
         self.pieces = Pieces(folder)
         self._drawn = address_of(json.loads(told["problem"]), [*self.plan[1:4], self.plan.chunk])
-        self._whole: set[int] = set()
-        self._mark: str | None = None
+        # Of the finished chunks that have been read, what computed them.
+        self._whole: dict[int, dict[str, str]] = {}
         self._earlier = EarlierSamples(folder) if EarlierSamples.are_in(folder) else None
 
     @classmethod
@@ -152,7 +152,7 @@ class Samples:
         """The same as if no more than the most samples were planned."""
         fewer = self.plan._replace(samples=min(self.plan.samples, most))
         found = Samples(self.folder, self.told | {"plan": fewer._asdict()})
-        found._whole = {n for n in self._whole if self.plan.span(n) == fewer.span(n)}
+        found._whole = {n: v for n, v in self._whole.items() if self.plan.span(n) == fewer.span(n)}
         return found
 
     def extended(self, samples: int, usual: int) -> "Samples":
@@ -202,8 +202,8 @@ class Samples:
     def _is_whole(self, number: int, kept_anew: bool) -> bool:
         if kept_anew and not self.pieces.path(self.address(number)).exists():
             return False
-        if number not in self._whole and self.chunk(number) is not None:
-            self._whole.add(number)
+        if number not in self._whole and (found := self.chunk(number)) is not None:
+            self._whole[number] = found.about["versions"]
         return number in self._whole
 
     def lost(self, left: list[int]) -> str:
@@ -237,13 +237,13 @@ class Samples:
 
     def keep(self, number: int, piece: Piece) -> None:
         """Writes a chunk's file, signed with the versions that computed it."""
-        if self._mark is None:
-            now = json.dumps(told_versions(), indent=1, sort_keys=True)
-            self._mark = address_of(now)
-            put(self.folder / VERSIONS / f"{self._mark}.json", now.encode(), self.folder)
-        about = {"versions": self._mark} | piece.about
+        about = {"versions": self._now} | piece.about
         self.pieces.write(self.address(number), about, piece.arrays, SQUEEZED)
-        self._whole.add(number)
+        self._whole[number] = about["versions"]
+
+    @cached_property
+    def _now(self) -> dict[str, str]:
+        return told_versions()
 
     @property
     def _names(self) -> list[str]:
@@ -313,7 +313,10 @@ class Samples:
         """Keeps what the first samples gave in finer runs."""
         rows = np.stack([found.responses[name] for name in self._names])
         columns = {RESPONSES: rows, OUTCOME: found.outcome, ENDED: found.ended}
-        self.pieces.write(address_of(self._drawn, FINER), {}, columns)
+        address = address_of(self._drawn, FINER)
+        if address in self.pieces.damaged:
+            warn(MENDED.format(self.pieces.path(address)))
+        self.pieces.write(address, {}, columns)
 
     def replicas(self) -> Replicas | None:
         """The replicas of the first samples; None where there are none."""
@@ -334,13 +337,12 @@ class Samples:
 
     def versions(self) -> tuple[dict[str, str], ...]:
         """Versions of the programs that computed finished chunks."""
-        texts = [path.read_text() for path in sorted((self.folder / VERSIONS).glob("*.json"))]
-        known = {json.dumps(own, sort_keys=True): own for own in map(json.loads, texts)}
-        return tuple(known.values())
+        told = [self._whole[int(number)] for number in self.finished()]
+        return tuple({json.dumps(own, sort_keys=True): own for own in told}.values())
 
     def warn_of_versions(self) -> None:
         """A warning where chunks were computed by other versions than those to come."""
-        now = told_versions()
+        now = self._now
         for before in self.versions():
             names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
             told = (

@@ -57,8 +57,10 @@ class EarlierSamples:
             for name, array in self.arrays.items()
             if name != "finished"
         }
-        mark = format(int(marks[number]), "x")
-        return Piece({"samples": last - first, "figures": self.figures, "versions": mark}, arrays)
+        signed = self.folder / "versions" / f"{int(marks[number]):x}.json"
+        versions = json.loads(signed.read_text())
+        about = {"samples": last - first, "figures": self.figures, "versions": versions}
+        return Piece(about, arrays)
 
     def finer(self) -> SampleResult | None:
         """What the first samples gave in finer runs."""

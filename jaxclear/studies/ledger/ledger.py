@@ -20,7 +20,15 @@ import numpy as np
 from jaxclear.ground.warning import warn
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.ledger.earlier import RECORDS, EarlierRecords
-from jaxclear.studies.ledger.pieces import PIECES, Pieces, address_of, checked_folder, put
+from jaxclear.studies.ledger.pieces import (
+    MENDED,
+    PIECES,
+    Pieces,
+    address_of,
+    checked_folder,
+    put,
+    refuse_unwritable,
+)
 from jaxclear.studies.texts import first_difference, in_texts
 
 # What a folder tells of its study, with a checksum; and the result, for other programs.
@@ -56,6 +64,7 @@ class Ledger:
     def __init__(self, folder: Path, what: str, texts: dict[str, str]):
         self.folder, self.what, self.texts = folder, what, texts
         self.pieces = Pieces(folder)
+        self.grown = False
         self.question = Question(texts, address_of(texts))
         # To go with the version that reads folders of 0.32.
         self.earlier = EarlierRecords(folder) if _has_earlier(folder) else None
@@ -91,10 +100,7 @@ class Ledger:
             ]:
                 return jax.tree.unflatten(tree, arrays)
         if address in self.pieces.damaged:
-            warn(
-                f"{self.pieces.path(address)} does not match its checksum; what it held is "
-                "computed again."
-            )
+            warn(MENDED.format(self.pieces.path(address)))
         if self.earlier is None:
             return None
         known = self.earlier.taken(of.texts, asked, leaves, beside)
@@ -107,6 +113,7 @@ class Ledger:
     def add(self, asked: np.ndarray, answer: Any, of: Question | None = None) -> None:
         """Keeps what was answered when these numbers were asked."""
         self.begin()
+        self.grown = True
         leaves = {str(i): leaf for i, leaf in enumerate(jax.tree.leaves(answer))}
         address = self._address(asked, self.question if of is None else of)
         self.pieces.write(address, {}, {"asked": asked} | leaves)
@@ -118,8 +125,13 @@ class Ledger:
 
     def conclude(self, result: Any) -> None:
         """Keeps the study's result, an xarray Dataset, beside its answers."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        result.to_zarr(self.folder / RESULT, mode="w", consolidated=False)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            result.to_zarr(self.folder / RESULT, mode="w", consolidated=False)
+        except OSError as reason:
+            # Of a folder that is read-only and has all, nothing is lost.
+            if self.grown or not (self.folder / RESULT).exists():
+                refuse_unwritable(self.folder, reason)
 
     def _address(self, asked: np.ndarray, of: Question) -> str:
         return address_of(of.digest, np.asarray(asked))

@@ -34,6 +34,10 @@ ABANDONED = 3600.0
 FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
+# What is said of a file.
+MENDED = "{} does not match its checksum; what it held is computed again."
+
+
 class Unwritable(OSError):
     """Nothing can be written into a folder: its disk is full, or it is read-only."""
 
