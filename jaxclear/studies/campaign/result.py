@@ -17,11 +17,10 @@ from jaxclear.studies.campaign.samples import Samples
 from jaxclear.studies.campaign.verified import known_replicas
 from jaxclear.studies.endless import answered
 from jaxclear.studies.monte_carlo import MonteCarlo
-from jaxclear.studies.statistics.limits import Limits, check_limits
-from jaxclear.studies.statistics.numerical_error import NumericalError
+from jaxclear.studies.statistics.accuracy import NumericalError
+from jaxclear.studies.statistics.limits import Limits, ToleranceInterval, check_limits
 from jaxclear.studies.statistics.scrambled import Statistic
 from jaxclear.studies.statistics.summary import summary_of, summary_row
-from jaxclear.studies.statistics.tolerance_interval import ToleranceInterval
 from jaxclear.studies.store import first_difference
 from jaxclear.studies.texts import in_texts
 
