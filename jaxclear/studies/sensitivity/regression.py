@@ -35,13 +35,13 @@ from jaxclear.studies.sampling import by_scrambling, draw
 from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
 from jaxclear.studies.sensitivity.estimand import Direction, Functional, weights
-from jaxclear.studies.statistics.scrambled import pseudo_values, student
+from jaxclear.studies.statistics.scrambled import SAMPLES_A_TERM, pseudo_values, student
 from jaxclear.studies.warned import concern
 
 # Points at which the polynomial's mean derivative is taken, and what draws them.
 MANY, MANY_SEED = 8192, 20260
-# Samples for each coefficient of the polynomial, and the fewest for a line.
-SAMPLES_A_TERM, FEWEST = 6, 8
+# The fewest samples for a line.
+FEWEST = 8
 # Width of the smooth step [standard deviations of the response] where a surface explains all of it,
 # and the share of the variance from which on it stands for the response.
 LEAST_STEP, EXPLAINED = 0.15, 0.9

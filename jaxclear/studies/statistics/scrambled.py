@@ -26,6 +26,8 @@ from jaxclear.ground.shown import shown_in_words, with_error
 CONFIDENCE = 0.95
 # Contributions that differ by less than this share of themselves are one number.
 ROUNDING = 1e-12
+# Samples for each coefficient of a polynomial that takes up what it explains of them.
+SAMPLES_A_TERM = 6
 # Of an error budget, beside its variables.
 REST = "what no plane explains"
 
