@@ -5,6 +5,7 @@ every limit, share and quantile. Means and variances of it there are none: whoev
 told so, and what serves instead.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.distribution.discrete import Discrete
 
 __all__ = [
     "answered",
@@ -23,6 +25,8 @@ __all__ = [
     "why_unanswered",
 ]
 
+# What has a share of 3 / n is missing from n samples once in twenty times.
+RULE_OF_THREE = 3.0
 INSTEAD = "ask for a quantile, or for the share of samples beyond a limit"
 
 
@@ -58,6 +62,28 @@ def refuse_endless(
         words = _words(problem, name, values)
         if words:
             raise ValueError(f'"{name}" {words}: there is no {what} of it; {instead}.')
+
+
+def undrawn_levels(problem: AbstractProblem, values: np.ndarray) -> dict[str, str]:
+    """Variables of a few levels of which runs (runs, variables) have not seen one, and a sentence
+    for each: what such a level does is in no share of a variance."""
+    found = {}
+    for i, (name, nominal) in enumerate(zip(problem.names, problem.nominal(), strict=True)):
+        own = problem.variables[name].distribution
+        if not isinstance(own, Discrete):
+            continue
+        levels, shares = own.levels()
+        seen = np.argmin(np.abs(values[:, i, None] - float(nominal) - levels), axis=1)
+        rare = [k for k in np.flatnonzero(shares) if k not in seen]
+        if rare:
+            level, share = f"{float(nominal) + levels[rare[0]]:.6g}", shares[rare[0]]
+            unit = problem.variable_units[i]
+            found[name] = (
+                f'No run has "{name}" at {level} {unit}, as a share of {share:.2g} of the parts: '
+                "what it does there is in none of its shares. About "
+                f"{math.ceil(RULE_OF_THREE / share)} samples would meet it."
+            )
+    return found
 
 
 def check_told(problem: AbstractProblem, name: str, *limits: Any) -> None:
