@@ -138,7 +138,7 @@ ANSWERS = {
     "assemblies": lambda: jc.assemblies(rig(), 4),
     "positions": lambda: jc.positions(rig(), {"O": [0.1, 0.2]}),
     "poses": lambda: jc.positions(rig(), {"O": [0.1, 0.2]}).body("rod"),
-    "complementarity": lambda: jc.complementarity.Lemke().solve(
+    "complementarity": lambda: jc.complementarity.InteriorPoint().solve(
         jc.complementarity.LCP(np.eye(2), np.array([1.0, -1.0]))
     ),
 }

@@ -22,9 +22,9 @@ from jaxclear.complementarity import (
     LCP,
     FrictionContact,
     InteriorPoint,
-    Lemke,
     ProjectedGaussSeidel,
 )
+from tests.rigs.lemke import Lemke
 
 SOLVERS = {"Lemke": Lemke, "InteriorPoint(1e-14)": lambda: InteriorPoint(1e-14)}
 CLOSE = 1e-10

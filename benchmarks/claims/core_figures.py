@@ -181,8 +181,7 @@ def figures() -> dict[str, Callable[[], Callable[[], Any]]]:
     for rung in ("FixedStep rk4", "Adaptive"):
         found[f"simulate, slider-crank, {rung}"] = lambda r=rung: simulated(r)
     found["monte carlo, four-bar, FixedStep rk4"] = study
-    for name in ("Lemke", "InteriorPoint"):
-        found[f"complementarity, {name}"] = lambda n=name: solver(n)
+    found["complementarity, InteriorPoint"] = lambda: solver("InteriorPoint")
     found["complementarity, ProjectedGaussSeidel"] = sweeps
     return found
 

@@ -1,9 +1,9 @@
 """Derivatives through an impact by a relaxed contact law: bias against noise over kappa.
 
 Two closed cases over a second, each step with a complementarity problem, by `InteriorPoint(kappa)`
-and, as its limit, by `Lemke`. *Push*: a body of 1 kg that a force drives closes a gap, strikes
-another one without rebound and pushes it against drag; impulse and gap at the end of a step are
-complementary (Stewart & Trinkle 1996, Int. J. Numer. Methods Eng. 39, 2673). *Rebound*: a ball
+and, as its limit, by Lemke's method. *Push*: a body of 1 kg that a force drives closes a gap,
+strikes another one without rebound and pushes it against drag; impulse and gap at the end of a step
+are complementary (Stewart & Trinkle 1996, Int. J. Numer. Methods Eng. 39, 2673). *Rebound*: a ball
 flies against a wall and back; where the gap closes within half a step, impulse and Newton's law of
 impact are (Moreau). The slope of the last place by the first gap is taken through all steps, over
 gaps that differ by many steps' ways, so that impacts fall anywhere in a step. `bias`: mean error of
@@ -21,6 +21,7 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.measure import arguments, report, sign
+from tests.rigs.lemke import Lemke
 
 FORCE, DRAG, SPEED, RESTITUTION, DURATION = 4.0, 2.0, 1.0, 0.8, 1.0
 GAPS = (0.45, 0.55)
@@ -103,7 +104,7 @@ def measured(case: str, solver: Any, steps: int, samples: int) -> dict[str, Any]
 def main() -> None:
     options = arguments(__doc__)
     counts, samples = (STEPS[:1], 20) if options.quick else (STEPS, SAMPLES)
-    solvers = [*map(jc.complementarity.InteriorPoint, KAPPAS), jc.complementarity.Lemke()]
+    solvers = [*map(jc.complementarity.InteriorPoint, KAPPAS), Lemke()]
     for case in CASES:
         rows = [measured(case, own, steps, samples) for steps in counts for own in solvers]
         report(f"Slope through an impact over kappa: {case}", rows, options)

@@ -23,10 +23,10 @@ from benchmarks.measure import arguments, report, side_by_side, sign
 from jaxclear.commands.four_bar import CELLS
 from jaxclear.ground.compiling import AROUND_A_KERNEL, ONCE
 from jaxclear.native import explain
-from jaxclear.simulation.beginning import beginning
+from jaxclear.simulation.initial_state import beginning
 from jaxclear.simulation.loop import run
 from jaxclear.simulation.simulate import is_all_kernel
-from jaxclear.results.saved_state import State
+from jaxclear.results.state_history import State
 
 RUNGS = {
     "FixedStep(2e-5)": jc.integrator.FixedStep(2e-5),

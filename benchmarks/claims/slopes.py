@@ -29,7 +29,7 @@ from benchmarks.measure import arguments, by_turns, report, seconds_to_compile, 
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import prepare
 from jaxclear.simulation.derivatives import backwards
-from jaxclear.simulation.step_comparison import is_compared
+from jaxclear.simulation.derivatives import is_compared
 
 STEP, SAVES, DURATION = 2e-5, 21, 0.1
 RUNGS = {

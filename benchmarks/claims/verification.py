@@ -18,7 +18,7 @@ from benchmarks.measure import about, arguments, report, side_by_side
 from jaxclear.errors.verification import Verified
 from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.simulation import loop
-from jaxclear.simulation.simulate import saving_times
+from jaxclear.simulation.saving import saving_times
 
 I = jc.integrator  # noqa: E741
 wearing = lambda: jc.scenes.slider_crank(wear=True)

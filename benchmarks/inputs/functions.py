@@ -212,7 +212,7 @@ TABLE: list[tuple[str, str, Callable[[Any], Any], dict[str, Any]]] = [
         lambda x: jc.complementarity.LCP(x, np.ones(2)),
         {"text": "x", "shape": np.ones(3)},
     ),
-    ("Lemke.solve", "solver", lambda x: jc.complementarity.Lemke().solve(x), PARTS),
+    ("InteriorPoint.solve", "solver", lambda x: jc.complementarity.InteriorPoint().solve(x), PARTS),
 ]
 REVOLUTE, HERTZ = jc.joint.Revolute(), jc.contact.elastic.Hertz()
 

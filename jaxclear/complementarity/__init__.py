@@ -2,22 +2,20 @@
 
 A problem is posed and handed to a solver's `solve`, which returns a `Solution` that says how it
 ended. `FrictionContact` (a step through rigid contact) is solved by `ProjectedGaussSeidel`,
-`JointFriction` (a step of joints that always touch) by `BoxedGaussSeidel`. `Lemke` is exact for
-small linear problems and referees the others; `InteriorPoint` relaxes linear problems to z w =
-kappa and so has smooth derivatives.
+`JointFriction` (a step of joints that always touch) by `BoxedGaussSeidel`. `InteriorPoint` relaxes
+linear problems to z w = kappa and so has smooth derivatives.
 """
 
 from jaxclear.complementarity.friction_contact import FrictionContact
 from jaxclear.complementarity.interior_point import InteriorPoint
 from jaxclear.complementarity.joint_friction import BoxedGaussSeidel, JointFriction
-from jaxclear.complementarity.lemke import Lemke
-from jaxclear.complementarity.outcome import Outcome
 from jaxclear.complementarity.problem import (
     LCP,
     AbstractLinearProblem,
     AbstractProblem,
     AbstractSolver,
     HorizontalLCP,
+    Outcome,
     Solution,
     natural_residual,
 )
@@ -35,7 +33,6 @@ __all__ = [
     "InteriorPoint",
     "Iterate",
     "JointFriction",
-    "Lemke",
     "Outcome",
     "ProjectedGaussSeidel",
     "Solution",

@@ -8,21 +8,63 @@ doi:10.1137/0802028; Wright 1997, Primal-Dual Interior-Point Methods, doi:10.113
 chapters 8 and 10.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
 
-from jaxclear.complementarity.outcome import Outcome
 from jaxclear.complementarity.problem import (
+    LCP,
     AbstractLinearProblem,
     AbstractSolver,
+    Outcome,
     Solution,
     posed,
 )
-from jaxclear.complementarity.scaling import scaled
+from jaxclear.ground.numerics import OFF_THE_TIES
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, count, quantity
 
-__all__ = ["InteriorPoint"]
+# Passes of the scaling; its errors halve with each.
+SCALING_PASSES = 3
+
+
+class Scaled(NamedTuple):
+    """An LCP with entries near 1 [1]: z = z_scale z', w = w_scale w', for `z_scale` [unit of z] and
+    `w_scale` [unit of w], `matrix` and `offset` [1]. `finite` False: the data were not, and stand
+    replaced.
+    """
+
+    matrix: Float[Array, "n n"]
+    offset: Float[Array, " n"]
+    z_scale: Float[Array, " n"]
+    w_scale: Float[Array, " n"]
+    finite: Bool[Array, ""]
+
+
+def _power_of_two(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """A power of two above |x|, the next or (just below it) the one after, and 1 at zero."""
+    exponent = jnp.frexp(jnp.where(x == 0, 0.5, OFF_THE_TIES * x))[1]
+    return jnp.ldexp(jnp.ones_like(x), exponent)
+
+
+def scaled(problem: LCP) -> Scaled:
+    """The problem in units of its own, without derivatives."""
+    matrix, offset = jax.lax.stop_gradient((problem.matrix, problem.offset))
+    finite = jnp.all(jnp.isfinite(matrix)) & jnp.all(jnp.isfinite(offset))
+    matrix = jnp.where(finite, matrix, jnp.eye(offset.shape[0]))
+    rows = columns = jnp.ones_like(offset)
+    for _ in range(SCALING_PASSES):
+        size = jnp.abs(rows[:, None] * matrix * columns)
+        rows = rows / _power_of_two(jnp.sqrt(jnp.max(size, 1)))
+        columns = columns / _power_of_two(jnp.sqrt(jnp.max(size, 0)))
+    offset = rows * jnp.where(finite, offset, 0.0)
+    size = _power_of_two(jnp.max(jnp.abs(offset)))
+    return Scaled(
+        rows[:, None] * matrix * columns, offset / size, columns * size, size / rows, finite
+    )
+
 
 # Products z_i w_i / kappa_i stay above this share of their mean, and above this; steps are
 # shortened by this factor, this often at most, to keep them there. Without it, one boundary in a
@@ -49,8 +91,9 @@ class InteriorPoint(AbstractSolver):
     Solves monotone problems (positive semidefinite matrices) that some z > 0 with w > 0 satisfies,
     in 10 to 30 iterations whatever their size, and most with P-matrices. `residual` is that of the
     exact problem: it tells how far the relaxed solution is from contact. Where contact must be
-    exact, prefer `Lemke`. Below about 1e-12 of the data's product, redundant contacts leave the
-    relaxed solution undetermined, and the iterations are used up.
+    exact, pose a `FrictionContact` and take `ProjectedGaussSeidel`. Below about 1e-12 of the data's
+    product, redundant contacts leave the relaxed solution undetermined, and the iterations are used
+    up.
     """
 
     kappa: Scalar = quantity(1e-8, "1", "product z_i w_i, in the units of the problem", above=0)

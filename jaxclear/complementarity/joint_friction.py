@@ -17,8 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.complementarity.outcome import Outcome
-from jaxclear.complementarity.problem import AbstractProblem, AbstractSolver, Solution
+from jaxclear.complementarity.problem import AbstractProblem, AbstractSolver, Outcome, Solution
 from jaxclear.complementarity.projected_gauss_seidel import Iterate
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt

@@ -16,21 +16,31 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxclear.complementarity.outcome import Outcome
-from jaxclear.ground.kinds import as_given
-from jaxclear.ground.quantity import AbstractQuantified
+from jaxclear.ground.outcome import AbstractOutcome
+from jaxclear.ground.quantity import AbstractQuantified, as_given
 from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.wording import described
 
-__all__ = [
-    "LCP",
-    "AbstractLinearProblem",
-    "AbstractProblem",
-    "AbstractSolver",
-    "HorizontalLCP",
-    "Solution",
-    "natural_residual",
-]
+
+class Outcome(AbstractOutcome):
+    """How a solve ended. `Outcome(code).sentence` says it; only `SOLVED` (0) is a success."""
+
+    SOLVED = 0, "The problem is solved to the solver's tolerance."
+    RAY = (
+        1,
+        "The path ended on a ray: there is no solution if the matrix is copositive-plus (positive "
+        "semidefinite, say); otherwise this path finds none.",
+    )
+    LIMIT = 2, "The allowed number of iterations was used up."
+    STALLED = (
+        3,
+        "No step lowers the residual any further: there is no solution nearby, or the data are too "
+        "ill-conditioned.",
+    )
+    NOT_FINITE = (
+        4,
+        "The data, or what follows from them, are infinite, not a number or out of range.",
+    )
 
 
 def as_floats(value: Any) -> Float[Array, "..."]:
@@ -61,6 +71,16 @@ def check_shapes(owner: str, expected: dict[str, tuple[Any, tuple[int, ...]]]) -
 def natural_residual(z: Float[Array, " n"], w: Float[Array, " n"]) -> Float[Array, ""]:
     """Largest entry of the natural map, max |min(z, w)|: zero exactly at 0 <= z ⟂ w >= 0."""
     return jnp.max(jnp.abs(jnp.minimum(z, w)))
+
+
+# Solutions larger than the data (scaled to 1) carry rounding in proportion; beyond this size it is
+# not excused.
+LARGEST_EXCUSED = 1e4
+
+
+def size_of(z: Float[Array, "..."]) -> Float[Array, ""]:
+    """What a scaled residual is measured by: 1, or the size of a large solution."""
+    return jnp.clip(jnp.max(jnp.abs(z)), 1.0, LARGEST_EXCUSED)
 
 
 class Solution(AbstractShown):
@@ -101,7 +121,7 @@ class AbstractProblem(AbstractQuantified):
 
 
 class AbstractLinearProblem(AbstractProblem):
-    """A problem with the solutions of an LCP, which `Lemke` and `InteriorPoint` solve."""
+    """A problem with the solutions of an LCP, which `InteriorPoint` solves."""
 
     @abstractmethod
     def to_lcp(self) -> "LCP":

@@ -24,9 +24,7 @@ from jaxclear.complementarity.kept_states import (
     linearised,
     scaled_contacts,
 )
-from jaxclear.complementarity.outcome import Outcome
-from jaxclear.complementarity.problem import AbstractSolver, Solution
-from jaxclear.complementarity.scaling import size_of
+from jaxclear.complementarity.problem import AbstractSolver, Outcome, Solution, size_of
 from jaxclear.ground.factorisation import eliminate
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
@@ -68,7 +66,7 @@ class ProjectedGaussSeidel(AbstractSolver):
         if not isinstance(problem, FrictionContact):
             raise ValueError(
                 f"ProjectedGaussSeidel is given a {type(problem).__name__}; it solves a "
-                "FrictionContact. For linear problems take Lemke."
+                "FrictionContact. For linear problems take InteriorPoint."
             )
         data = (*problem.acting(), problem.mu)
         finite = jnp.all(jnp.isfinite(jnp.concatenate([x.reshape(-1) for x in data])))

@@ -14,9 +14,13 @@ from jaxclear.formulations.base import (
 )
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.formulations.contact_rows import TimeStep, indentations, middle_of_step
+from jaxclear.formulations.contact_rows import (
+    TimeStep,
+    indentations,
+    middle_of_step,
+    reports_of_means,
+)
 from jaxclear.formulations.delassus import DelassusOperator, delassus_operator
-from jaxclear.formulations.joint_reports import reports_of_means
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.permanent import PermanentContact
 from jaxclear.formulations.rigid import RigidContact

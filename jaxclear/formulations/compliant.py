@@ -13,22 +13,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.components.clearance import ContactLaws
-from jaxclear.formulations import (
-    damped_contacts,
-    joint_friction,
-    midpoint_step,
-    state_rate,
-    work_over_step,
-)
+from jaxclear.formulations import contacts_over_step, joint_friction, midpoint_step, state_rate
 from jaxclear.formulations.base import AbstractFormulation, ContactReport, clearance_contact
 from jaxclear.formulations.contact_rows import TimeStep, contact_points, split
 from jaxclear.formulations.impact_speed import ContactMotion, remembered
+from jaxclear.formulations.joint_friction import friction_losses, rubbing
+from jaxclear.formulations.laws_over_step import PastSlip
 from jaxclear.formulations.midpoint_step import ImplicitSettings, WarmStart
 from jaxclear.formulations.model import Instant, Model, State
-from jaxclear.formulations.permanent_reactions import REACTION, Reaction
-from jaxclear.formulations.slip_over_step import PastSlip
+from jaxclear.formulations.permanent_reactions import REACTION, Reaction, slips_of, touching
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.grouping import map_alike
+from jaxclear.ground.compiling import map_alike
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.forces import Forces, applied_forces, contact_reports
 from jaxclear.multibody.state import (
@@ -41,6 +36,55 @@ from jaxclear.multibody.state import (
 )
 from jaxclear.multibody.system import rubbing_joints
 from jaxclear.multibody.topology import rubbing_in
+
+
+def _work_rates(model: Model, time: Any, entries: list, mean: list) -> list:
+    """Rates [W] of the energies of the balance but its input, in the order of `state.ENERGIES`: of
+    the forces at a state's `entries`, over the `mean` speeds of the step that begins there."""
+    system, layout = model.system, model.layout
+    memories = unpack_memories(layout, entries)
+    coordinates, angles = entries[: layout.coordinates], unpack_angles(layout, entries)
+
+    def at(speeds):
+        q, v = unpack_motion(system, [*coordinates, *speeds])
+        motions = kinematics.link_motions(system, q, v, time)
+        reports = contact_reports(system, motions, memories, model.worn)
+        return applied_forces(system, motions, reports, q, v, time, angles)
+
+    start = at(entries[layout.coordinates : layout.memory_start])
+    middle = at(mean)
+    work, loss, rubbed = 0, 0, 0
+    for name, bearing in system.bearings.items():
+        report = start.reports[name]
+        relative = kinematics.relative_motion(bearing.closure, middle.motions)[2]
+        given = sp.add(
+            sp.dot(report.force, relative.velocity), sp.dot(report.torque, relative.spin)
+        )
+        pressed, damped = 0, 0
+        pose = kinematics.relative_motion(bearing.closure, start.motions)[1]
+        own_laws = contact_point.laws_at(
+            bearing.joint, bearing.contact_laws, pose, model.worn.get(name, {})
+        )
+        points = zip(own_laws, report.points, middle.reports[name].points, strict=True)
+        for laws, begun, moved in points:
+            elastic = laws.contact.elastic_force(begun.indentation)
+            pressed = sp.add(pressed, begun.normal_force * moved.rate)
+            damped = sp.add(damped, (begun.normal_force - elastic) * moved.rate)
+        work, loss = sp.add(work, pressed), sp.add(loss, damped)
+        rubbed = sp.sub(rubbed, sp.add(given, pressed))
+    held = touching(system)
+    if held:
+        q, _ = unpack_motion(system, entries)
+        begun = rubbing(model, start, q, entries[layout.coordinates : layout.memory_start])
+        slips = [
+            sp.mul(one.joint.arm, slip.at(mean))
+            for one in held
+            for slip in slips_of(system, start.motions, one, mean)
+        ]
+        rubbed = sp.add(rubbed, friction_losses(held, begun.friction, slips)[0])
+    # What a damper takes is of second degree: the mean is right to the square of the change.
+    damping = sp.mul(0.5, sp.add(start.damping_loss, middle.damping_loss))
+    return [work, loss, rubbed, damping]
 
 
 class CompliantContact(AbstractFormulation):
@@ -122,10 +166,10 @@ class CompliantContact(AbstractFormulation):
     def damped(self, model: Model) -> bool:
         """True where some contact damps, so that its depth does not tell how hard it is
         pressed."""
-        return damped_contacts.damped(model.system)
+        return contacts_over_step.damped(model.system)
 
     # Of every possible contact that damps.
-    normal_forces = staticmethod(damped_contacts.normal_forces)
+    normal_forces = staticmethod(contacts_over_step.normal_forces)
 
     def slips(self, model: Model, time: Any, state: State) -> Float[Array, "contacts 3"]:
         """Sliding velocity [m/s] of every possible contact along its sliding directions, from the
@@ -151,7 +195,7 @@ class CompliantContact(AbstractFormulation):
         """Rates of the energies of the balance but its input, for the forces at a state and the
         mean speeds of the step that begins there."""
         speeds = [mean[i] for i in range(model.layout.speeds)]
-        return sp.stack(work_over_step.energy_rates(model, time, model.entries(state), speeds))
+        return sp.stack(_work_rates(model, time, model.entries(state), speeds))
 
     def remembers(self, model: Model) -> bool:
         """True where some contact remembers its impact speed."""

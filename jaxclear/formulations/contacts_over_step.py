@@ -3,29 +3,35 @@ and energies by the mean forces with which the step was made."""
 
 from typing import Any, NamedTuple
 
-from jaxclear.formulations import law_tangent, slip_over_step
+import jax.numpy as jnp
+
+from jaxclear.components.clearance import ContactLaws
+from jaxclear.formulations import laws_over_step
 from jaxclear.formulations.contact_rows import (
+    ActingContact,
     ContactPoint,
     MiddleOfStep,
     TimeStep,
     by_joint,
+    joint_reports,
     split,
 )
 from jaxclear.formulations.delassus import ContactSolution, ImplicitContact
-from jaxclear.formulations.joint_reports import ActingContact, joint_reports
-from jaxclear.formulations.law_tangent import Averaging
-from jaxclear.formulations.model import Model
+from jaxclear.formulations.impact_speed import ContactMotion, PerContact
+from jaxclear.formulations.laws_over_step import Averaging, SlipAtStart
+from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.permanent_reactions import Reaction
 from jaxclear.formulations.rubbing_over_step import JointOverStep, friction, rubbed
-from jaxclear.formulations.slip_over_step import SlipAtStart
 from jaxclear.formulations.state_rate import Passive, link_accelerations, passive_rates
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
+from jaxclear.ground.quantity import Scalar
 from jaxclear.multibody.closure_coordinates import angle_rates
-from jaxclear.multibody.contact_point import PointState
+from jaxclear.multibody.contact_point import PointState, impact_speed_now
 from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.kinematics import along
-from jaxclear.multibody.state import pack_memories, unpack_motion
+from jaxclear.multibody.state import impact_speed_places, pack_memories, unpack_motion
+from jaxclear.multibody.system import System
 
 
 class ContactOverStep(NamedTuple):
@@ -77,7 +83,7 @@ def memories_after(whole: Step, solution: ContactSolution) -> list:
     rates, forces = whole.per_contact(solution.rates), whole.per_contact(solution.forces)
     after = []
     for contact, rate, force in zip(whole.contacts, rates, forces, strict=True):
-        bristles = law_tangent.bristles_after(
+        bristles = laws_over_step.bristles_after(
             contact.point.laws, contact.memory.bristles, whole.averaging, rate, -force[0]
         )
         after.append(contact.memory._replace(bristles=bristles))
@@ -139,9 +145,9 @@ def _acting_contacts(
         strict=True,
     ):
         point = contact.point
-        slip, speed = slip_over_step.mean_slip(contact.slips, slid), None
+        slip, speed = laws_over_step.mean_slip(contact.slips, slid), None
         if contact.braking is not None:
-            speed = slip_over_step.wearing_speed(
+            speed = laws_over_step.wearing_speed(
                 point.laws, slip, positive_part(-forces[0]), forces[1:]
             )
         idle = zip(point.rows[point.active :], point.rates[point.active :], strict=True)
@@ -160,3 +166,48 @@ def _acting_contacts(
             )
         )
     return acting
+
+
+def told_by_depth(laws: ContactLaws) -> bool:
+    """Whether a contact presses hardest where it is deepest, or by a law that follows its worn
+    radius, which is not known between saving times."""
+    return laws.contact.lossless or laws.unfitted is not None
+
+
+def damped(system: System) -> bool:
+    """Whether some contact's largest force is not told by its depth."""
+    return not all(map(told_by_depth, _laws(system)))
+
+
+def normal_forces(model: Model, state: State, motion: ContactMotion) -> PerContact:
+    """Normal force [N] of every possible contact that damps, 0 of the others, from its motion and
+    the impact speed that the state remembers."""
+    forces: list[Scalar | float] = []
+    places = impact_speed_places(model.layout)
+    for k, (laws, place) in enumerate(zip(_laws(model.system), places, strict=True)):
+        if told_by_depth(laws):
+            forces.append(0.0)
+            continue
+        rate = motion.rates[k]
+        speed = impact_speed_now(None if place is None else state[place], rate)
+        forces.append(laws.contact.normal_force(motion.depths[k], rate, speed))
+    return jnp.asarray(sp.stack(forces))
+
+
+def forces_at_start(system: System, contacts: list[ContactOverStep], faster: list) -> tuple:
+    """The same where an implicit step begins with these contacts, which close faster than their
+    speeds tell (`midpoint_step`) [m/s]; () where none damps."""
+    if not damped(system):
+        return ()
+    return tuple(
+        0.0
+        if told_by_depth(contact.point.laws)
+        else contact.point.laws.contact.normal_force(
+            contact.depth, sp.add(contact.approach, more), contact.memory.impact_speed
+        )
+        for contact, more in zip(contacts, faster, strict=True)
+    )
+
+
+def _laws(system: System) -> list[ContactLaws]:
+    return [own for bearing in system.bearings.values() for own in bearing.contact_laws]

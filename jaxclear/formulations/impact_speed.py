@@ -14,9 +14,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxclear.formulations.model import Model, State
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, constant
-from jaxclear.ground.tangents import derived, moved, moving_with
+from jaxclear.ground.tangents import derived, moved, moving_with, where_wanted
+from jaxclear.multibody.contact_point import slip_speed
+from jaxclear.multibody.state import unpack_memories
 
 PerContact = Float[Array, " contacts"]
 # The least speed that is remembered [m/s]: 0 says that the contact is apart.
@@ -209,3 +212,59 @@ def taken_in_flight(speed: Scalar, flight: Flight, length: Scalar) -> Scalar:
     curved = 4 * (depth - middle + 0.5 * length * approach) / length
     touch = mean + (2 * share - 1) * (gain + curved)
     return jnp.where(depth < 0, jnp.maximum(touch, LEAST_SPEED), speed)
+
+
+Stages = tuple[tuple[float, ...], tuple[float, ...]]
+
+
+def has_bristles(model: Model) -> bool:
+    """True where some contact has any."""
+    return any(bristles for _, kinds in model.layout.memories for _, bristles in kinds)
+
+
+def put_right(
+    formulation: Any,
+    model: Model,
+    now: tuple[Any, State],
+    motions: tuple[ContactMotion, ContactMotion],
+    step: tuple[Any, Stages],
+) -> State:
+    """The state after a step with deflections for the time in contact. `now`: (time [s], state)
+    there; `motions`: the contacts at both its ends; `step`: its length [s], and (nodes, weights) of
+    its stages. Derivatives of what is put right are left out: they follow the motion, not what
+    steps count."""
+    _, state = now
+    model, now, (before, after), length = constant((model, now, motions, step[0]))
+    changed = (before.depths < 0) != (after.depths < 0)
+
+    def found(_):
+        nodes, weights = step[1]
+        way = after.depths - before.depths
+        share = jnp.clip(safe_divide(-before.depths, way), 0.0, 1.0)
+        early = (jnp.asarray(nodes)[:, None] < share).astype(float)
+        amiss = length * (share - jnp.asarray(weights) @ early)
+        # Of a touch the time before it is apart, of a release it is in contact.
+        amiss = jnp.where(changed, jnp.where(after.depths < 0, amiss, -amiss), 0.0)
+        return _moves(model, now[1], formulation.slips(model, *now), amiss)
+
+    return state + where_wanted(jnp.any(changed), found, jnp.zeros_like(now[1]))
+
+
+def _moves(model: Model, state: State, slips: Any, amiss: Any) -> Any:
+    """What entries of the state lack where each contact was closed for a time [s] longer."""
+    entries, place, k = [0.0] * len(state), model.layout.memory_start, 0
+    memories = unpack_memories(model.layout, model.entries(state))
+    for name, kinds in model.layout.memories:
+        laws = model.system.bearings[name].contact_laws
+        for (remembers, count), own, memory in zip(kinds, laws, memories[name], strict=True):
+            place += remembers
+            if count:
+                slip = tuple(slips[k, i] for i in range(count))
+                closed, apart = (
+                    own.friction.tractions(normal, memory.bristles, slip, slip_speed(slip))[1]
+                    for normal in (1.0, 0.0)
+                )
+                for i in range(count):
+                    entries[place + i] = amiss[k] * (closed[i] - apart[i])
+            place, k = place + count, k + 1
+    return jnp.stack([jnp.asarray(each, float) for each in entries])

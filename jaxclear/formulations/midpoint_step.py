@@ -16,11 +16,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxclear.formulations import contact_rows, damped_contacts, law_tangent, slip_over_step
+from jaxclear.formulations import contact_rows, laws_over_step
 from jaxclear.formulations.contact_rows import MiddleOfStep, TimeStep, by_joint, lightness
 from jaxclear.formulations.contacts_over_step import (
     ContactOverStep,
     Step,
+    forces_at_start,
     memories_after,
     passive_rates_over,
 )
@@ -30,14 +31,13 @@ from jaxclear.formulations.delassus import (
     implicit_contact,
 )
 from jaxclear.formulations.impact_speed import Flight, taken_in_flight
-from jaxclear.formulations.law_tangent import Averaging
+from jaxclear.formulations.laws_over_step import Averaging, PastSlip
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import Reaction
 from jaxclear.formulations.rubbing_over_step import damping, joints_over_step
-from jaxclear.formulations.slip_over_step import PastSlip
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.grouping import map_alike
+from jaxclear.ground.compiling import map_alike
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.state import unpack_memories, unpack_motion
@@ -95,20 +95,20 @@ def step(
     v = [x + h * (k + c) for x, k, c in zip(middle.v, free, caused, strict=True)]
     q, depths = _settle(whole, solution, q, v)
     slid = [
-        slip_over_step.at_end(contact.slips, contact.braking, rates[1:])
+        laws_over_step.at_end(contact.slips, contact.braking, rates[1:])
         for contact, rates in zip(contacts, whole.per_contact(solution.rates), strict=True)
     ]
     after = [*q, *v, *memories_after(whole, solution)]
     passive, reactions = passive_rates_over(whole, solution, slid, mean)
     after += [x + h * rate for x, rate in zip(entries[len(after) :], passive, strict=True)]
     past = [
-        slip_over_step.handed_on(contact.slips, end, forces[1:])
+        laws_over_step.handed_on(contact.slips, end, forces[1:])
         for contact, end, forces in zip(
             contacts, slid, whole.per_contact(solution.forces), strict=True
         )
     ]
     faster = [h * along(contact.point.rows[0], last.surplus) for contact in contacts]
-    pressed = damped_contacts.forces_at_start(model.system, contacts, faster)
+    pressed = forces_at_start(model.system, contacts, faster)
     faster = surplus(settings.bias, free, caused) if contacts else []
     return after, WarmStart(free, caused, depths, past, reactions, pressed, faster)
 
@@ -132,7 +132,7 @@ def _contacts_at_start(
     last: WarmStart,
 ) -> list[ContactOverStep]:
     """The contacts with which a step begins; `free`: accelerations without contact."""
-    back, slips = middle.change_to(middle.v), slip_over_step.slips(middle, middle.v)
+    back, slips = middle.change_to(middle.v), laws_over_step.slips(middle, middle.v)
     half, diagonal = 0.5 * averaging.length, middle.free_motion.diagonal
     memories = unpack_memories(model.layout, entries)
     remembered = [memory for joint in memories.values() for memory in joint]
@@ -146,13 +146,13 @@ def _contacts_at_start(
             speed = taken_in_flight(memory.impact_speed, flight, averaging.length)
             memory = memory._replace(impact_speed=speed)
         mass = 1.0 / (lightness(point.rows[0], diagonal) + LEAST_LIGHTNESS)
-        braking = slip_over_step.braking(
+        braking = laws_over_step.braking(
             point.laws,
             *averaging,
             depth + averaging.length * positive_part(approach),
             [lightness(row, diagonal) for row in point.rows[1 : point.active]],
         )
-        sliding = slip_over_step.at_start(now, past, depth)
+        sliding = laws_over_step.at_start(now, past, depth)
         contacts.append(ContactOverStep(point, depth, approach, mass, memory, braking, sliding))
     return contacts
 
@@ -171,7 +171,7 @@ def _first_rates(whole: Step, last: list) -> tuple[list, list, list]:
     for contact in whole.contacts:
         closed, rows = contact.depth > 0, contact.point.rows[: contact.point.active]
         approach = contact.approach + 0.5 * h * along(rows[0], free)
-        deepest = law_tangent.deepest(
+        deepest = laws_over_step.deepest(
             contact.point.laws, contact.mass, contact.approach, contact.depth + h * approach
         )
         unmoved.append(approach)
@@ -179,7 +179,7 @@ def _first_rates(whole: Step, last: list) -> tuple[list, list, list]:
         first.append(jnp.where(closed, carried_on, (deepest - contact.depth) / h))
         forces.append(0.0)
         for slip, row in zip(contact.slips, rows[1:], strict=True):
-            rate = slip_over_step.unhindered(slip, contact.braking, along(row, free))
+            rate = laws_over_step.unhindered(slip, contact.braking, along(row, free))
             unmoved.append(rate)
             first.append(jnp.where(closed, slip.own, rate))
             forces.append(jnp.where(closed, slip.traction, 0.0))
@@ -224,7 +224,7 @@ def _linear_laws(whole: Step, rates: list, forces: list) -> LinearLaws:
 
     def tangents(laws, memories, averaging, *each):
         return tuple(
-            law_tangent.tangent(own, memory, averaging, *rest)
+            laws_over_step.tangent(own, memory, averaging, *rest)
             for own, memory, *rest in zip(laws, memories, *each, strict=True)
         )
 
@@ -287,7 +287,7 @@ def _depths_worked_for(whole: Step, solution: ContactSolution) -> list:
     rates, forces = whole.per_contact(solution.rates), whole.per_contact(solution.forces)
     out = []
     for contact, rate, force in zip(whole.contacts, rates, forces, strict=True):
-        law = law_tangent.mean_force(
+        law = laws_over_step.mean_force(
             contact.point.laws, contact.memory, whole.averaging, contact.depth, rate[0]
         )
         share = jnp.clip(safe_divide(-force[0], law), 0.0, 1.0)

@@ -14,19 +14,21 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxclear.components.body import Connection
+from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint
 from jaxclear.formulations.base import AbstractFormulation
-from jaxclear.formulations.carried_loads import pressing
 from jaxclear.formulations.contact_rows import TimeStep
-from jaxclear.formulations.joint_friction import friction_losses
-from jaxclear.formulations.model import Model, State
-from jaxclear.formulations.permanent_friction import (
+from jaxclear.formulations.joint_friction import (
     NonCollidingSettings,
+    friction_losses,
     regularised_friction,
     set_valued_friction,
 )
-from jaxclear.formulations.permanent_joints import fit
+from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.permanent_reactions import (
     Answer,
+    check_unique,
     friction_response,
     own_part,
     placed,
@@ -37,6 +39,7 @@ from jaxclear.formulations.permanent_reactions import (
 from jaxclear.formulations.permanent_report import (
     friction_of,
     joint_components,
+    pressing,
     report_of_means,
 )
 from jaxclear.formulations.permanent_wear import (
@@ -48,13 +51,48 @@ from jaxclear.formulations.permanent_wear import (
 )
 from jaxclear.formulations.rigid import check_friction
 from jaxclear.formulations.state_rate import link_accelerations
-from jaxclear.formulations.unique_reactions import check_unique
 from jaxclear.ground import sparse as sp
-from jaxclear.multibody import energy, kinematics
+from jaxclear.multibody import dynamics, kinematics
 from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import Forces, applied_forces
+from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.state import unpack_angles, unpack_motion
 from jaxclear.multibody.system import System, prepare
+
+
+def fit(mechanism: Mechanism) -> Mechanism:
+    """The mechanism with every clearance joint replaced by the joint that it is while it always
+    touches.
+
+    Starts and speeds are kept: they may name joints and bodies whatever holds them. Raises
+    `ValueError` where a joint has no such form.
+    """
+    if not mechanism.topology.clearances:
+        return mechanism
+    connections = {}
+    for name, connection in mechanism.connections.items():
+        joint = connection.joint
+        if name in mechanism.topology.clearances:
+            joint = permanent_joint(name, joint)
+        connections[name] = Connection(joint, connection.parent, connection.child)
+    return rebuilt(mechanism, connections=connections)
+
+
+def permanent_joint(name: str, joint: AbstractClearance) -> AbstractJoint:
+    """The joint as which the clearance joint `name` moves while it always touches. Raises
+    `ValueError` where none is known.
+    """
+    try:
+        form = joint.permanent_form()
+    except ValueError as error:
+        raise ValueError(f'joint "{name}" {error}') from None
+    if joint.maps() and not isinstance(form, AbstractRubbingJoint):
+        raise ValueError(
+            f'joint "{name}" is a {type(joint).__name__} that wears, whose form in permanent '
+            f"contact, {type(form).__name__}, tells of no wear; leave its wear out, or take a "
+            "compliant integrator such as ImplicitStep."
+        )
+    return form
 
 
 class PermanentContact(AbstractFormulation):
@@ -195,7 +233,7 @@ def _powers(model: Model, forces: Forces, found: Answer, friction: Any, slips: l
     """Powers of the energy balance; friction's at the sliding speeds `slips` [m/s]."""
     solution = link_accelerations(model.system, found.accelerations, found.multipliers)
     acting = with_friction(model.system, forces, friction)
-    rates = energy.powers(model.system, acting, solution)
+    rates = dynamics.powers(model.system, acting, solution)
     lost, driven = friction_losses(touching(model.system), friction, slips)
     places = model.layout.energies.index
     rates[places("friction_loss")] = lost

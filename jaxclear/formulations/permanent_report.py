@@ -1,16 +1,22 @@
-"""What is told of a joint that touches all the time, from its reaction and its friction."""
+"""Where a joint that touches all the time carries its reaction with its friction, and what is told
+of it by them.
 
-import jax
+Friction at the side of a guide adds to the moment that it carries, and so to what it is a share of;
+what a journal, a slideway or a ball carries does not hang on friction.
+"""
+
+from typing import Any
+
 import jax.numpy as jnp
 
 from jaxclear.components.clearance import CarryingEnd, carried_load
-from jaxclear.components.joint import AbstractRubbingJoint
 from jaxclear.formulations.base import ContactReport
 from jaxclear.formulations.model import Instant
 from jaxclear.formulations.permanent_reactions import (
     REACTION,
     PermanentJoint,
     Reaction,
+    own_part,
     slid,
     speeds_of,
     touching,
@@ -19,9 +25,38 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.multibody.system import System
 
-# A guide's friction adds to the moment and so to the sizes; a pass shrinks the error of the ratio
-# to half of it or, at worst, to (1 + mu width / length) / 2.
-PASSES = 40
+
+def carrying_ends(
+    held: PermanentJoint, reaction: Reaction, friction: Any
+) -> tuple[CarryingEnd, ...]:
+    """Where a reaction and friction [N] (of a ball three components) are carried."""
+    if held.joint.components > 1:
+        none = (0.0,) * held.joint.components
+        load = carried_load(held.joint.carrying_ends(*reaction, none))
+        return held.joint.carrying_ends(*reaction, tuple(safe_divide(x, load) for x in friction))
+    return held.joint.carrying_ends(*reaction, _share(held, reaction, friction))
+
+
+def _share(held: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
+    """Friction beside the load that it adds to: two turns, and where they lead (Steffensen's
+    extrapolation; the load is linear in the share until an end changes its side)."""
+    if held.joint.friction is None:
+        return 0.0 * friction
+
+    def better(share):
+        return safe_divide(friction, carried_load(held.joint.carrying_ends(*reaction, share)))
+
+    first = better(0.0 * friction)
+    second = better(first)
+    third = better(second)
+    step, change = third - second, third - 2 * second + first
+    return third - safe_divide(step * step, change)
+
+
+def pressing(held: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
+    """Sum of the normal forces [N] of a joint's contacts."""
+    ends = carrying_ends(held, reaction, friction)
+    return sp.total(contact.normal_force for end in ends for contact in end.contacts)
 
 
 def joint_components(system: System) -> tuple[tuple[str, int], ...]:
@@ -48,7 +83,7 @@ def report(
 ) -> ContactReport:
     """How a joint carries its reaction and the components of its friction [N] at an instant."""
     joint = held.joint
-    ends = _ends(joint, reaction, friction)
+    ends = carrying_ends(held, reaction, own_part(friction, slice(0, len(friction))))
     found = sorted((c for end in ends for c in end.contacts), key=lambda c: c.number)
     speeds = speeds_of(instant.model.system, instant.motions, held, instant.speeds)
     slips = tuple(sp.mul(joint.arm, x) for x in speeds)
@@ -66,24 +101,6 @@ def report(
         sp.stack(reaction.torque),
         ends,
     )
-
-
-def _ends(
-    joint: AbstractRubbingJoint, reaction: Reaction, friction: tuple
-) -> tuple[CarryingEnd, ...]:
-    """Where a joint's reaction and friction are carried."""
-
-    def improve(_, ratio):
-        # Half the way: friction that adds to the forces more than the forces to friction would
-        # overshoot.
-        load = carried_load(joint.carrying_ends(*reaction, shares(ratio)))
-        return 0.5 * (ratio + safe_divide(rubbed, load))
-
-    # A ball's has three components.
-    shares = lambda ratio: ratio[0] if len(friction) == 1 else tuple(ratio)
-    rubbed = sp.stack(friction)
-    ratio = jax.lax.fori_loop(0, PASSES, improve, jnp.zeros(len(friction)))
-    return joint.carrying_ends(*reaction, shares(ratio))
 
 
 def _offset_and_axis(ends: tuple[CarryingEnd, ...]) -> tuple:

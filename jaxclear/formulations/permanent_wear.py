@@ -10,7 +10,6 @@ import jax.numpy as jnp
 
 from jaxclear.components.clearance import CarryingEnd
 from jaxclear.components.joint import AbstractRubbingJoint
-from jaxclear.formulations.carried_loads import carrying_ends
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import (
     Answer,
@@ -20,6 +19,7 @@ from jaxclear.formulations.permanent_reactions import (
     slid,
     touching,
 )
+from jaxclear.formulations.permanent_report import carrying_ends
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.multibody import kinematics

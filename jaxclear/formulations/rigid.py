@@ -15,12 +15,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.formulations.base import AbstractFormulation, clearance_contact
-from jaxclear.formulations.contact_rows import MiddleOfStep, TimeStep, middle_of_step
+from jaxclear.formulations.contact_rows import (
+    MiddleOfStep,
+    TimeStep,
+    middle_of_step,
+    reports_of_means,
+    rigid_reports,
+)
 from jaxclear.formulations.delassus import DelassusOperator, delassus_operator
-from jaxclear.formulations.joint_reports import reports_of_means, rigid_reports
 from jaxclear.formulations.model import Model, State
-from jaxclear.formulations.moved_apart import Projected, project
 from jaxclear.formulations.permanent_reactions import (
+    check_unique,
     touching,
     with_friction,
 )
@@ -39,11 +44,12 @@ from jaxclear.formulations.state_rate import Passive, link_accelerations, passiv
 from jaxclear.formulations.unilateral import (
     MoreauJeanSettings,
     Percussions,
+    Projected,
     demands,
     percussions,
+    project,
     unilateral_contacts,
 )
-from jaxclear.formulations.unique_reactions import check_unique
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.closure_coordinates import angle_rates

@@ -3,7 +3,7 @@ the share that of the sliding speed when friction is taken, the reaction that of
 
 Along each sliding direction $T = -d\,s$ with $d = \mu(|s|) N / |s|$, taken about the speed found
 last and solved for together with the contacts; friction that brakes a joint within a step is taken
-as late as `slip_over_step` says. Reactions change from step to step by what forces do, so friction
+as late as `laws_over_step` says. Reactions change from step to step by what forces do, so friction
 is right to the first order of the step.
 
 Nothing here is evaluated in a mechanism without such joints.
@@ -17,7 +17,7 @@ from jaxclear.complementarity.joint_friction import across
 from jaxclear.components.clearance import carried_load
 from jaxclear.formulations.contact_rows import ContactJacobianRow, MiddleOfStep, lightness
 from jaxclear.formulations.joint_friction import passive_of
-from jaxclear.formulations.law_tangent import Averaging
+from jaxclear.formulations.laws_over_step import Averaging
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import (
     PermanentJoint,

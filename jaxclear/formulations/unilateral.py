@@ -18,22 +18,45 @@ Systems, ch. 10, doi:10.1007/978-3-540-75392-6.
 from itertools import groupby
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from jaxclear.complementarity import FrictionContact, ProjectedGaussSeidel
 from jaxclear.complementarity.kept_states import with_kept_states
+from jaxclear.formulations import contact_rows
 from jaxclear.formulations.contact_rows import (
     ContactJacobianRow,
     ContactPoint,
     MiddleOfStep,
+    TimeStep,
     split,
 )
 from jaxclear.formulations.delassus import DelassusOperator
-from jaxclear.formulations.impacts_in_turn import put_off
+from jaxclear.formulations.model import Model
+from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.laws.friction import AbstractSetValuedFriction
 from jaxclear.multibody.kinematics import along
+from jaxclear.multibody.state import unpack_motion
+
+# Share of a step by which contacts of a joint may touch apart and count as touching at once: far
+# above rounding.
+AT_ONCE = 1e-6
+
+
+def put_off(strikes: Any, depths: Any, closing: Any, h: Any, joints: list[int]) -> Any:
+    """Which of the contacts that strike in a step of length h [s] wait for the next: all of a joint
+    but the first to touch.
+
+    `depths`, `closing`: their indentations [m] and their rates [m/s] in the middle of the step;
+    `joints`: how many contacts each joint has.
+    """
+    since = jnp.where(strikes, safe_divide(depths, closing), -jnp.inf)
+    each = split([since[i] for i in range(sum(joints))], joints)
+    first = [jnp.max(jnp.stack(own)) for own in each]
+    firsts = [one for one, count in zip(first, joints, strict=True) for _ in range(count)]
+    return strikes & (since < sp.stack(firsts) - AT_ONCE * h)
 
 
 class MoreauJeanSettings(NamedTuple):
@@ -253,3 +276,56 @@ def first_guess(contacts: list[UnilateralContact], last: list) -> list:
 
 def _size(slips: list) -> Any:
     return safe_sqrt(sp.total(sp.mul(slip, slip) for slip in slips) + 0.0)
+
+
+class Projected(NamedTuple):
+    """After projection: coordinates, by how much they were moved (in terms of speeds), energy that
+    this put in [J].
+    """
+
+    coordinates: list
+    moved: list
+    energy: Any
+
+
+def project(
+    model: Model,
+    time_step: TimeStep,
+    middle: MiddleOfStep,
+    contacts: list[UnilateralContact],
+    delassus: DelassusOperator,
+    end: tuple[list, list],
+    settings: MoreauJeanSettings,
+) -> Projected:
+    """Coordinates at the `end` (q, v) of a step, moved apart in the metric of the masses until
+    contacts overlap by no more than they would leave or fall in a step: one at rest stays closed
+    whatever rounding and the turning of its normal do, and what strikes and rebounds undoes its
+    overlap itself; moving it would give it energy."""
+    (q, v), h = end, time_step.length
+    motion = unpack_motion(model.system, [*q, *v])
+    depths = contact_rows.indentations(model, time_step.end, *motion)
+    responses = split(delassus.responses, [len(contact.rows) for contact in contacts])
+    normals = DelassusOperator(
+        [contact.rows[0] for contact in contacts],
+        delassus.free,
+        delassus.multipliers,
+        [own[0] for own in responses],
+    )
+    change = middle.change_to(v)
+    opening = sp.stack([sp.add(c.velocities[0], along(c.rows[0], change)) for c in contacts])
+    # What a contact gains in closing speed within a step if nothing holds it.
+    pressed = h * sp.stack(
+        [positive_part(sp.neg(along(row, delassus.free))) for row in normals.rows]
+    )
+    wanted = zip(pressed, opening, depths, strict=True)
+    problem = FrictionContact(
+        [sp.stack(line) for line in normals.matrix()],
+        jnp.stack([h * (most + jnp.abs(u)) - depth for most, u, depth in wanted]),
+        jnp.zeros(len(contacts)),
+    )
+    shifts = with_kept_states(problem, settings.solver().iterate(problem).z)
+    if settings.striking is not None:
+        shifts = jnp.where(settings.striking, jax.lax.stop_gradient(shifts), shifts)
+    moved, _ = normals.under([shifts[i] for i in range(len(contacts))])
+    energy = sp.neg(sp.dot(middle.free_motion.right, moved))
+    return Projected(drift(model.system, q, q, moved, 1.0), moved, energy)

@@ -31,12 +31,12 @@ from jaxclear.multibody import (
 )
 from jaxclear.multibody.assembly_modes import Beginning, Mode, Nominal, at_guess
 from jaxclear.multibody.mechanism import Mechanism, loosened, ungiven, with_redundancy
+from jaxclear.multibody.newton import Near, closed, least, nearer
 from jaxclear.multibody.start_equations import (
     GIVEN,
     JOURNAL,
     LOOP,
     Ask,
-    Near,
     Start,
     alike,
     ask,
@@ -44,32 +44,16 @@ from jaxclear.multibody.start_equations import (
     guess_blocks,
     held_blocks,
     is_solved,
-    least,
     leaves_free,
     motions_at,
-    nearer,
     outside_tree,
     place_at,
     position_blocks,
-    settled,
     speed_blocks,
     stacked,
 )
 from jaxclear.multibody.system import readings
 from jaxclear.multibody.topology import Redundancy
-
-__all__ = [
-    "Start",
-    "assemble",
-    "assemble_arrays",
-    "carried_on",
-    "guess",
-    "is_sound",
-    "nearest",
-    "ready",
-    "ready_from",
-    "sampled",
-]
 
 ITERATIONS = 30
 # The last of them.
@@ -145,11 +129,7 @@ def closest(asked: Ask, q: Array, time: Any) -> Array:
     """Coordinates that miss closed loops, and what is given, by least: also where no coordinates
     close the loops, or where some of their rows are redundant."""
 
-    def settle(q, _):
-        held = [b for b in position_blocks(asked, q, time) if b.kind in (LOOP, GIVEN)]
-        return settled(asked, q, held), None
-
-    return jax.lax.scan(settle, q, length=SETTLING)[0]
+    return closed(asked, q, time, SETTLING, (LOOP, GIVEN), damped=True)
 
 
 def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: Any) -> Start:
@@ -161,9 +141,9 @@ def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: An
     asked = ask(bare, False)
     found = assemble_arrays(bare, False, time, (coordinates, speeds))
     left = stacked(asked, position_blocks(asked, coordinates, time))[1]
-    closed = jnp.max(jnp.abs(left), initial=0.0) <= start_check.HELD * asked.arm
+    kept = jnp.max(jnp.abs(left), initial=0.0) <= start_check.HELD * asked.arm
     q, v = (
-        jnp.where(closed, own, nearest)
+        jnp.where(kept, own, nearest)
         for own, nearest in ((coordinates, found.coordinates), (speeds, found.speeds))
     )
     return found._replace(coordinates=q, speeds=v, depths={})
@@ -398,9 +378,9 @@ def _known(
         return known, *assembled(known)
     if not sound and start_check.open_by(place) == 0 < start_check.open_by(start):
         far = with_redundancy(bare, redundancy.searched(found, start))
-        other, closed = assembled(far)
-        if closed:
-            return far, other, closed
+        other, fine = assembled(far)
+        if fine:
+            return far, other, fine
     if sound and redundancy.depend(start):
         warn(
             "the mechanism stands at a position in which the rows of its loops depend on each "

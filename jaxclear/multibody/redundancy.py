@@ -22,16 +22,14 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.multibody import constraints, kinematics
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.newton import blocks_of, closed
 from jaxclear.multibody.pose_rows import closing_rows
 from jaxclear.multibody.start_equations import (
-    LOOP,
     Ask,
     Start,
     ask,
     motions_at,
-    position_blocks,
     retract,
-    settled,
     speed_scales,
     stacked,
 )
@@ -73,7 +71,7 @@ class Place(NamedTuple):
     @property
     def rank(self) -> int:
         """Of the Jacobian."""
-        return _rank(np.asarray(self.jacobian))
+        return rank_of(np.asarray(self.jacobian))
 
 
 def is_suspect(mechanism: Mechanism, start: Start) -> bool:
@@ -90,7 +88,7 @@ def is_suspect(mechanism: Mechanism, start: Start) -> bool:
 def depend(start: Start) -> bool:
     """Whether rows that motion changes follow from others at the start."""
     jacobian = np.concatenate([np.asarray(own) for own in start.jacobians.values()])
-    return _rank(jacobian) < len(jacobian)
+    return rank_of(jacobian) < len(jacobian)
 
 
 def _counts_fixed(mechanism: Mechanism) -> bool:
@@ -134,7 +132,7 @@ def redundancy(mechanism: Mechanism, start: Start, time: Any) -> Redundancy | No
     if depend(start):
         place = _most_of_rank(mechanism, rows, start, time)
         rank, joints = place.rank, _undetermined(mechanism, rows, place)
-        new = _new(np.asarray(place.jacobian))
+        new = says_new(np.asarray(place.jacobian))
         follow = [row for row, says in zip(moving, new, strict=True) if not says]
     called = lambda row: "" if row.joint in mechanism.couplings else row.name
     extra = tuple((row.joint, called(row)) for row in rows if row.fixed or row in follow)
@@ -172,13 +170,8 @@ def _moved(mechanism: Mechanism, q: Array, step: Array, time: Any) -> tuple[Arra
     """Coordinates moved by a step, the loops closed anew, and what is left of these [m, 1]."""
     asked = ask(mechanism, False)
 
-    def of_loops(q):
-        return [block for block in position_blocks(asked, q, time) if block.kind == LOOP]
-
-    q = retract(asked.system, q, step)
-    improve = lambda q, _: (settled(asked, q, of_loops(q)), None)
-    q, _ = jax.lax.scan(improve, q, length=ITERATIONS)
-    return q, jnp.max(jnp.abs(stacked(asked, of_loops(q))[1]), initial=0.0)
+    q = closed(asked, retract(asked.system, q, step), time, ITERATIONS, damped=True)
+    return q, jnp.max(jnp.abs(stacked(asked, blocks_of(asked, q, time))[1]), initial=0.0)
 
 
 @compiled_quickly
@@ -186,7 +179,6 @@ def _place(mechanism: Mechanism, rows: tuple[Row, ...], q: Array, time: Any) -> 
     asked = ask(mechanism, False)
     system = asked.system
     motions = _motions(asked, q, time)
-    loops = [block for block in position_blocks(asked, q, time) if block.kind == LOOP]
 
     def through(forces):
         own: tuple[dict[int, Any], ...] = tuple({} for _ in system.closures)
@@ -197,11 +189,11 @@ def _place(mechanism: Mechanism, rows: tuple[Row, ...], q: Array, time: Any) -> 
         acting = zip(names, (*closing, *inboard), strict=True)
         return {name: sp.stack((*wrench.force, *wrench.torque)) for name, wrench in acting}
 
-    jacobian = stacked(asked, loops)[0] * speed_scales(asked)
+    jacobian = stacked(asked, blocks_of(asked, q, time))[0] * speed_scales(asked)
     return Place(jacobian, jax.vmap(through)(jnp.eye(len(rows))), asked.arm)
 
 
-def _rank(rows: np.ndarray) -> int:
+def rank_of(rows: np.ndarray) -> int:
     """Rank of rows each of which counts alike."""
     sizes = np.linalg.norm(rows, axis=1, keepdims=True)
     largest = sizes.max(initial=0.0)
@@ -214,9 +206,9 @@ def _rank(rows: np.ndarray) -> int:
     return int(np.linalg.matrix_rank(alike, tol=DEPENDENT))
 
 
-def _new(jacobian: np.ndarray) -> Iterator[bool]:
+def says_new(jacobian: np.ndarray) -> Iterator[bool]:
     """For each row whether it says what those before it do not."""
-    ranks = [_rank(jacobian[: i + 1]) for i in range(len(jacobian))]
+    ranks = [rank_of(jacobian[: i + 1]) for i in range(len(jacobian))]
     return (rank > before for rank, before in zip(ranks, [0, *ranks], strict=False))
 
 

@@ -10,12 +10,8 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.start_equations import (
-    Start,
-    ask,
-    independent,
-    retract,
-)
+from jaxclear.multibody.newton import independent
+from jaxclear.multibody.start_equations import Start, ask, retract
 from jaxclear.multibody.system import System
 from jaxclear.multibody.topology import coordinate_joint
 

@@ -9,29 +9,21 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.least_change import Change, least_change, of_rank
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.shown import shown_in_words
 from jaxclear.multibody import constraints, given, kinematics
+from jaxclear.multibody.given import at_start
 from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, prepare
 from jaxclear.multibody.tree import Motion
-from jaxclear.multibody.turned_round import at_start
 
 LOOP, GIVEN, JOURNAL, GUESS = "loop", "given", "journal", "guess"
-# Largest change of a coordinate in one step [rad, longest arms]: keeps the search on the branch of
-# the guess.
-LONGEST_STEP = 0.3
-# Of the square of what is left: little, so that steps lead to what is nearest.
-DAMPING = 1e-2
-# Beside the squares of rows that move a coordinate by as much as they count: far above rounding.
-LEAST_DAMPING = 1e-12
 
 
 @shown_in_words
@@ -98,14 +90,6 @@ class Block(NamedTuple):
     fixed: Float[Array, " fixed"]
 
 
-class Near(NamedTuple):
-    """Equations that are met as nearly as others let them: least squares of all, each divided by
-    its measure and counted by its `weight` [1]."""
-
-    blocks: list[Block]
-    weight: Any
-
-
 def ask(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> Ask:
     """What is asked of a mechanism's start, with surfaces `worn` so deep [m] (None: new ones)."""
     system = prepare(mechanism)
@@ -139,59 +123,6 @@ def retract(system: System, q: Array, step: Array) -> Array:
         if coordinates:
             parts.extend(link.joint.retracted(coordinates, move))
     return sp.stack(parts)
-
-
-def nearer(asked: Ask, q: Array, blocks: list[Block], near: Near | None = None) -> Array:
-    """Coordinates after one Gauss-Newton step that changes what is left of the blocks' equations to
-    0, and in what these leave free lessens what is left of those that are `near`: the least such
-    step, and `LONGEST_STEP` at most."""
-    return _moved(asked, q, -least(asked, blocks, near).change)
-
-
-def settled(asked: Ask, q: Array, blocks: list[Block]) -> Array:
-    """Coordinates after one step that lessens what is left of equations some of which may follow
-    from others, or contradict them: Levenberg's, damped by the square of what is left, which closes
-    in quadratically also where the rank falls (Yamashita & Fukushima 2001, Computing Suppl. 15,
-    239, doi:10.1007/978-3-7091-6217-0_18)."""
-    scales = speed_scales(asked)
-    rows, left = alike(asked, blocks)
-    damping = DAMPING * jnp.sum(left * left) + LEAST_DAMPING
-    damped = rows @ rows.T + damping * jnp.eye(len(left))
-    factors = factorisation.factor([list(row) for row in damped])
-    shares = sp.stack(factorisation.solve(factors, tuple(left)))
-    return _moved(asked, q, -scales * (rows.T @ shares))
-
-
-def _moved(asked: Ask, q: Array, step: Array) -> Array:
-    """Coordinates after a step, shortened to `LONGEST_STEP`. The steps that decide are short, so
-    the shortening is not differentiated: the derivative of a largest entry is 0 / 0 where XLA works
-    the entries out twice and rounds them differently."""
-    longest = jnp.maximum(jnp.max(jnp.abs(step / speed_scales(asked))), LONGEST_STEP)
-    return retract(asked.system, q, step * jax.lax.stop_gradient(LONGEST_STEP / longest))
-
-
-def least(asked: Ask, blocks: list[Block], near: Near | None = None) -> Change:
-    """The least change of the free speeds that meets the equations of the blocks, loops first, and
-    then nearly those that are `near`."""
-    scales, redundancy = speed_scales(asked), asked.system.topology.redundancy
-    loops = [block for block in blocks if block.kind == LOOP]
-    rest = [block for block in blocks if block.kind != LOOP]
-    first = stacked(asked, loops)
-    if redundancy is not None and len(first[0]) > redundancy.rank:
-        first = of_rank(*first, scales, redundancy.rank)
-    rows, left = (jnp.concatenate(parts) for parts in zip(first, stacked(asked, rest), strict=True))
-    if near is None:
-        return least_change(rows, left, scales)
-    # Each has an unknown of its own, by which it is missed: with the damping of Levenberg, the
-    # least of all together is the least square of what is missed.
-    close, missed = (near.weight * part for part in alike(asked, near.blocks))
-    damping = jnp.sqrt(DAMPING * jnp.sum(missed * missed) + LEAST_DAMPING)
-    count, free = len(missed), len(scales)
-    own = jnp.concatenate([jnp.zeros((len(left), count)), damping * jnp.eye(count)])
-    rows = jnp.concatenate([jnp.concatenate([rows, close / scales]), own], axis=1)
-    sizes = jnp.concatenate([scales, jnp.ones(count)])
-    found = least_change(rows, jnp.concatenate([left, missed]), sizes)
-    return Change(found.change[:free], found.met[: len(left)])
 
 
 def motions_at(asked: Ask, q: Array, v: Array, time: Any) -> tuple[tuple, tuple, tuple]:
@@ -263,20 +194,6 @@ def speed_blocks(asked: Ask, q: Array, v: Array, time: Any) -> list[Block]:
     return blocks + [
         _closure_block(asked, motions, n, c, JOURNAL, True) for n, c in _journals(asked)
     ]
-
-
-def independent(asked: Ask, q: Array) -> dict[str, Bool[Array, ""]]:
-    """By name whether what `start` gives is left free by the loops, journals that are to be
-    concentric, and what is given before."""
-    blocks = position_blocks(asked, q, 0.0)
-    given_last = [b for kinds in ((LOOP,), (JOURNAL,), (GIVEN,)) for b in blocks if b.kind in kinds]
-    told = [block for block in blocks if block.kind == GIVEN]
-    met = least(asked, given_last).met
-    ends = len(met) - sum(len(b.left) for b in told) + np.cumsum([len(b.left) for b in told])
-    return {
-        block.name: jnp.all(met[end - len(block.left) : end])
-        for block, end in zip(told, ends, strict=True)
-    }
 
 
 def outside_tree(mechanism: Mechanism) -> bool:

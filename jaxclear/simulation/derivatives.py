@@ -5,9 +5,9 @@ with a number, and the derivative of one finished run scatters about that of the
 after one bounce, by a multiple after a few (-3.0 for 0.24 after three lossless ones in steps of 20
 us), and nothing tells by how much. So it is refused while it is being traced, unless the derivative
 of the discrete run is what was asked for. Steps that end at touches know it (`saltation`), those by
-rk4 whose derivatives are taken apart there (`mid_step`), those through rigid contact
-(`mid_impact`), and implicit ones and explicit ones of lower order, beside which the motion goes in
-finer parts where it is differentiated (`fine_motion`). Where nothing opens (ideal joints, permanent
+rk4 whose derivatives are taken apart there (`saltation`), those through rigid contact
+(`moreau_jean`), and implicit ones and explicit ones of lower order, beside which the motion goes in
+finer parts where it is differentiated (`variational`). Where nothing opens (ideal joints, permanent
 contact) the derivative of the discrete run converges to that of the motion, and passes: forwards
 through the steps, backwards as so many of these as numbers move.
 """
@@ -19,10 +19,17 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array, Float
 
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.outcome import Unknown
+from jaxclear.ground.quantity import Scalar, is_traced
+from jaxclear.ground.tangents import pushed
 from jaxclear.ground.wording import public_name
-from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import by_columns
 from jaxclear.results.trajectory import Trajectory
@@ -97,3 +104,130 @@ def _undifferentiated(sentence: str, numbers: Any) -> Any:
 @_undifferentiated.defjvp
 def _refuse(sentence, primals, tangents):
     raise ValueError(sentence)
+
+
+# The lengths of the other steps beside that of the run, by the order of its derivatives; and where
+# saving intervals have fewer than so many steps, which cannot be as many times longer.
+LONGER = {1: (1.5, 2.0), 2: (2.0,)}
+SHORTER, FEWEST = {1: (1 / 2, 1 / 3), 2: (1 / 2,)}, 4
+# Share of a derivative by which the other steps may tell it to be off.
+TRUSTED = 0.01
+# A derivative that moves something by so small a share of the least by which a number moves it is
+# rounding: a drive, not friction, says where a mechanism is.
+ROUNDING = 1e-12
+
+
+def is_compared(mechanism: Mechanism, integrator: AbstractIntegrator) -> bool:
+    """Whether derivatives of runs of a mechanism, as its formulation sees it, are taken in other
+    steps as well: where these have a length of their own."""
+    return integrator.asked_step() is not None and not refusal(mechanism, integrator)
+
+
+def in_other_steps(integrator: Any, share: Any) -> Any:
+    """The integrator in steps that share as long (None: as they are)."""
+    return integrator if share is None else integrator.with_finer_steps(share)
+
+
+def order_of(integrator: AbstractIntegrator) -> int:
+    """Power of the step in proportion to which its derivatives are off, on the safe side."""
+    return 1 if integrator.first_order_slopes else 2
+
+
+def compared(
+    function: Callable, finer: Callable, judged: Callable, steps: Callable, order: int
+) -> Callable:
+    """As `function(*arguments)`, with derivatives `judged(found, ways, ratios, least)` from those
+    of `function(*finer(share, *arguments))` in steps that are this share of the usual ones.
+
+    `judged`: of what was found, its derivatives, of the run itself in front and behind it those in
+    other steps, how large errors of this `order` are in these beside its own, and of which share of
+    what was found a derivative is rounding; `steps(*arguments)`: (a step's length [s], the times
+    [s] at which one ends)."""
+
+    def known(*arguments: Any) -> Any:
+        arrays, rest = eqx.partition(arguments, eqx.is_array)
+        kept: list[Any] = []
+
+        def gone(share: Any, arrays: Any) -> tuple[Any, Any]:
+            found = function(*finer(share, *eqx.combine(arrays, rest)))
+            found, others = eqx.partition(found, eqx.is_array)
+            kept.append(others)
+            return eqx.partition(found, eqx.is_inexact_array)
+
+        def moving(_, numbers, tangents):
+            shares, ratios = _shares(*steps(*eqx.combine(numbers[0], rest)), order)
+
+            def one(share):
+                (out, left), (ways, _) = pushed(lambda arrays: gone(share, arrays), *both)
+                return out, left, ways
+
+            both = numbers, tangents
+            out, left, ways = jax.vmap(one)(shares)
+            found, left = jax.tree.map(lambda each: each[0], (out, left))
+            still = jax.tree.map(lambda each: np.zeros(each.shape, jax.dtypes.float0), left)
+            told = judged(eqx.combine(found, left), ways, ratios, ROUNDING * _least(*both))
+            return (found, left), (told, still)
+
+        own = jax.custom_jvp(gone, nondiff_argnums=(0,))
+        own.defjvp(moving, symbolic_zeros=True)
+        return eqx.combine(*own(None, arrays), kept[0])
+
+    return known
+
+
+def _shares(step: Scalar, times: Float[Array, " saves"], order: int) -> tuple[Array, Array]:
+    """(1 and the shares of a step [s] that others are, how large an error of this order is in them
+    beside it): steps end at all these times [s], so they are not as long as they are asked for."""
+    count = lambda step: jnp.maximum(jnp.ceil(jnp.diff(times) / step * (1 - SLIVER)), 1.0)
+    own = count(step)
+    longer, shorter = (jnp.asarray(shares[order]) for shares in (LONGER, SHORTER))
+    others = jnp.where(jnp.min(own) >= FEWEST, longer, shorter)
+    ratios = jnp.sum(own) / jnp.sum(jax.vmap(lambda share: count(share * step))(others), axis=1)
+    return jnp.concatenate([jnp.ones(1), others]), ratios**order
+
+
+def _least(numbers: Any, tangents: Any) -> Scalar:
+    """The least share of itself by which a number moves (0: none that is not 0 does)."""
+    least = jnp.asarray(jnp.inf)
+    for number, way in zip(*map(jax.tree.leaves, (numbers, tangents)), strict=True):
+        if not isinstance(way, SymbolicZero):
+            share = jnp.where((number != 0) & (way != 0), abs(safe_divide(way, number)), jnp.inf)
+            least = jnp.minimum(least, jnp.min(share, initial=jnp.inf))
+    return jnp.where(jnp.isfinite(least), least, 0.0)
+
+
+def where_alike(ways: Array, ratios: Array, scale: Array, rounding: Any) -> Array:
+    """Derivatives of the run itself, the first of `ways`, nan where those in other steps tell that
+    they are off by too large a share of this `scale`, unless all are no more than `rounding`."""
+    own, others = ways[0], ways[1:]
+    ratios = jnp.expand_dims(ratios, tuple(range(1, others.ndim)))
+    off = jnp.max(abs(others - own) / abs(ratios - 1), axis=0)
+    nothing = jnp.max(abs(ways), axis=0) <= rounding
+    known = (off <= TRUSTED * scale) | nothing | jnp.isnan(own)
+    return jnp.where(known, own, Unknown.STEPS_DECIDE.number)
+
+
+def run_where_alike(
+    found: Trajectory, ways: Trajectory, ratios: Array, least: Scalar
+) -> Trajectory:
+    """Derivatives of a run that was found, nan where steps decide them: of its states at the end
+    beside their own size, at an instant before beside the largest that the derivative of this
+    number has been, as on its way it may pass through nothing; of anything else beside the largest
+    of its kind."""
+    largest = lambda each, axis=None: jnp.max(abs(each), axis=axis, initial=0.0)
+
+    def one(each, number):
+        return where_alike(each, ratios, largest(each[0]), least * largest(number))
+
+    told = jax.tree.map(one, ways, eqx.filter(found, eqx.is_inexact_array))
+    topology = found.mechanism.topology
+    n, m = topology.coordinate_count, topology.speed_count
+    size = largest(found.history.states, 0)
+    # A coordinate that is 0 is one among others; what a run sums up is in units of its own.
+    kinds = jnp.split(size, (n, n + m))
+    size = jnp.concatenate([*(jnp.full_like(kind, largest(kind)) for kind in kinds[:2]), kinds[2]])
+    states = ways.history.states
+    own = abs(states[0])
+    scale = jax.lax.cummax(own, axis=0).at[-1].set(own[-1])
+    states = where_alike(states, ratios, scale, least * size)
+    return eqx.tree_at(lambda run: run.history.states, told, states)

@@ -3,11 +3,21 @@ speeds as they are, deflections of bristles beside what they settle within; what
 (worn volumes, energies, impulses) is not held.
 """
 
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.formulations.model import Model
-from jaxclear.simulation.bristles import settling_length
+from jaxclear.ground.quantity import Scalar
+
+
+def settling_length(law: Any) -> Scalar:
+    """Sliding [m] within which a deflection settles, at 1 m/s."""
+    rate = jax.grad(lambda z: law.tractions(1.0, (z,), (1.0,), 1.0)[1][0])(0.0)
+    return 1 / jnp.maximum(-rate, 1e-300)
+
 
 # Length [m] within which deflections settle from which on they are held as places are, shorter ones
 # tighter in proportion: at the usual tolerance of 1e-9 m an error is then a hundred thousandth of

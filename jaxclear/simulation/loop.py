@@ -21,9 +21,8 @@ from jaxtyping import Array, Float, Int
 from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.formulations.model import Model, State
 from jaxclear.integrators.base import AbstractIntegrator, Interval
-from jaxclear.integrators.events import Events, together
-from jaxclear.integrators.outcome import Outcome
-from jaxclear.integrators.peaks import Peaks, newest
+from jaxclear.integrators.checks import Outcome
+from jaxclear.integrators.events import Events, Peaks, newest, together
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
 from jaxclear.multibody.system import readings, rubbing_joints
@@ -31,10 +30,10 @@ from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, ver
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
 from jaxclear.simulation import progress
-from jaxclear.simulation.beginning import Past
 from jaxclear.simulation.error_weights import error_weights
+from jaxclear.simulation.initial_state import Past
 from jaxclear.simulation.invariants import contact_names, judged, sunk_in
-from jaxclear.simulation.step_lengths import with_few_enough_steps
+from jaxclear.simulation.saving import with_few_enough_steps
 from jaxclear.simulation.wear import (
     Losses,
     Pending,

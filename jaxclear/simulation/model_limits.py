@@ -19,14 +19,13 @@ from jaxtyping import Array, Float
 from jaxclear.components.body import GROUND
 from jaxclear.formulations.base import AbstractFormulation, ContactReport
 from jaxclear.formulations.model import Instant, Model
-from jaxclear.formulations.permanent_reactions import Reaction, touching
-from jaxclear.formulations.unique_reactions import reactions_without_motion
+from jaxclear.formulations.permanent_reactions import Reaction, reactions_without_motion, touching
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import System
-from jaxclear.simulation.bristles import settling_length
+from jaxclear.simulation.error_weights import settling_length
 
 # A joint that rubs less than this share of what the one that rubs most does is judged beside that.
 NEGLIGIBLE = 0.01

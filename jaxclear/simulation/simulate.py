@@ -9,43 +9,39 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from jaxclear.errors.accuracy import Asked, of_run
-from jaxclear.errors.choice import Again, Chosen, Question, chosen
-from jaxclear.errors.replicas import Replica
-from jaxclear.errors.rungs import rungs_of
-from jaxclear.errors.told import HALF
-from jaxclear.errors.verification import verified
+from jaxclear.errors.choice import Again, Chosen, Question, chosen, rungs_of
+from jaxclear.errors.estimates import HALF
+from jaxclear.errors.verification import Replica, verified
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced
-from jaxclear.ground.wording import described
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
 from jaxclear.native import forwards_only, has_kernels, stoppable
-from jaxclear.results.saved_state import State
+from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
-from jaxclear.simulation.beginning import beginning, state_of
 from jaxclear.simulation.by_kernels import compiled_for_kernels
-from jaxclear.simulation.derivatives import backwards, guarded
-from jaxclear.simulation.load_steps import judged_by, load_steps
-from jaxclear.simulation.loop import Extras, run
-from jaxclear.simulation.not_finite import told_of_the_end
-from jaxclear.simulation.saving import Saving, as_saving, checked_saving
-from jaxclear.simulation.singular_positions import diagnosed
-from jaxclear.simulation.step_comparison import (
+from jaxclear.simulation.derivatives import (
+    backwards,
     compared,
+    guarded,
     in_other_steps,
     is_compared,
     order_of,
     run_where_alike,
 )
-from jaxclear.simulation.step_lengths import check_steps
+from jaxclear.simulation.initial_state import beginning, state_of
+from jaxclear.simulation.load_steps import judged_by, load_steps
+from jaxclear.simulation.loop import Extras, run
+from jaxclear.simulation.not_finite import told_of_the_end
+from jaxclear.simulation.saving import Saving, as_saving, check_steps, checked_saving, saving_times
+from jaxclear.simulation.singular_positions import diagnosed
 
 
 class SimulationError(RuntimeError):
@@ -87,31 +83,6 @@ def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, 
 
 _run = compiled_quickly(_both_ways, AROUND_A_KERNEL)
 _run_soon = compiled_for_kernels(_both_ways)
-
-
-def saving_times(duration: Any, save: Any) -> Array:
-    """Times to save at: a number of equally spaced ones, or the given ones with 0 in front if it is
-    missing.
-    """
-    if not isinstance(save, (list, tuple)) and not getattr(save, "ndim", 0):
-        whole = isinstance(save, (int, float, np.number)) and not isinstance(save, bool)
-        if not whole or not 2 <= save < np.inf or int(save) != save:
-            raise ValueError(
-                f"save={described(save)}: it must be a whole number of saving times, at least 2, "
-                "or the times themselves."
-            )
-        return jnp.linspace(0.0, jnp.asarray(duration, float), int(save))
-    try:
-        times = np.asarray(save, float)
-    except (TypeError, ValueError):
-        raise ValueError(f"save={described(save)}: the times to save at must be numbers.") from None
-    rising = times.ndim == 1 and times.size > 0 and np.all(np.diff(times) > 0)
-    if not (rising and times[0] >= 0 and times[-1] <= float(duration)):
-        raise ValueError(
-            "the times to save at must increase from 0 or later to at most the duration."
-        )
-    times = times if times[0] == 0 else np.concatenate([[0.0], times])
-    return jnp.asarray(times if times[-1] == duration else np.concatenate([times, [duration]]))
 
 
 def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:

@@ -26,26 +26,22 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.quantity import constant, is_traced
-from jaxclear.integrators.outcome import Outcome
+from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody import constraints
 from jaxclear.multibody.constraints import HeldLoop, held_loops
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.newton import blocks_of, closed, levenberg, shortened
 from jaxclear.multibody.start_equations import (
-    LOOP,
     Ask,
-    Block,
+    alike,
     ask,
     motions_at,
-    nearer,
-    position_blocks,
     retract,
-    settled,
     speed_scales,
     stacked,
 )
-from jaxclear.results.singular_position import SingularPosition
 from jaxclear.results.state_history import StateHistory
-from jaxclear.results.trajectory import Trajectory
+from jaxclear.results.trajectory import SingularPosition, Trajectory
 
 # Instants of the saving intervals around which the run ended; steps to close the loops at each,
 # and to follow them.
@@ -76,8 +72,8 @@ DRIVES_ASKED = 16
 # steps of Newton's method that confirm one (at a dead centre the drive stands still, and it halves
 # what is left).
 MOST_PARTS, CLOSING, CANDIDATES, NEWTON = 4096, 3, 8, 40
-# Of the square of what is left, and at the least: as of `start_equations.settled`.
-DAMPING, LEAST_DAMPING = 1e-2, 1e-14
+# What damps such a step at the least: below the squares of rows that halve to nothing there.
+HALVING = 1e-14
 
 
 def diagnosed(trajectory: Trajectory) -> Trajectory:
@@ -116,10 +112,6 @@ def diagnosed_outcome(trajectory: Trajectory) -> Int[Array, ""]:
     return jnp.where(early & ~closable, Outcome.DEAD_POINT, outcome)
 
 
-def _loops(asked: Ask, q: Array, time: Any) -> list[Block]:
-    return [block for block in position_blocks(asked, q, time) if block.kind == LOOP]
-
-
 @eqx.filter_jit
 def _closable(
     mechanism: Mechanism, q: Float[Array, " q"], start: Any, stop: Any, asked_for: Bool[Array, ""]
@@ -129,16 +121,14 @@ def _closable(
     asked = ask(mechanism, False)
 
     def goes_on(carry):
-        done, _, closed = carry
-        return (done < INSTANTS) & closed & asked_for
+        done, _, follows = carry
+        return (done < INSTANTS) & follows & asked_for
 
     def follow(carry):
         done, q, _ = carry
         time = start + (stop - start) * done / (INSTANTS - 1)
-        q = jax.lax.fori_loop(
-            0, ITERATIONS, lambda _, q: nearer(asked, q, _loops(asked, q, time)), q
-        )
-        left = jnp.max(jnp.abs(stacked(asked, _loops(asked, q, time))[1]))
+        q = closed(asked, q, time, ITERATIONS)
+        left = jnp.max(jnp.abs(stacked(asked, blocks_of(asked, q, time))[1]))
         return done + 1, q, left <= CLOSED * jnp.minimum(asked.arm, 1.0)
 
     return jax.lax.while_loop(goes_on, follow, (jnp.asarray(0), q, jnp.asarray(True)))[2]
@@ -157,8 +147,8 @@ def _where_it_ended(history: StateHistory, ended: Any) -> SingularPosition | Non
     count, speeds = topology.coordinate_count, topology.speed_count
     q, v = states[before, :count], states[before, count : count + speeds]
     instants = jnp.linspace(times[before], times[after], INSTANTS)
-    rows, closed, closures = _carried_on(mechanism, q, v, instants)
-    rows = np.asarray(rows)[np.asarray(closed)]
+    rows, follows, closures = _carried_on(mechanism, q, v, instants)
+    rows = np.asarray(rows)[np.asarray(follows)]
     if not rows.size or rows.shape[1] > rows.shape[2] or not np.all(np.isfinite(rows)):
         return None
     ways, sizes, _ = np.linalg.svd(rows)
@@ -169,7 +159,7 @@ def _where_it_ended(history: StateHistory, ended: Any) -> SingularPosition | Non
     # The forces that no motion feels: the loop in which they are largest.
     forces = ways[place][:, -1] ** 2
     each = [float(forces[np.asarray(closures) == k].sum()) for k in range(len(topology.loops))]
-    time = np.asarray(instants)[np.asarray(closed)][place]
+    time = np.asarray(instants)[np.asarray(follows)][place]
     return SingularPosition(topology.loops[int(np.argmax(each))], float(time))
 
 
@@ -180,26 +170,20 @@ def _carried_on(
     """(at each time the Jacobian of the loops' rows that count alike, whether the loops were
     closed there; the place of the loop of each row)."""
     asked = ask(mechanism, False)
-    scales = speed_scales(asked)
 
     def follow(q, ahead):
         time, length = ahead
         q = retract(asked.system, q, length * v)
-        q = jax.lax.fori_loop(
-            0, FEW_ITERATIONS, lambda _, q: settled(asked, q, _loops(asked, q, time)), q
-        )
-        blocks = _loops(asked, q, time)
-        rows, left = stacked(asked, blocks)
-        measure = jnp.concatenate([block.measure for block in blocks])
-        rows = rows * scales / measure[:, None]
+        q = closed(asked, q, time, FEW_ITERATIONS, damped=True)
+        blocks = blocks_of(asked, q, time)
+        left = stacked(asked, blocks)[1]
         # To first order in what is left the position is the same.
-        closed = jnp.max(jnp.abs(left)) <= NEARLY**2 * asked.arm
-        return q, (rows, closed)
+        return q, (alike(asked, blocks)[0], jnp.max(jnp.abs(left)) <= NEARLY**2 * asked.arm)
 
     lengths = jnp.diff(times, prepend=times[:1])
-    rows, closed = jax.lax.scan(follow, q, (times, lengths))[1]
-    sizes = [len(block.left) for block in _loops(asked, q, times[0])]
-    return rows, closed, jnp.asarray(np.repeat(np.arange(len(sizes)), sizes))
+    rows, follows = jax.lax.scan(follow, q, (times, lengths))[1]
+    sizes = [len(block.left) for block in blocks_of(asked, q, times[0])]
+    return rows, follows, jnp.asarray(np.repeat(np.arange(len(sizes)), sizes))
 
 
 class _Rows(NamedTuple):
@@ -297,14 +281,9 @@ def _followed(
     asked, (q, v), (begins, ends, number) = ask(mechanism, False), motion, spans
     scales = speed_scales(asked)
 
-    def closer(_, now):
-        place, gone, time = now
-        rows = _rows_of(asked, place, time)
-        matrix = jnp.stack([_dense(row, len(scales)) for row in rows.entries])
-        damping = DAMPING * jnp.sum(rows.left**2) + LEAST_DAMPING
-        shares = jnp.linalg.solve(matrix @ matrix.T + damping * jnp.eye(len(matrix)), rows.left)
-        step = -scales * (matrix.T @ shares)
-        return retract(asked.system, place, step), gone + step, time
+    def closer(place, gone, time):
+        step = scales * levenberg(*alike(asked, blocks_of(asked, place, time)), HALVING)
+        return retract(asked.system, place, step), gone + step
 
     def part(carry):
         k, parts, time, place, speed, last, found = carry
@@ -312,8 +291,8 @@ def _followed(
         fast = jnp.max(abs(speed / scales))
         length = jnp.minimum(left, FOLLOWED / jnp.maximum(fast, FOLLOWED / left))
         there = jnp.where(length < left, time + length, ends[k])
-        ahead = retract(asked.system, place, length * speed), length * speed, there
-        after, gone, _ = jax.lax.fori_loop(0, CLOSING, closer, ahead)
+        ahead = retract(asked.system, place, length * speed), length * speed
+        after, gone = jax.lax.fori_loop(0, CLOSING, lambda _, now: closer(*now, there), ahead)
         now = _rates(asked, after, gone / length, there, length)
         zero = _nearly_zero(last, now, length, usual)
         any_zero, at = jnp.any(zero), jnp.minimum(found.number[k], CANDIDATES - 1)
@@ -344,10 +323,6 @@ def _followed(
     return jax.lax.fori_loop(0, number, interval, nothing)
 
 
-def _dense(row: dict[int, Any], count: int) -> Array:
-    return jnp.stack([jnp.asarray(row.get(j, 0.0), float) for j in range(count)])
-
-
 @compiled_quickly
 def _confirmed(
     mechanism: Mechanism, q: Array, begin: Any, end: Any, held: Any, usual: Array
@@ -364,11 +339,8 @@ def _confirmed(
         return jnp.append(rows.left, (_determinants(asked, place, time) / usual)[held])
 
     def nearer_to_it(_, moved):
-        left, slope = missed(moved), jax.jacfwd(missed)(moved)
-        damping = DAMPING * jnp.sum(left**2) + LEAST_DAMPING
-        damped = slope @ slope.T + damping * jnp.eye(len(left))
-        step = -slope.T @ jnp.linalg.solve(damped, left)
-        return moved + step * jnp.minimum(1.0, 0.3 / jnp.max(abs(step)))
+        step = levenberg(jax.jacfwd(missed)(moved), missed(moved), HALVING)
+        return moved + shortened(step, jnp.ones(len(step)))
 
     first = jnp.zeros(len(scales) + 1).at[-1].set(0.5)
     moved = jax.lax.fori_loop(0, NEWTON, nearer_to_it, first)

@@ -18,17 +18,25 @@ import numpy as np
 from tqdm import tqdm
 
 from jaxclear.errors.accuracy import beside
-from jaxclear.errors.choice import Question, Search, Tried, budget_of
-from jaxclear.errors.rungs import Rung, listed_rung, others_of, rungs_of
+from jaxclear.errors.choice import (
+    Question,
+    Rung,
+    Search,
+    Tried,
+    budget_of,
+    listed_rung,
+    others_of,
+    rungs_of,
+)
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_known, check_number, expect
 from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
-from jaxclear.ground.in_words import as_typed
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, count, inside, numbers
+from jaxclear.ground.shown import as_typed
 from jaxclear.ground.wording import described
 from jaxclear.integrators import AbstractIntegrator
-from jaxclear.simulation.beginning import beginning
+from jaxclear.simulation.initial_state import beginning
 from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.simulate import How, check_run, repeated
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated

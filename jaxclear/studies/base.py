@@ -14,11 +14,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.ground.in_words import in_a_line, number_in_words
 from jaxclear.ground.quantity import AbstractQuantified
+from jaxclear.ground.shown import in_a_line, number_in_words
 from jaxclear.ground.wording import described, listed, public_name
 from jaxclear.integrators import Outcome
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
 from jaxclear.studies.inputs import Inputs, joint
 

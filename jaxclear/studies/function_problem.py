@@ -16,9 +16,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_known, check_number, expect
-from jaxclear.ground.given_functions import asked, shape_of
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, is_one_number, quantity
+from jaxclear.ground.warning import asked, shape_of
 from jaxclear.ground.wording import described, listed
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import (
@@ -29,9 +29,9 @@ from jaxclear.studies.base import (
     one_distribution,
     stacked,
 )
-from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.distribution import AbstractDistribution
 from jaxclear.studies.inputs import correlation_matrix
+from jaxclear.studies.ledger.batch import sample_of_chunk
 
 __all__ = ["Dimension", "FunctionProblem"]
 

@@ -12,10 +12,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.errors.replicas import thinned
+from jaxclear.errors.verification import thinned
 from jaxclear.ground.arguments import expect
-from jaxclear.ground.given_functions import asked, shape_of
 from jaxclear.ground.quantity import inside, is_one_number, numbers
+from jaxclear.ground.warning import asked, shape_of
 from jaxclear.ground.wording import described
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.response import unit_of

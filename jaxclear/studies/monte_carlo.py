@@ -12,7 +12,7 @@ import numpy as np
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_known, check_number
 from jaxclear.integrators import Outcome
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import (
     DATASET,
     RESPONSE,
@@ -23,11 +23,11 @@ from jaxclear.studies.answer import (
     Stated,
 )
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.batch import chunk_size, evaluate_all
 from jaxclear.studies.endless import answered, check_told, endless_sentences, refuse_endless
-from jaxclear.studies.growing import FIRST_SAMPLES, Grown, first_of, responses_of, until_accurate
+from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
 from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
+from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, responses_of, until_accurate
 from jaxclear.studies.statistics.accuracy import asked_of
 from jaxclear.studies.statistics.error_budget import error_budget
 from jaxclear.studies.statistics.limits import Limits, check_limits, yield_of

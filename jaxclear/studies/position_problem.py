@@ -12,19 +12,17 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.formulations.quasi_static import Posed
 from jaxclear.ground.arguments import check_flags
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.wording import listed
 from jaxclear.integrators import Outcome
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.results.positions import Positions
-from jaxclear.simulation.least_energy import ByEnergy, Rest
-from jaxclear.simulation.position_path import sought
-from jaxclear.simulation.positions import both, checked_positions
-from jaxclear.simulation.spot import Spot, Way
+from jaxclear.statics.least_energy import ByEnergy, Rest
+from jaxclear.statics.position_path import both, checked_positions, sought
+from jaxclear.statics.positions import Positions
+from jaxclear.statics.quasi_static import Posed, Spot, Way
 from jaxclear.studies.base import SampleResult, how_it_ended
-from jaxclear.studies.batch import sample_of_chunk
+from jaxclear.studies.ledger.batch import sample_of_chunk
 from jaxclear.studies.mechanism_problem import (
     AbstractMechanismProblem,
     check_answers,
@@ -32,7 +30,9 @@ from jaxclear.studies.mechanism_problem import (
     responses_of,
     wanted_of,
 )
-from jaxclear.studies.variable import AbstractMechanismVariable
+from jaxclear.studies.variable import (
+    AbstractMechanismVariable,
+)
 
 __all__ = ["PositionProblem"]
 

@@ -15,14 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.errors.estimates import remedy_of_depths
 from jaxclear.errors.observables import GAPS
-from jaxclear.errors.replicas import between, replica
-from jaxclear.errors.told import remedy_of_depths
-from jaxclear.ground.in_words import part_in_words
+from jaxclear.errors.verification import between, replica
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.shown import part_in_words
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
-from jaxclear.integrators.figures import Checks
-from jaxclear.integrators.promise import PART_OF, STUDIES, Promise
+from jaxclear.integrators.base import PART_OF, STUDIES, Promise
+from jaxclear.integrators.checks import Checks
 from jaxclear.multibody.assembly import (
     Sampled,
     Start,
@@ -38,15 +38,23 @@ from jaxclear.multibody.reach import narrowest_gap, rooms
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import longest_arm, prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
-from jaxclear.results.abstract_response import needs_of
-from jaxclear.results.response import concerned, unit_of
-from jaxclear.results.saved_state import State
+from jaxclear.results.response import concerned, needs_of, unit_of
+from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.beginning import Past, past_of, state_of
-from jaxclear.simulation.derivatives import backwards, guarded, refusal
+from jaxclear.simulation.derivatives import (
+    backwards,
+    compared,
+    guarded,
+    in_other_steps,
+    is_compared,
+    order_of,
+    refusal,
+    where_alike,
+)
+from jaxclear.simulation.initial_state import Past, past_of, state_of
 from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
 from jaxclear.simulation.loop import Extras, sketched
-from jaxclear.simulation.saving import Saving, as_saving, checked_saving
+from jaxclear.simulation.saving import Saving, as_saving, check_steps, checked_saving
 from jaxclear.simulation.simulate import (
     How,
     check_duration,
@@ -56,22 +64,9 @@ from jaxclear.simulation.simulate import (
     saving_times,
 )
 from jaxclear.simulation.singular_positions import diagnosed, diagnosed_outcome
-from jaxclear.simulation.step_comparison import (
-    compared,
-    in_other_steps,
-    is_compared,
-    order_of,
-    where_alike,
-)
-from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.base import SampleResult, how_it_ended
-from jaxclear.studies.batch import sample_of_chunk
-from jaxclear.studies.chosen_integrator import (
-    allowed,
-    checked_asked,
-    chosen_integrator,
-    unasked,
-)
+from jaxclear.studies.chosen_integrator import allowed, checked_asked, chosen_integrator, unasked
+from jaxclear.studies.ledger.batch import sample_of_chunk
 from jaxclear.studies.mechanism_problem import (
     AbstractMechanismProblem,
     Thinned,
@@ -80,7 +75,9 @@ from jaxclear.studies.mechanism_problem import (
     responses_of,
     wanted_of,
 )
-from jaxclear.studies.variable import AbstractMechanismVariable
+from jaxclear.studies.variable import (
+    AbstractMechanismVariable,
+)
 
 # Histories that a response may build from the saved states, in multiples of these.
 HISTORY_FACTOR = 12

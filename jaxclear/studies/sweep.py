@@ -17,8 +17,8 @@ from jaxclear.ground.wording import described
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.endless import answered, why_unanswered
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.warned import told
 
 __all__ = ["Sweep", "sweep"]

@@ -8,13 +8,15 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.scipy.special import ndtr
 
 from jaxclear.ground.arguments import check_number, expect
-from jaxclear.ground.quantity import Scalar, is_one_number, quantity
+from jaxclear.ground.quantity import Scalar, is_one_number, is_traced, quantity
+from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, meant
 from jaxclear.multibody.heated import heated
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.own_numbers import own_numbers
+from jaxclear.multibody.topology import own_numbers
 from jaxclear.studies.base import AbstractVariable, one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
 
@@ -28,6 +30,8 @@ __all__ = [
     "with_values",
 ]
 
+# The least quantile of a response that studies tell.
+TOLD_QUANTILE = 0.05
 # A derived number and the mechanism's own may differ by this share: data sheets round.
 SAME = 1e-3
 
@@ -121,6 +125,10 @@ class Variable(AbstractMechanismVariable):
 
     def check(self, name, mechanism):
         _check_place(name, self.where, mechanism)
+        own = self.leaves(mechanism)
+        for path, leaf, metadata, unit in own_numbers(mechanism):
+            if any(leaf is one for one in own) and not is_traced((leaf, self.distribution)):
+                _warn_of_lost(name, self.distribution, leaf, (path, metadata, unit))
 
     def told(self, name, mechanism):
         leaves = jax.tree_util.tree_leaves_with_path(mechanism)
@@ -300,6 +308,26 @@ def _check_apart(leaves: dict[str, list]) -> None:
                     f'variables "{other}" and "{name}" point at the same number of the mechanism; '
                     "only one of them can set it."
                 )
+
+
+def _warn_of_lost(name: str, distribution: Any, leaf: Any, number: tuple[str, Any, str]) -> None:
+    """Warns where more than the twentieth that studies tell of, the 5 % quantile, lies where the
+    number cannot be."""
+    path, metadata, unit = number
+    unit = "" if unit == "1" else f" {unit}"
+    low, high = (
+        metadata.get(strict, metadata.get(held))
+        for strict, held in (("above", "at_least"), ("below", "at_most"))
+    )
+    for words, bound, sign in (("below", low, 1), ("above", high, -1)):
+        edge = TOLD_QUANTILE if sign == 1 else 1 - TOLD_QUANTILE
+        if bound is None or sign * (leaf + distribution.quantile(jnp.asarray(edge)) - bound) >= 0:
+            continue
+        lost = float(ndtr(sign * distribution.score(bound - leaf)))
+        warn(
+            f'variable "{name}": {100 * lost:.2g} % of its distribution lie {words} {bound:g}{unit}'
+            f", where {path} cannot be. Such samples fail, and statistics are of the others."
+        )
 
 
 def _check_place(name: str, where: Callable, mechanism: Mechanism) -> None:

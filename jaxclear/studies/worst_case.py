@@ -24,7 +24,7 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.ground.shown import AbstractShown, shown_in_words
 from jaxclear.integrators import Outcome
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import (
     RESPONSE,
     TABLE,
@@ -34,9 +34,9 @@ from jaxclear.studies.answer import (
     Stated,
 )
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.endless import answered, finite_beside, why_unanswered
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.warned import by_kind, codes_of, concerning

@@ -21,11 +21,11 @@ from jaxclear.complementarity import (
     LCP,
     FrictionContact,
     InteriorPoint,
-    Lemke,
     Outcome,
     ProjectedGaussSeidel,
     projected_gauss_seidel,
 )
+from tests.rigs.lemke import Lemke
 
 REFERENCE = json.loads((Path(__file__).parents[1] / "refdata" / "complementarity.json").read_text())
 PUBLISHED = {
@@ -386,7 +386,7 @@ def test_a_failing_member_leaves_its_batch_alone():
         "ProjectedGaussSeidel": lambda: Lemke().solve(
             FrictionContact(np.eye(3), np.ones(3), [0.1])
         ),
-        "for linear problems take Lemke": lambda: SWEEPS.solve(LCP(np.eye(3), np.ones(3))),
+        "for linear problems take InteriorPoint": lambda: SWEEPS.solve(LCP(np.eye(3), np.ones(3))),
         "most_sweeps = 0; it must be above 0": lambda: ProjectedGaussSeidel(most_sweeps=0),
     }.items(),
 )

@@ -19,7 +19,8 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 import jaxclear  # noqa: F401  float64
-from jaxclear.complementarity import LCP, HorizontalLCP, InteriorPoint, Lemke, Outcome
+from jaxclear.complementarity import LCP, HorizontalLCP, InteriorPoint, Outcome
+from tests.rigs.lemke import Lemke
 
 REFERENCE = json.loads((Path(__file__).parents[1] / "refdata" / "complementarity.json").read_text())
 PUBLISHED = {

@@ -15,11 +15,11 @@ from jaxclear.complementarity import (
     BoxedGaussSeidel,
     FrictionContact,
     JointFriction,
-    Lemke,
     Outcome,
     ProjectedGaussSeidel,
 )
 from tests.rigs.guide_by_hand import friction_problem
+from tests.rigs.lemke import Lemke
 
 LEMKE = eqx.filter_jit(Lemke().solve)
 RIGID = jc.contact.Rigid(restitution=0.4)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.claims.relaxation import RESTITUTION, push, pushed, rebound, slopes
-from jaxclear.complementarity import InteriorPoint, Lemke
+from jaxclear.complementarity import InteriorPoint
+from tests.rigs.lemke import Lemke
 
 STEPS = 20
 # An impact of each falls elsewhere in its step, and none at the end of one.

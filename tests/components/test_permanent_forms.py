@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.formulations.permanent_joints import permanent_joint
+from jaxclear.formulations.permanent import permanent_joint
 from jaxclear.ground import sparse as sp
 
 RIGID = jc.contact.Rigid()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.errors import rungs
+from jaxclear.errors import choice as choosing
 from jaxclear.errors.choice import Question, chosen
 
 RIG = jc.scenes.slider_crank()
@@ -24,7 +24,7 @@ class Run(NamedTuple):
 
 
 def ladder(step, evaluations=1, controlled=False):
-    own = rungs.halving(jc.integrator.FixedStep(step), RIG)
+    own = choosing.halving(jc.integrator.FixedStep(step), RIG)
     return own._replace(evaluations=evaluations, controlled=controlled)
 
 
@@ -119,5 +119,5 @@ def test_steps_that_follow_the_motion_are_not_run_where_their_first_part_is_too_
         step = setting.asked_step()
         return Run(0.0, int(1e6 * share) if step is None else steps(setting))
 
-    found = choice([rungs._controlled(RIG), ladder(0.1)], again, 1.0, budget=1e5)
+    found = choice([choosing._controlled(RIG), ladder(0.1)], again, 1.0, budget=1e5)
     assert shares[0] < 0.1 and isinstance(found.integrator, jc.integrator.FixedStep)

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.errors.replicas import between, step_taken, thinned
-from jaxclear.errors.told import Verified
-from jaxclear.errors.verification import MOST_STEPS
-from jaxclear.integrators.outcome import Outcome
-from jaxclear.integrators.promise import REFERENCE
+from jaxclear.errors.estimates import Verified
+from jaxclear.errors.verification import MOST_STEPS, between, step_taken, thinned
+from jaxclear.integrators.base import REFERENCE
+from jaxclear.integrators.checks import Outcome
 from jaxclear.native import stop
 from jaxclear.simulation import progress
 from jaxclear.simulation import simulate as simulating

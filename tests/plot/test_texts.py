@@ -20,9 +20,9 @@ from benchmarks.figures_text import colliding
 from jaxclear import plot
 from jaxclear.components.joint import Prismatic, Revolute
 from jaxclear.results.pointing_error import PointingError
-from jaxclear.results.positions import Positions
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.scenes.slider_crank import bearing
+from jaxclear.statics.positions import Positions
 from jaxclear.studies.advice import Advice
 from jaxclear.studies.design.result import Design
 from jaxclear.studies.life.lives import WearLives

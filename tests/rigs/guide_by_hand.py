@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from jaxclear.complementarity import HorizontalLCP
-from jaxclear.complementarity.lemke import Lemke
+from tests.rigs.lemke import Lemke
 
 # The module, which the scene of the same name hides.
 scene = importlib.import_module("jaxclear.scenes.guide")

@@ -13,7 +13,7 @@ from jaxclear.multibody.assembly import assemble_arrays
 from jaxclear.native import kernel, loop
 from jaxclear.simulation import loop as simulation
 from jaxclear.simulation import wear
-from jaxclear.simulation.simulate import saving_times
+from jaxclear.simulation.saving import saving_times
 
 RUNGS = {
     "fixed": jc.integrator.FixedStep(2e-5),

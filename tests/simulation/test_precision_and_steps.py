@@ -34,7 +34,6 @@ LCP = jc.complementarity.LCP(np.eye(2), -np.ones(2))
         lambda: jc.advise(ASKED, 0.1),
         lambda: RUN.contact("B"),
         lambda: RUN.body("slider"),
-        lambda: jc.complementarity.Lemke().solve(LCP),
         lambda: jc.complementarity.InteriorPoint().solve(LCP),
     ],
 )

@@ -31,9 +31,9 @@ from jaxclear.studies.answer import (
     with_interval,
 )
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.inputs import Inputs
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, student

@@ -1,0 +1,210 @@
+"""What replicas tell of a run: the errors of its standard answers as a table, of any other response
+as an estimate, and the sentences where an error is beyond what the integrator promises.
+"""
+
+import functools
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxclear.errors.observables import named
+from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.table import as_table
+from jaxclear.integrators.base import PART_OF, Promise
+from jaxclear.results.response import needs_of
+from jaxclear.results.trajectory import Trajectory
+from jaxclear.results.verification import AbstractVerification, Estimate, Unverified
+
+HALF, QUARTER = 0.5, 0.25
+WORDS = {
+    "places": "of the longest way",
+    "gaps": "of the clearance",
+    "mean_force": "of the largest",
+    "peak_force": "of the largest",
+    "losses": "of the largest",
+    "drawn": "of itself",
+}
+
+
+class Told(NamedTuple):
+    """A standard `answer` of a `part` of the promise at a `place`, its `value` and told `error` in
+    its `unit`, the error as the `share` by which it is judged, what is `promised` of it (None:
+    nothing), and whether it is `lost`: no run tells it."""
+
+    answer: str
+    part: str
+    place: str
+    unit: str
+    value: float
+    error: float
+    share: float
+    promised: float | None
+    lost: bool
+
+    @property
+    def name(self) -> str:
+        """The answer with its place."""
+        return named(self.answer, self.place)
+
+    @property
+    def beyond(self) -> bool:
+        """Whether the error is beyond what is promised."""
+        return self.promised is not None and not self.share <= self.promised
+
+
+class Verified(AbstractVerification):
+    """A run with `replicas`, as responses see them, the coarser one first; `numbers`: value, error,
+    share and what is promised (nan: nothing) of each of the standard `answers` (answer, part,
+    place, unit); `promise`: of its integrator, or what was asked; `lost`: which of them hang on the
+    tenth digit of the start, and `path`: from when on [s], and within which time errors grow e-fold
+    [s] (None: its path is an answer); `since` [s]: where the run began, from where on errors count;
+    `remedy`: what makes them smaller; `why`: what the integrator was chosen for ("": it was
+    given)."""
+
+    replicas: tuple[Trajectory, ...]
+    numbers: Float[np.ndarray, "answers 4"]
+    lost: Bool[np.ndarray, " answers"]
+    path: Float[np.ndarray, "2"] | None
+    since: Float[np.ndarray, ""]
+    promise: Promise
+    answers: tuple[tuple[str, str, str, str], ...] = eqx.field(static=True)
+    remedy: str = eqx.field(static=True)
+    why: str = eqx.field(static=True, default="")
+
+    @property
+    def told(self) -> tuple[Told, ...]:
+        """The standard answers."""
+        rows = zip(self.answers, self.numbers.tolist(), self.lost.tolist(), strict=True)
+        return tuple(
+            Told(*names, value, error, share, None if math.isnan(most) else most, lost)
+            for names, (value, error, share, most), lost in rows
+        )
+
+    @property
+    def beyond(self):
+        return frozenset(told.part for told in self.told if told.beyond)
+
+    @property
+    def warnings(self):
+        beyond = sorted((t for t in self.told if t.beyond), key=lambda t: -t.share / t.promised)
+        said = []
+        if self.path is not None:
+            since, growth = map(float, self.path)
+            said.append(
+                f"From {since:.3g} s on places in gaps hang on the start's tenth digit (e-fold in "
+                f"{growth:.2g} s): no run tells them; ask means over samples."
+            )
+        answers = [told for told in beyond if not told.lost]
+        return (*said, *([self._sentence(answers)] if answers else []))
+
+    def _sentence(self, beyond: list[Told]) -> str:
+        """What is off, by how much, and what to do, of the answers that are furthest beyond."""
+        worst, others = beyond[0], len(beyond) - 1
+        more = f" (and {others} more answer{'s' * (others > 1)})" if others else ""
+        told = f"{worst.share:.2g} {WORDS[worst.part]} ({worst.promised:g} promised)"
+        todo = remedy_of_depths(self.remedy) if worst.answer == "worn depth" else self.remedy
+        return f"{worst.name[0].upper()}{worst.name[1:]}: error about {told}{more}; {todo}."
+
+    def estimate(self, run, response):
+        value = response(run)
+        try:
+            values = [response(each) for each in self.replicas]
+        except Exception as failure:
+            # What is found in a run need not be in its replica: a tenth impact, a row of a table.
+            return Estimate(value, math.nan, f"in finer steps the same fails: {failure}")
+        try:
+            error = jax.tree.map(_told_error, value, *values)
+        except (TypeError, ValueError):
+            return Estimate(value, math.nan, "the answer is no number, or of another form there")
+        if not jax.tree.leaves(error):
+            return Estimate(value, math.nan, "the answer is no number")
+        if not all(is_traced(e) or np.all(np.isfinite(e)) for e in jax.tree.leaves(error)):
+            return Estimate(value, error, "the answer is not finite, there or in finer steps")
+        return Estimate(value, error, self._how())
+
+    def _how(self) -> str:
+        steps = "half" if len(self.replicas) == 1 else "half and quarter"
+        began = not is_traced(self.since) and self.since != 0
+        since = f", since {float(self.since):.6g} s" if began else ""
+        return f"twice what {steps} steps change{since}"
+
+    def promised(self, response: Any) -> float | None:
+        """The share that is promised of a response; None for nothing."""
+        return getattr(self.promise, PART_OF.get(needs_of(response), ""), None)
+
+    def table(self):
+        columns = ("name", "value", "error", "unit", "share", "promised")
+        rows = [[getattr(told, column) for column in columns] for told in self.told]
+        return as_table(rows, columns=["answer", *columns[1:]], errors={"value": "error"})
+
+    def attributes(self):
+        rows = [f"{t.name}: {t.error:.2g} {t.unit}" for t in self.told]
+        return {"numerical errors": "; ".join(rows)}
+
+    def _shown(self):
+        of = lambda told: "lost" if told.lost else "beyond" if told.beyond else ""
+        table = self.table().drop(columns=["share", "promised"])
+        for head in ("share", "promised"):
+            parts = [100 * part for part in self.table()[head]]
+            table[f"{head} [%]"] = [float(f"{part:.2g}") for part in parts]
+        marks = [of(told) for told in self.told]
+        table = table.assign(remark=marks) if any(marks) else table
+        return table, f"Numerical errors are {self._how()}. {self.why}".rstrip()
+
+
+class Failed(AbstractVerification):
+    """Of a run whose replica ended early; `result` says why."""
+
+    result: str = eqx.field(static=True)
+
+    def _shown(self):
+        return self.warnings[0]
+
+    @property
+    def warnings(self):
+        return (f"With shorter steps the same run fails, so its numbers may be off: {self.result}",)
+
+    @property
+    def beyond(self):
+        return frozenset(Promise._fields)
+
+    def estimate(self, run, response):
+        return Estimate(response(run), math.nan, self.warnings[0])
+
+    def table(self):
+        return Unverified().table()
+
+    def attributes(self):
+        return {"verification": str(self)}
+
+
+def remedy_of_depths(remedy: str) -> str:
+    """What brings errors of worn depths down, beside what does so with all of a run's."""
+    return f"save more often, which is when surfaces wear, or {remedy}"
+
+
+def richardson(differences: list[Any], shares: Sequence[float | None] = (HALF, QUARTER)) -> Any:
+    """The error that differences from finer steps of these shares (None: the half, and the
+    quarter) tell of steps of order 1."""
+    rows = zip(differences, shares, (HALF, QUARTER), strict=False)
+    errors = [d / (1 - (usual if share is None else share)) for d, share, usual in rows]
+    return functools.reduce(jnp.maximum if is_traced(errors) else np.maximum, errors)
+
+
+def _told_error(value: Any, *values: Any) -> Any:
+    """Of a number, or an array of them. Raises `TypeError` or `ValueError` for what is none, and
+    for arrays of another shape."""
+    number, *others = (
+        each if is_traced(each) else np.asarray(each, float) for each in (value, *values)
+    )
+    if any(other.shape != number.shape for other in others):
+        raise ValueError("arrays of another shape")
+    with np.errstate(invalid="ignore"):
+        found = richardson([abs(number - other) for other in others])
+    return found if is_traced(found) else np.asarray(found)[()]

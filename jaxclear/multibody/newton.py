@@ -1,0 +1,141 @@
+r"""Newton's method on the loops of a mechanism, wherever its places are sought: of starts, of
+positions without time, beside singular positions, where rows are redundant.
+
+Who asks states equations as blocks (`start_equations`); a step is the least change, in radians and
+longest arms, that meets them in their order (`nearer`), or, where some follow from others or
+contradict them, Levenberg's (`settled`). Rotations never leave their group (`retract`), and no step
+is longer than what keeps the search on its branch.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool
+
+from jaxclear.ground import factorisation
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.factorisation import Change, least_change, of_rank
+from jaxclear.multibody.start_equations import (
+    GIVEN,
+    JOURNAL,
+    LOOP,
+    Ask,
+    Block,
+    alike,
+    position_blocks,
+    retract,
+    speed_scales,
+    stacked,
+)
+
+# Largest change of a coordinate in one step [rad, longest arms]: keeps the search on the branch of
+# the guess.
+LONGEST_STEP = 0.3
+# Of the square of what is left: little, so that steps lead to what is nearest.
+DAMPING = 1e-2
+# Beside the squares of rows that move a coordinate by as much as they count: far above rounding.
+LEAST_DAMPING = 1e-12
+
+
+class Near(NamedTuple):
+    """Equations that are met as nearly as others let them: least squares of all, each divided by
+    its measure and counted by its `weight` [1]."""
+
+    blocks: list[Block]
+    weight: Any
+
+
+def blocks_of(asked: Ask, q: Array, time: Any, kinds: tuple[str, ...] = (LOOP,)) -> list[Block]:
+    """What is left to change in the coordinates for what is held of these kinds, in order."""
+    return [block for block in position_blocks(asked, q, time) if block.kind in kinds]
+
+
+def closed(
+    asked: Ask,
+    q: Array,
+    time: Any,
+    count: int,
+    kinds: tuple[str, ...] = (LOOP,),
+    damped: bool = False,
+) -> Array:
+    """Coordinates after so many steps towards what is held of these kinds; `damped`: Levenberg's,
+    which misses by least what cannot be met."""
+    if not blocks_of(asked, q, time, kinds):
+        return q
+    step = settled if damped else nearer
+    again = lambda q, _: (step(asked, q, blocks_of(asked, q, time, kinds)), None)
+    return jax.lax.scan(again, q, length=count)[0]
+
+
+def shortened(step: Array, scales: Array, longest: float = LONGEST_STEP) -> Array:
+    """A step of the free speeds, no longer than this [rad, longest arms]. The steps that decide are
+    short, so the shortening is not differentiated: the derivative of a largest entry is 0 / 0 where
+    XLA works the entries out twice and rounds them differently."""
+    size = jnp.maximum(jnp.max(jnp.abs(step / scales)), longest)
+    return step * jax.lax.stop_gradient(longest / size)
+
+
+def nearer(asked: Ask, q: Array, blocks: list[Block], near: Near | None = None) -> Array:
+    """Coordinates after one Gauss-Newton step that changes what is left of the blocks' equations to
+    0, and in what these leave free lessens what is left of those that are `near`: the least such
+    step, and `LONGEST_STEP` at most."""
+    step = -least(asked, blocks, near).change
+    return retract(asked.system, q, shortened(step, speed_scales(asked)))
+
+
+def settled(asked: Ask, q: Array, blocks: list[Block]) -> Array:
+    """Coordinates after one step that lessens what is left of equations some of which may follow
+    from others, or contradict them."""
+    scales = speed_scales(asked)
+    step = scales * levenberg(*alike(asked, blocks))
+    return retract(asked.system, q, shortened(step, scales))
+
+
+def levenberg(rows: Array, left: Array, least_damping: float = LEAST_DAMPING) -> Array:
+    """The step that lessens what is `left`, damped by its square, which closes in quadratically
+    also where the rank of the rows falls (Yamashita & Fukushima 2001, Computing Suppl. 15, 239,
+    doi:10.1007/978-3-7091-6217-0_18)."""
+    damping = DAMPING * jnp.sum(left * left) + least_damping
+    damped = rows @ rows.T + damping * jnp.eye(len(left))
+    factors = factorisation.factor([list(row) for row in damped])
+    return -(rows.T @ sp.stack(factorisation.solve(factors, tuple(left))))
+
+
+def least(asked: Ask, blocks: list[Block], near: Near | None = None) -> Change:
+    """The least change of the free speeds that meets the equations of the blocks, loops first, and
+    then nearly those that are `near`."""
+    scales, redundancy = speed_scales(asked), asked.system.topology.redundancy
+    loops = [block for block in blocks if block.kind == LOOP]
+    rest = [block for block in blocks if block.kind != LOOP]
+    first = stacked(asked, loops)
+    if redundancy is not None and len(first[0]) > redundancy.rank:
+        first = of_rank(*first, scales, redundancy.rank)
+    rows, left = (jnp.concatenate(parts) for parts in zip(first, stacked(asked, rest), strict=True))
+    if near is None:
+        return least_change(rows, left, scales)
+    # Each has an unknown of its own, by which it is missed: with the damping of Levenberg, the
+    # least of all together is the least square of what is missed.
+    close, missed = (near.weight * part for part in alike(asked, near.blocks))
+    damping = jnp.sqrt(DAMPING * jnp.sum(missed * missed) + LEAST_DAMPING)
+    count, free = len(missed), len(scales)
+    own = jnp.concatenate([jnp.zeros((len(left), count)), damping * jnp.eye(count)])
+    rows = jnp.concatenate([jnp.concatenate([rows, close / scales]), own], axis=1)
+    sizes = jnp.concatenate([scales, jnp.ones(count)])
+    found = least_change(rows, jnp.concatenate([left, missed]), sizes)
+    return Change(found.change[:free], found.met[: len(left)])
+
+
+def independent(asked: Ask, q: Array) -> dict[str, Bool[Array, ""]]:
+    """By name whether what `start` gives is left free by the loops, journals that are to be
+    concentric, and what is given before."""
+    blocks = position_blocks(asked, q, 0.0)
+    given_last = [b for kinds in ((LOOP,), (JOURNAL,), (GIVEN,)) for b in blocks if b.kind in kinds]
+    told = [block for block in blocks if block.kind == GIVEN]
+    met = least(asked, given_last).met
+    ends = len(met) - sum(len(b.left) for b in told) + np.cumsum([len(b.left) for b in told])
+    return {
+        block.name: jnp.all(met[end - len(block.left) : end])
+        for block, end in zip(told, ends, strict=True)
+    }

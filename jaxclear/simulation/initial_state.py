@@ -1,0 +1,73 @@
+"""Where a run begins, and what it takes over from one before."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxclear.formulations.base import AbstractFormulation, model_of
+from jaxclear.ground.arguments import expect
+from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.wording import listed
+from jaxclear.multibody.assembly import Start, ready, ready_from
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.state import names
+from jaxclear.results.state_history import State
+from jaxclear.simulation.wear import Worn, worn_as_given
+
+
+class Past(eqx.Module):
+    """What a run takes over from one before: depth maps of `worn` surfaces [m], and what is
+    `remembered` beside the motion; None: new surfaces, nothing to remember."""
+
+    worn: Worn | None = None
+    remembered: Float[Array, " m"] | None = None
+
+
+class Beginning(NamedTuple):
+    """A mechanism that knows its redundant rows, its consistent start, what is taken over, and a
+    sentence where another way to assemble is about as near to what is guessed."""
+
+    mechanism: Mechanism
+    start: Start
+    past: Past
+    doubt: str = ""
+
+
+def state_of(given: State | None) -> State:
+    """The state that is given for a run to begin with; None: its own start. Raises `ValueError`."""
+    state = State() if given is None else given
+    expect(state, State, "state", "a jaxclear.State, such as run.state()")
+    return state
+
+
+def beginning(mechanism: Mechanism, formulation: AbstractFormulation, state: State) -> Beginning:
+    """Where a run of a mechanism with numbers begins. Raises `ValueError` with a sentence for what
+    cannot be."""
+    past = past_of(mechanism, formulation, state)
+    if state.motion is None:
+        found = ready(mechanism, state.concentric, past.worn)
+        return Beginning(found.mechanism, found.start, past, found.doubt)
+    return Beginning(*ready_from(mechanism, *state.motion.moving), past)
+
+
+def past_of(mechanism: Mechanism, formulation: AbstractFormulation, begun: State) -> Past:
+    """What is taken over from a state; what is remembered where the laws remember the same.
+    Raises `ValueError` with a sentence for what does not belong to this mechanism."""
+    surfaces, saved = worn_as_given(mechanism, begun.worn), begun.motion
+    if saved is None:
+        return Past(surfaces)
+    model = model_of(mechanism, formulation)
+    own = names(model.system, model.layout)
+    moving = own[: model.layout.memory_start]
+    if saved.names != tuple(moving):
+        raise ValueError(
+            "the state is that of another mechanism: its coordinates and speeds are "
+            f"{listed(saved.names)}, those of this one {listed(moving)}."
+        )
+    known = [saved.coordinates, saved.speeds, saved.remembered, saved.time]
+    if not is_traced(known) and not all(bool(jnp.all(jnp.isfinite(x))) for x in known):
+        raise ValueError("the state has numbers that are not finite.")
+    fits = saved.remembered_names == tuple(own[model.layout.remembered])
+    return Past(surfaces, saved.remembered if fits else None)

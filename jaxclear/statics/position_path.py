@@ -1,0 +1,370 @@
+"""A mechanism over positions of its drives, without time: `positions`.
+
+Each position is sought from where its neighbour stood, by the loops and seats where these determine
+it (`quasi_static`), else by the potential energy (`least_energy`); the first ones are reached in
+steps, on the way of assembly on which they began.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, NoReturn
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.ground import factorisation
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_flags, expect
+from jaxclear.ground.compiling import compiled_quickly
+from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.wording import described
+from jaxclear.multibody import constraints
+from jaxclear.multibody.assembly import nearest, ready
+from jaxclear.multibody.given import speed_scales
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.redundancy import DEPENDENT, rank_of, says_new
+from jaxclear.multibody.start_check import HELD
+from jaxclear.multibody.system import longest_arm, prepare
+from jaxclear.statics import least_energy
+from jaxclear.statics.least_energy import ByEnergy, Rest
+from jaxclear.statics.positions import Positions
+from jaxclear.statics.quasi_static import (
+    SETTLED,
+    Posed,
+    Spot,
+    Undetermined,
+    Way,
+    left_open,
+    loop_rows,
+    moved_by,
+    open_loops,
+    posed,
+    standing_motion,
+    way_of,
+)
+
+# Steps from a position to the next, at the least and at the most: they are halved where coordinates
+# move by more than the first bound within one, or the way of assembly changes and they move by more
+# than the second [rad, shares of the longest arm]. What moves further, however short the step, has
+# jumped: a mechanism follows its drive without jumps, but for the root of what is left to a dead
+# point.
+STEPS_BETWEEN, MOST_BETWEEN = 4, 256
+FURTHEST, FURTHEST_ACROSS = 0.3, 0.06
+
+
+# Rows that a clearance joint closes as its play vanishes, in the order of a seat's numbers.
+PLACES = ("x", "y", "z", "x.z", "y.z")
+
+
+class Assembled(NamedTuple):
+    """Where a search begins, whether the mechanism is assembled there, and the rows of its loops
+    there by what counts as much as a radian."""
+
+    spot: Spot
+    sound: Any
+    rows: Any
+
+
+class Sought(NamedTuple):
+    """A mechanism whose positions are sought, how, and where it stands at each of them."""
+
+    scene: Posed
+    way: Way | ByEnergy
+    spots: Spot | Rest
+
+
+def sought(mechanism: Mechanism, held: tuple[str, ...], position: np.ndarray) -> Sought:
+    """Where a mechanism stands with these joints held, at each position (positions, joints).
+
+    By its loops where they determine it, with every journal where its own reaction presses it; else
+    by its energy. Raises `ValueError` with a sentence for what cannot be asked, and for the first
+    position that it does not reach.
+    """
+    scene, way = _by_loops(mechanism, held, position[0])
+    if way is not None:
+        spots = spots_along(scene, position, way)
+        _check_closed(scene, position, spots.q, lambda i: way.opened(_at(spots.seats, i)))
+        return Sought(scene, way, spots)
+    scene = posed(mechanism, held, loose=True)
+    if is_traced((scene, jnp.zeros(1))):
+        raise ValueError(
+            "where a mechanism rests by its energy is sought with numbers and cannot be traced: "
+            "ask a jaxclear.PositionProblem, which is differentiated and batched."
+        )
+    start, by_energy = least_energy.begun(scene.at(position[0]))
+    spots = spots_along(scene, position, by_energy, start)
+    _check_closed(scene, position, spots.q, lambda i: {})
+    return Sought(scene, by_energy, spots)
+
+
+def _at(spots: Any, i: int) -> Any:
+    return jax.tree.map(lambda x: x[i], spots)
+
+
+def _check_closed(scene: Posed, position: np.ndarray, q: Array, seats: Callable) -> None:
+    """Raises `ValueError` where positions, or couplings, contradict each other in rows of loops
+    that were not asked."""
+    found = loop_rows(*standing_motion(scene.at(position[0]), q[0], seats(0)))
+    if scene.rows is None and not any(own.fixed for own in found):
+        return
+    for i, now in enumerate(position):
+        system, motions = standing_motion(scene.at(now), q[i], seats(i))
+        left = open_loops(system, motions)
+        worst = max(left, key=lambda name: float(left[name]))
+        if float(left[worst]) > HELD * max(1.0, float(longest_arm(system))):
+            raise ValueError(
+                f'{_named(scene, now)} leaves "{worst}" open by {float(left[worst]):.3g} m (or '
+                "rad): what is held, joints and couplings contradict each other there. Leave one "
+                "of them out."
+            )
+
+
+def _by_loops(mechanism: Mechanism, held: tuple[str, ...], first: np.ndarray) -> tuple[Any, Any]:
+    """The scene, and how it is sought by its loops; None where these do not determine it."""
+    try:
+        scene = posed(mechanism, held)
+    except ValueError:
+        # A joint of which it is not known where a load presses it; what is wrong with the question
+        # is refused by `sought`.
+        return None, None
+    here = scene.at(first)
+    middle: dict[str, tuple[int, ...]] = dict.fromkeys(scene.gaps, ())
+    free = scene.mechanism.topology.speed_count
+    places = jnp.zeros(scene.mechanism.topology.coordinate_count)
+    rows = len(jax.eval_shape(lambda q: _loops(here, q, Way(middle).opened({}))[0], places))
+    if rows < free:
+        return None, None
+    if rows != free:
+        return _with_rows(scene, here, free)
+    try:
+        way = way_of(scene)
+    except Undetermined:
+        # Leaning journals let rows speak that say nothing in the plane.
+        return None, None
+    return (scene, way) if rank_of(np.asarray(_assembled(here, way).rows)) == free else (None, None)
+
+
+def _with_rows(scene: Posed, here: Posed, free: int) -> tuple[Any, Any]:
+    """The scene with as many independent rows as there are free coordinates, and how it is sought;
+    None where there are not, or where others do not follow as journals lie in their seats."""
+    try:
+        q = ready(here.mechanism).start.coordinates
+    except ValueError:
+        return None, None
+    way, before = Way(dict.fromkeys(scene.gaps, ())), None
+    while way != before:
+        rows = np.asarray(_slopes(here, q, way)[0])
+        if rank_of(rows) != free:
+            return None, None
+        chosen = tuple(i for i, new in enumerate(says_new(rows)) if new)
+        scene = dataclasses.replace(scene, rows=chosen)
+        way, before = moved_by(scene, way), way
+    anywhere = {n: tuple(map(PLACES.index, gap.ideal_rows)) for n, gap in scene.gaps.items()}
+    every, shifts = map(np.asarray, _slopes(here, q, Way(anywhere)))
+    if len(every) != len(rows):
+        return None, None
+    left = shifts - rows @ np.linalg.lstsq(rows, shifts, rcond=DEPENDENT)[0]
+    return (scene, way) if np.abs(left).max(initial=0.0) <= DEPENDENT else (None, None)
+
+
+def _loops(scene: Posed, q: Array, seats: dict[str, tuple]) -> tuple[Array, Array]:
+    """Jacobian of all rows of loops (rows, v), and what counts as much as a radian in each."""
+    system, motions = standing_motion(scene, q, seats)
+    found, count, arm = loop_rows(system, motions), system.topology.speed_count, longest_arm(system)
+    rows = tuple(tuple(x.get(j, 0) for j in range(count)) for own in found for x in own.jacobian)
+    each = zip(system.closures, found, strict=True)
+    units = [x for closure, own in each for x in constraints.measures(closure, own, arm)]
+    dense = factorisation.to_array(rows).reshape(len(rows), count)
+    return dense * speed_scales(system, arm), sp.stack(units)
+
+
+@compiled_quickly
+def _slopes(scene: Posed, q: Array, way: Way) -> tuple[Array, Array]:
+    """How rows of loops change with coordinates and with the seats of journals in the middle, in
+    shares of a radian or the longest arm."""
+    rows, units = _loops(scene, q, way.opened(way.middle()))
+    arm = longest_arm(prepare(scene.mechanism))
+    left = lambda seats: sp.stack(left_open(scene, q, way.opened(seats)))
+    middle = way.middle()
+    shifts = jax.jacfwd(left)(middle) if jax.tree.leaves(middle) else middle
+    sizes = {
+        n: jnp.stack([arm if k < 3 else jnp.ones(()) for k in x])
+        for n, x in way.moving.items()
+        if x
+    }
+    none = jnp.zeros((len(units), 0))
+    every = jnp.concatenate([none, *(shifts[n] * size for n, size in sizes.items())], axis=1)
+    return rows / units[:, None], every / units[:, None]
+
+
+def _assembled(scene: Posed, way: Way) -> Assembled:
+    found = nearest(scene.mechanism)
+    spot = Spot(found.start.coordinates, way.middle(), jnp.zeros(()), jnp.zeros(()))
+    system = prepare(scene.mechanism)
+    none = jnp.zeros((0, system.topology.speed_count))
+    rows = jnp.concatenate([none, *found.start.jacobians.values()])
+    return Assembled(spot, found.sound, rows * speed_scales(system, longest_arm(system)))
+
+
+def _led(scene: Posed, start: Any, before: np.ndarray, now: np.ndarray, way: Any) -> Any:
+    """The spot at the next position, led there in steps that are halved where it moves far. Raises
+    `ValueError` where it jumps, however short the steps: the sign of the loops' determinant tells
+    two ways of assembly apart, and spatial loops may have more of one sign."""
+    scale, spot = _scales(scene), start
+    share, size = 0.0, 1.0 / STEPS_BETWEEN
+    while share < 1.0:
+        found = way.alone(scene.at(before + (share + size) * (now - before)), spot)
+        moved = float(np.max(np.abs(found.q - spot.q) / scale, initial=0.0))
+        settled = bool(found.change <= SETTLED)
+        same = bool(found.branch == spot.branch)
+        if settled and moved <= (FURTHEST if same else FURTHEST_ACROSS):
+            spot, share = found, share + size
+            # Twice as long again where the longer step begins at a multiple of itself.
+            size *= 2.0 if size < 1.0 / STEPS_BETWEEN and share % (2.0 * size) == 0.0 else 1.0
+        elif size > 1.0 / MOST_BETWEEN:
+            size *= 0.5
+        elif settled:
+            _refuse_jump(scene, now)
+        else:
+            return found
+    return spot
+
+
+def _scales(scene: Posed) -> np.ndarray:
+    """What each coordinate's moves are measured by, (coordinates,): the longest arm for lengths
+    [m], 1 for angles."""
+    system, topology = prepare(scene.mechanism), scene.mechanism.topology
+    arm, scales = float(longest_arm(system)), []
+    for link, branch in zip(system.links, topology.branches, strict=True):
+        scales += [arm if u == "m" else 1.0 for u in link.joint.units[: branch.coordinate_count]]
+    return np.array(scales)
+
+
+def _named(scene: Posed, now: np.ndarray) -> str:
+    """A position in words."""
+    return ", ".join(f"{n} = {x:.6g}" for n, x in zip(scene.held, now, strict=True))
+
+
+def _refuse_jump(scene: Posed, now: np.ndarray) -> NoReturn:
+    raise ValueError(
+        f"the mechanism jumps to another way of its assembly before {_named(scene, now)}: a dead "
+        "point lies between this position and the one before, or close by. Give positions on one "
+        "side of it."
+    )
+
+
+def spots_along(scene: Posed, position: np.ndarray, way: Any, start: Any = None) -> Any:
+    """Where the mechanism stands at each position, gone through in their order, from a start
+    (None: as it is assembled). Raises `ValueError` for the first that it does not reach."""
+    spot, sound = (start, True) if start is not None else _begun(scene.at(position[0]), way)
+    spots, before = [], position[0]
+    for i, now in enumerate(position):
+        spot = _led(scene, spot, before, now, way) if i else way.alone(scene.at(now), spot)
+        if not (sound and spot.change <= SETTLED):
+            _refuse(scene, way, spot, i, now)
+        spots.append(spot)
+        before = now
+    return jax.tree.map(lambda *own: jnp.stack(own), *spots)
+
+
+def _begun(scene: Posed, way: Way) -> tuple[Spot, Any]:
+    """Where the search begins, and whether the mechanism is assembled there."""
+    if scene.rows is None:
+        found = _assembled(scene, way)
+        return found.spot, found.sound
+    start = ready(scene.mechanism)[1]
+    return Spot(start.coordinates, way.middle(), jnp.zeros(()), jnp.zeros(())), True
+
+
+def _refuse(scene: Posed, way: Any, spot: Any, i: int, now: np.ndarray) -> NoReturn:
+    """Raises `ValueError` for a position at which nothing was found."""
+    loops, deep = ({n: float(x) for n, x in own.items()} for own in way.amiss(scene.at(now), spot))
+    amiss = {n: x for n, x in (loops | deep).items() if not x <= SETTLED}
+    where = _named(scene, now)
+    place = f"at position {i}" + (f" ({where})" if where else "")
+    if not amiss:
+        raise ValueError(
+            f"the mechanism finds no rest {place}: something that nothing holds moves away under "
+            "its loads. Hold it, or give it a spring or a stop."
+        )
+    name = max(amiss, key=lambda own: np.nan_to_num(amiss[own], nan=np.inf))
+    kind = "the loop through" if name in loops else "the journal of"
+    raise ValueError(
+        f"the mechanism cannot be assembled {place}: no place of its bodies closes the loops "
+        "there, or a dead point lies on the way from the position before; "
+        f'{kind} joint "{name}" fits least. Give positions within reach, closer together.'
+    )
+
+
+def positions_at(
+    scene: Posed, position: Float[Array, "positions drives"], starts: Any, way: Any
+) -> Positions:
+    """The mechanism at positions of its drives, each from its own start; pure."""
+    spots = way.each(scene, position, starts)
+    read = way.read(scene, position, spots)
+    finite = jnp.all(jnp.isfinite(spots.q), axis=-1)
+    # From where the nominal mechanism stands a sample may fall to another way of assembly.
+    kept = read.found & finite & (spots.branch == starts.branch)
+    return Positions(scene, position, *read._replace(found=kept))
+
+
+def checked_positions(positions: Any) -> tuple[tuple[str, ...], np.ndarray]:
+    """Joints that are held, and their coordinates (positions, joints) [rad, m]."""
+    expect(positions, Mapping, "positions", "a dictionary from joints to their coordinates")
+    columns = {}
+    for name, values in positions.items():
+        try:
+            column = np.asarray(values, float)
+        except (TypeError, ValueError):
+            column = np.full((), np.nan)
+        if column.ndim != 1 or not len(column) or not np.all(np.isfinite(column)):
+            raise ValueError(
+                f'positions of joint "{name}" are {described(values)}; they must be finite numbers '
+                "in a row [rad, m]."
+            )
+        columns[name] = column
+    if not columns:
+        return (), np.zeros((1, 0))
+    if len({len(column) for column in columns.values()}) > 1:
+        raise ValueError("positions must tell as many coordinates of each joint as of the others.")
+    return tuple(columns), np.stack(list(columns.values()), axis=1)
+
+
+@answering
+def positions(
+    mechanism: Mechanism, positions: Mapping[str, Any], *, both_ways: bool = False
+) -> Positions:
+    """A mechanism at rest at positions of its drives, without time.
+
+    `positions`: coordinates [rad, m] by joint, as many of each; every drive must be among them. {}
+    for a mechanism without drives, which then stands once. `start` and `guess` of the mechanism
+    choose between ways to assemble. Loads are quasi-static, as at 0 s; they act without friction
+    and inertia, and contacts are rigid. `both_ways`: also under reversed loads (`.reversed`), for
+    lost motion; springs and stops stay as they are.
+
+    Where the loops determine everything else each journal lies where its own reaction presses it.
+    Elsewhere (springs, freedoms that are left, journals that share a load, play in angle) the
+    mechanism rests where its potential energy is least: near the start, from one position to the
+    next. What nothing holds is named by `warnings` of the result. Raises `ValueError` with a
+    sentence for what cannot be asked or is out of reach.
+    """
+    check_double_precision()
+    expect(mechanism, Mechanism, "what is positioned", "a jaxclear.Mechanism")
+    check_flags("positions", both_ways=both_ways)
+    held, places = checked_positions(positions)
+    scene, way, starts = sought(mechanism, held, places)
+    return both(scene, jnp.asarray(places), starts, way, both_ways)
+
+
+def both(scene: Posed, places: Array, starts: Any, way: Any, both_ways: bool) -> Positions:
+    """The positions, with those under reversed loads where these are wanted."""
+    found = positions_at(scene, places, starts, way)
+    if not both_ways:
+        return found
+    other = positions_at(scene, places, starts, way.reversed)
+    return eqx.tree_at(lambda p: p.other, found, other, is_leaf=lambda x: x is None)

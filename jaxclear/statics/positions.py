@@ -1,0 +1,231 @@
+"""What is read from a mechanism over positions of its drives: where its bodies stand, where its
+journals lie, and what holds them.
+
+It answers to the same names as a run, so a response that reads places serves both.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.components.body import Marker
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.arguments import check_known
+from jaxclear.ground.datasets import Column, dataset
+from jaxclear.ground.pose import quaternion_from_rotation
+from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.wording import listed
+from jaxclear.multibody.given import source
+from jaxclear.multibody.kinematics import relative_motion
+from jaxclear.results.histories import AbstractHistory, MarkerHistory, marker, measured
+from jaxclear.results.state_history import check_single, one_of, single
+from jaxclear.statics.equilibrium import Carried, Resting, case_of, resting
+from jaxclear.statics.quasi_static import Posed, standing
+
+# Share of a free motion from which on a freedom takes part in it [1].
+LOOSE = 1e-3
+
+
+class BodyPoses(AbstractHistory):
+    """Bodies in the ground frame at each position: `com` place [m] of the centre of mass,
+    `rotation` the body's axes in the ground's, `origin` place of the body frame [m]."""
+
+    com: Float[Array, "positions 3"] = measured("m")
+    rotation: Float[Array, "positions 3 3"] = measured("1")
+    origin: Float[Array, "positions 3"] = measured("m")
+
+
+class Positions(AbstractShown):
+    """A mechanism at rest at positions of its drives.
+
+    `position` (positions, drives) are the drives' coordinates [rad, m] in the order of
+    `scene.held`, `coordinates` those of the tree, `seats` of each joint with clearance where its
+    journal lies (positions, 5): offset [m] in the bearing's axes, slope of its axis [1].
+    `found` (positions,): whether the mechanism closes and every seat is the one of its reaction.
+    `carried`: what holds it, where its energy says where it rests. `warnings` say where its place
+    is not the only one.
+    """
+
+    scene: Posed
+    position: Float[Array, "positions drives"]
+    coordinates: Float[Array, "positions q"]
+    seats: dict[str, Float[Array, "positions 5"]]
+    found: Array
+    side: float = eqx.field(static=True)
+    # Numbers of each seat that are not zero by construction.
+    moving: dict[str, tuple[int, ...]] = eqx.field(static=True)
+    other: "Positions | None" = None
+    carried: Carried | None = None
+
+    def __getitem__(self, index: int) -> "Positions":
+        """One of a batch, as `jax.vmap` makes it of `PositionProblem.positions`."""
+        return one_of(self, self.found, index)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What there is to say of places that are not the only ones: parts that no load presses,
+        and sides of an unstable equilibrium of which one was taken."""
+        check_single(self.found)
+        if self.carried is None:
+            return ()
+        said, count = [], len(self.position)
+        topology = self.scene.mechanism.topology
+        free = np.asarray(self.carried.loose) > LOOSE
+        for branch in topology.branches:
+            many = int(np.sum(np.any(free[:, branch.speeds], axis=1)))
+            if many:
+                what = f'body "{branch.body}"' if branch.connection is None else f'"{branch.name}"'
+                said.append(
+                    f"{what} moves freely at {many} of {count} positions: in one of its freedoms "
+                    "nothing presses or holds it, and of the places that it may take one was taken."
+                )
+        split = int(np.sum(np.asarray(self.carried.split)))
+        if split:
+            said.append(
+                f"at {split} of {count} positions the equilibrium next to the start is unstable; "
+                "the mechanism went to one of its two sides. A guess on one side chooses."
+            )
+        return tuple(said)
+
+    def _shown(self):
+        if np.ndim(self.found) > 1:
+            return f"A batch of {len(self.found)} at positions each; found[i] is one."
+        places = ", ".join(
+            f"{name} from {own.min():.4g} to {own.max():.4g} {self._unit(name)}"
+            for name, own in zip(self.scene.held, np.asarray(self.position).T, strict=True)
+        )
+        both = ", also under reversed loads" if self.other is not None else ""
+        lost = int(np.sum(~np.asarray(self.found)))
+        told = f" {lost} were not found." if lost else ""
+        many = f"{len(self.position)} position{'s' if len(self.position) > 1 else ''}"
+        first = f"{many}{both}: {places or 'at rest under its loads'}.{told}"
+        return " ".join([first, *self.warnings])
+
+    @property
+    def reversed(self) -> "Positions":
+        """The same under reversed loads."""
+        if self.other is None:
+            raise ValueError(
+                "positions under reversed loads were not asked for; ask with both_ways=True."
+            )
+        return self.other
+
+    def body(self, name: str) -> BodyPoses:
+        """Where a body stands."""
+        check_known("body", name, self.scene.mechanism.bodies, " in this mechanism")
+        com = sp.vec3(self.scene.mechanism.bodies[name].com)
+
+        def one(now):
+            index = now.system.topology.index(name)
+            pose = now.motions[index].pose.after(now.system.links[index].frame)
+            return sp.stack(pose.point(com)), _dense(pose.rotation), sp.stack(pose.translation)
+
+        return BodyPoses(*self._over(one))
+
+    def marker(self, body: str | Marker, at: Any = None) -> MarkerHistory:
+        """`position` [m] and `rotation` in the ground frame of a point of a body, `at` in the body
+        frame [m], or of a `Marker`."""
+        return marker(self.body, body, at)
+
+    def coordinate(self, name: str) -> Float[Array, "positions ..."]:
+        """Coordinate [rad, m] of a connection of the tree, of one that is held, or of a body that
+        only joints with clearance hold; where energy says where it rests, of any joint. Over the
+        positions; with several coordinates an array (positions, coordinates)."""
+        check_single(self.found)
+        scene = self.scene
+        branches = {own.name: own for own in scene.mechanism.topology.branches}
+        names = [*scene.mechanism.connections, *branches]
+        check_known("joint or floating body", name, dict.fromkeys(names), " in this mechanism")
+        if name in scene.held:
+            return self.position[:, scene.held.index(name)]
+        branch = branches.get(name)
+        if branch is None and scene.loose:
+            return single(self._over(lambda now: sp.stack(_read(scene.mechanism, now, name))))
+        if branch is None:
+            raise ValueError(
+                f'joint "{name}" closes a loop and has no coordinates of its own; those with are '
+                f"{listed(list(branches))}."
+            )
+        return single(self.coordinates[:, branch.coordinates])
+
+    def offset(self, joint: str) -> Float[Array, "positions 3"]:
+        """Where a journal lies in its gap [m], in the bearing's axes."""
+        check_single(self.found)
+        check_known("joint", joint, self.seats, " with clearance in this mechanism")
+        return self.seats[joint][:, :3]
+
+    def reaction(self, joint: str) -> Float[Array, "positions 6"]:
+        """Force [N] and torque [N m] on a joint's child about its marker, in the axes of the
+        parent's marker; without friction."""
+        check_known("joint", joint, self.scene.mechanism.connections, " in this mechanism")
+        return self._over(lambda now: sp.stack([x for p in now.reactions[joint] for x in p]))
+
+    def to_dataset(self) -> Any:
+        """Everything over the positions as an xarray Dataset with units and provenance: drives,
+        bodies, journals in their gaps."""
+        scene, columns = self.scene, {}
+        over, axis = ("position",), ("position", "axis")
+        for name in scene.held:
+            columns[name] = Column(
+                over, self.coordinate(name), self._unit(name), "coordinate of a drive"
+            )
+        for name in scene.mechanism.bodies:
+            pose = self.body(name)
+            columns[f"{name}.com"] = Column(axis, pose.com, "m", f"centre of mass of {name}")
+            turn = quaternion_from_rotation(np.asarray(pose.rotation))
+            meaning = f"orientation of {name}, scalar first"
+            columns[f"{name}.quaternion"] = Column(("position", "component"), turn, "1", meaning)
+        for name in self.seats:
+            meaning = f"journal against bearing of {name}, bearing axes"
+            columns[f"{name}.offset"] = Column(axis, self.offset(name), "m", meaning)
+        columns["found"] = Column(over, self.found, "1", "whether the mechanism closes")
+        coordinates = {
+            "axis": Column(("axis",), ["x", "y", "z"]),
+            "component": Column(("component",), ["w", "x", "y", "z"]),
+        }
+        return dataset(columns, coordinates, what="positions", mechanism=str(scene.mechanism))
+
+    def _unit(self, name: str) -> str:
+        joint: Any = self.scene.mechanism.connections[name].joint
+        return joint.units[0]
+
+    def _over(self, one: Callable[[Any], Any]) -> Any:
+        check_single(self.found)
+        carried = self.carried
+        if carried is not None:
+
+            def rests(position, q, closing, pushes, angles):
+                scene = self.scene.at(position)
+                case = case_of(scene, carried.side, angles, carried.rounded)
+                return one(resting(case, q, closing, pushes))
+
+            held = carried.closing, carried.pushes, carried.angles
+            return jax.vmap(rests)(self.position, self.coordinates, *held)
+
+        def row(position, q, seats):
+            scene = self.scene.at(position)
+            own = {name: opened(seats[name], moving) for name, moving in self.moving.items()}
+            return one(standing(scene, [*q], own, self.side))
+
+        return jax.vmap(row)(self.position, self.coordinates, self.seats)
+
+
+def _read(mechanism: Any, now: Resting, name: str) -> tuple:
+    """Coordinates of a joint outside the tree [rad, m]: of one with clearance those of the ideal
+    joint that it would be."""
+    where = source(mechanism, now.system, name)
+    return where.joint.coordinates_at(relative_motion(where.closure, now.motions)[1])
+
+
+def opened(seat: Array, moving: tuple[int, ...]) -> tuple:
+    """The five numbers of a seat, those that are zero by construction as such."""
+    return tuple(seat[k] if k in moving else 0 for k in range(len(seat)))
+
+
+def _dense(rotation: sp.Mat) -> Float[Array, "3 3"]:
+    return jnp.stack([sp.stack(row) for row in rotation])

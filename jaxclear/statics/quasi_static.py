@@ -1,0 +1,496 @@
+r"""A mechanism at rest at a position of its drives: where its loops close, how its reactions hold
+the loads, and on which side of its bearing each journal lies.
+
+Every joint is the ideal one whose coordinates the joint tells, between a journal and a bearing's
+marker that is moved to where the journal lies. The journal lies where its reaction presses it,
+which is what contact and its force complement each other to: $c - |e| \ge 0$, $\lambda \ge 0$,
+$\lambda (c - |e|) = 0$ without friction; a load that does not pull leaves it in the middle. So the
+unknowns are the free coordinates and the seats of the journals, and the equations that loops close
+and that every seat is the one of its own reaction: as many of the ones as of the others.
+
+Newton's method on the loops, the seats following their reactions, from where the neighbour stood:
+one kernel of machine code for all positions of all samples (`native`). An error of a seat shrinks
+by the clearance's share of the links with every turn, so two to four turns reach rounding.
+Derivatives are those of the solved equations (implicit function theorem), whatever turns were
+taken.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array
+
+from jaxclear.components.body import Connection
+from jaxclear.components.clearance import AbstractClearance, AbstractPermanentJoint
+from jaxclear.components.drive import Held
+from jaxclear.components.joint.base import AbstractDrivenJoint, drive_of
+from jaxclear.formulations.permanent_reactions import Reaction, reaction_through
+from jaxclear.ground import factorisation
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.pose import Pose, frame_with_axis
+from jaxclear.ground.wording import listed, unknown
+from jaxclear.multibody import constraints, dynamics, kinematics, tree
+from jaxclear.multibody.dynamics import Solution
+from jaxclear.multibody.exchange import at_rest_under
+from jaxclear.multibody.forces import Forces, applied_forces
+from jaxclear.multibody.given import speed_scales
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.newton import shortened
+from jaxclear.multibody.start_equations import retract
+from jaxclear.multibody.state import unpack_motion
+from jaxclear.multibody.system import System, longest_arm, prepare
+from jaxclear.multibody.tree import NOTHING, Motion
+from jaxclear.native import while_loop
+
+# Numbers of a seat: offset (x, y, z) [m] and slope (dx/dz, dy/dz) of the axis [1].
+SEAT = 5
+
+
+class Posed(eqx.Module):
+    """A mechanism whose drives hold their joints and whose joints are ideal, with the clearance
+    joints that these stand for (`gaps`, by connection); or, `loose`, one that has its clearance
+    joints itself. `rows`: those rows of all loops that determine it, where the others follow from
+    them; None for all."""
+
+    mechanism: Mechanism
+    gaps: dict[str, AbstractClearance]
+    held: tuple[str, ...] = eqx.field(static=True)
+    rows: tuple[int, ...] | None = eqx.field(static=True, default=None)
+    loose: bool = eqx.field(static=True, default=False)
+
+    def of(self, mechanism: Mechanism) -> "Posed":
+        """The same of a mechanism with other numbers."""
+        return posed(mechanism, self.held, loose=self.loose, rows=self.rows)
+
+    def at(self, position: Any) -> "Posed":
+        """The same at other positions of the drives, in the order of `held` [rad, m]."""
+        places = lambda posed: [
+            posed.mechanism.connections[n].joint.drive.position for n in posed.held
+        ]
+        if not self.held:
+            return self
+        return eqx.tree_at(places, self, [position[i] for i in range(len(self.held))])
+
+    def determining(self, values: list) -> list:
+        """Of values of all rows of loops those of the rows that determine the mechanism."""
+        return values if self.rows is None else [values[i] for i in self.rows]
+
+    def among(self, count: int, values: list) -> tuple:
+        """Values of these rows among those of all, 0 elsewhere."""
+        if self.rows is None:
+            return tuple(values)
+        return tuple(values[self.rows.index(i)] if i in self.rows else 0 for i in range(count))
+
+
+class Undetermined(ValueError):
+    """Loops have fewer or more rows than there are free coordinates: they do not determine where a
+    mechanism stands, or not what each journal carries."""
+
+
+class Standing(NamedTuple):
+    """A mechanism at coordinates and seats: `left` of the loops' closure [m, 1] with its
+    `jacobian` (by free speed), of the rows that determine it, and the `seats` in which the
+    reactions there would press the journals."""
+
+    system: System
+    motions: tuple[Motion, ...]
+    left: list
+    jacobian: list
+    reactions: dict[str, Reaction]
+    seats: dict[str, tuple]
+
+
+def posed(
+    mechanism: Mechanism,
+    held: tuple[str, ...],
+    *,
+    loose: bool = False,
+    rows: tuple[int, ...] | None = None,
+) -> Posed:
+    """The mechanism with these joints held; `loose`: with its clearance joints, not with ideal ones
+    in their place. Raises `ValueError`, naming the joint, for what has no place under a load or
+    cannot be held."""
+    for name in held:
+        if name not in mechanism.connections:
+            raise ValueError(unknown("joint", name, mechanism.connections, " to be held"))
+    others = [name for name in mechanism.driven if name not in held]
+    if others:
+        raise ValueError(
+            f"joint {listed(others)} is driven and its positions are not told; give positions of "
+            "every drive."
+        )
+    connections, gaps = {}, {}
+    for name, connection in mechanism.connections.items():
+        joint = connection.joint
+        if name in mechanism.topology.clearances and not loose:
+            gaps[name] = joint
+            try:
+                joint = joint.coordinate_form()
+                gaps[name].seat((1.0, 1.0, 0), sp.ZERO)
+            except ValueError as error:
+                raise ValueError(f'joint "{name}" {error}') from None
+        if isinstance(joint, AbstractPermanentJoint):
+            joint = joint.ideal
+        if name in held:
+            joint = _held(name, joint)
+        connections[name] = Connection(joint, connection.parent, connection.child)
+    start, guess = (_free(mechanism.given[what], held) for what in ("start", "guess"))
+    loads = at_rest_under(mechanism.loads, held)
+    # What a run begins with says where the mechanism stands at one position only.
+    bare = Mechanism(
+        mechanism.bodies, connections, loads, couplings=mechanism.couplings, guess=start | guess
+    )
+    return Posed(bare, gaps, held, rows, loose)
+
+
+def _free(given: dict[str, tuple], held: tuple[str, ...]) -> dict[str, tuple]:
+    return {name: values for name, values in given.items() if name not in held}
+
+
+def _held(name: str, joint: Any) -> Any:
+    """The joint with its coordinate held."""
+    if isinstance(joint, AbstractClearance):
+        raise ValueError(
+            f'joint "{name}" has clearance, and this mechanism rests where its potential energy is '
+            "least (springs, or freedoms that its loops leave); hold an ideal joint."
+        )
+    if not isinstance(joint, AbstractDrivenJoint):
+        raise ValueError(
+            f'joint "{name}" is a {type(joint).__name__}, whose position cannot be held by one '
+            "number; hold a revolute or a prismatic joint, or a journal or a slider."
+        )
+    return eqx.tree_at(lambda j: j.drive, joint, Held(0.0), is_leaf=lambda x: x is None)
+
+
+def shift(seat: tuple) -> Pose:
+    """Where the bearing's marker is taken to be for a journal in this seat: at the journal's
+    centre, its z axis along the journal's."""
+    x, y = seat[3:]
+    if sp.is_zero(x) and sp.is_zero(y):
+        return Pose(sp.IDENTITY, seat[:3])
+    if not sp.is_zero(x) and not sp.is_zero(y):
+        return Pose(frame_with_axis((x, y, jnp.ones(()))), seat[:3])
+    # About one axis only, so that a plane stays one.
+    size = 1 / jnp.sqrt(1 + (x * x if sp.is_zero(y) else y * y))
+    if sp.is_zero(y):
+        sine = size * x
+        return Pose(((size, 0, sine), (0, 1, 0), (-sine, 0, size)), seat[:3])
+    sine = size * y
+    return Pose(((1, 0, 0), (0, size, sine), (0, -sine, size)), seat[:3])
+
+
+def standing(scene: Posed, q: Any, seats: dict[str, tuple], side: float = 1.0) -> Standing:
+    """The mechanism at coordinates `q` (entries of the state) and seats; `side` -1 reverses the
+    loads, not the springs. Raises `Undetermined`."""
+    system = prepare(scene.mechanism, {name: shift(seat) for name, seat in seats.items()})
+    count = system.topology.speed_count
+    places, rates = unpack_motion(system, [*q, *(0,) * count])
+    motions = kinematics.link_motions(system, places, rates, 0.0)
+    rows = loop_rows(system, motions)
+    every = [row for own in rows for row in own.jacobian]
+    if len(every) < count or (scene.rows is None and len(every) > count):
+        raise Undetermined(f"the loops have {len(every)} rows for {count} free coordinates.")
+    left, jacobian = scene.determining(_residuals(rows)), scene.determining(every)
+    loaded, forces = acting(system, motions, places, rates, side)
+    transposed = [[row.get(j, 0) for row in jacobian] for j in range(count)]
+    multipliers = scene.among(len(every), solved(transposed, unheld(loaded, forces)))
+    reactions = reactions_of(loaded, forces, multipliers, places)
+    pressed = {}
+    for name, gap in scene.gaps.items():
+        offset, slope = gap.seat(*reactions[name])
+        pressed[name] = (*offset, *slope)
+    return Standing(system, motions, left, jacobian, reactions, pressed)
+
+
+def standing_motion(
+    scene: Posed, q: Any, seats: dict[str, tuple]
+) -> tuple[System, tuple[Motion, ...]]:
+    """The mechanism ready, with its journals in these seats, and the motions of its links at
+    coordinates `q`."""
+    system = prepare(scene.mechanism, {name: shift(seat) for name, seat in seats.items()})
+    places = unpack_motion(system, [*q, *(0,) * system.topology.speed_count])
+    return system, kinematics.link_motions(system, *places, 0.0)
+
+
+def left_open(scene: Posed, q: Any, seats: dict[str, tuple]) -> list:
+    """What is left of the closure of all loops at coordinates `q` and seats [m, 1]."""
+    return _residuals(loop_rows(*standing_motion(scene, q, seats)))
+
+
+def loop_rows(system: System, motions: tuple[Motion, ...]) -> list[constraints.ConstraintRows]:
+    """The rows of each loop."""
+    return [constraints.constraint_rows(system, motions, own) for own in system.closures]
+
+
+def open_loops(system: System, motions: tuple[Motion, ...]) -> dict[str, Any]:
+    """By how much each joint that closes a loop is open [m, 1]."""
+    found = zip(system.topology.loops, loop_rows(system, motions), strict=True)
+    left = {name: [*own.residuals, *own.fixed.values()] for name, own in found}
+    return {n: jnp.max(jnp.abs(sp.stack(own)), initial=0.0) for n, own in left.items()}
+
+
+def _residuals(rows: list[constraints.ConstraintRows]) -> list:
+    return [value for own in rows for value in own.residuals]
+
+
+def acting(
+    system: System,
+    motions: tuple[Motion, ...],
+    places: tuple,
+    rates: tuple,
+    side: Any,
+    angles: dict[str, Any] | None = None,
+) -> tuple[System, Forces]:
+    """What acts on a mechanism at rest, and the mechanism with gravity as it acts; `side` -1
+    reverses loads, but neither springs nor stops. `angles` [rad]: those near which coordinates
+    outside the tree are read."""
+    ask = lambda own: applied_forces(own, motions, {}, places, rates, 0.0, angles or {})
+    if isinstance(side, float) and side == 1.0:
+        return system, ask(system)
+    springs = {name: load for name, load in system.loads.items() if load.springs_back()}
+    loads = {name: load for name, load in system.loads.items() if name not in springs}
+    kept, turned = (ask(dataclasses.replace(system, loads=own)) for own in (springs, loads))
+    add = lambda a, b: sp.add(a, sp.mul(side, b))
+    wrenches = jax.tree.map(add, kept.wrenches, turned.wrenches)
+    forces = jax.tree.map(add, kept.coordinate_forces, turned.coordinate_forces)
+    on_joints = dict(kept.on_joints)
+    for name, own in turned.on_joints.items():
+        on_joints[name] = jax.tree.map(add, on_joints.get(name, NOTHING), own)
+    gravity = dataclasses.replace(system, gravity=sp.scale(side, system.gravity))
+    found = kept._replace(wrenches=wrenches, coordinate_forces=forces, on_joints=on_joints)
+    return gravity, found
+
+
+def solved(matrix: list[list], right: list) -> list:
+    """x of matrix x = right, rows of sparse scalars; nan where the matrix is singular."""
+    if not right:
+        return []
+    if len(right) == 1:
+        return [right[0] / matrix[0][0]]
+    lines = [sp.stack([*row, value]) for row, value in zip(matrix, right, strict=True)]
+    return factorisation.eliminate(lines)
+
+
+def unheld(system: System, forces: Forces) -> list:
+    """What the multipliers must give each free coordinate for the mechanism to rest."""
+    ground, missing = kinematics.upward(system), []
+    for subtree in system.topology.subtrees:
+        parts = (system.links, forces.motions, forces.wrenches)
+        links, motions, wrenches = kinematics.by_subtree(subtree, *parts)
+        bias = tree.bias_forces(links, motions, ground, wrenches)
+        applied = [force for i in subtree for force in forces.coordinate_forces[i]]
+        missing += [sp.sub(b, f) for f, b in zip(applied, bias, strict=True)]
+    return missing
+
+
+def reactions_of(
+    system: System, forces: Forces, multipliers: tuple, places: tuple
+) -> dict[str, Reaction]:
+    """Reaction of every connection."""
+    found = constraints.constraint_wrenches(system, forces.motions, multipliers)
+    closed = [Reaction(force, torque) for _, force, torque, _ in found]
+    reactions = dict(zip(system.topology.loops, closed, strict=True))
+    still = Solution(tuple((0,) * len(own.columns) for own in forces.motions), multipliers)
+    through = dynamics.joint_wrenches(system, forces, still)
+    for index, branch in enumerate(system.topology.branches):
+        drive = drive_of(system.links[index].joint)
+        place = places[index] if drive is None else (drive.motion(0.0)[0],)
+        if branch.connection is not None:
+            pose = system.links[index].joint.motion(place)
+            own = reaction_through(pose, branch.reversed, through[index])
+            reactions[branch.connection] = own
+    return reactions
+
+
+# Turns after which a position that has not settled counts as not found.
+MOST_TURNS = 25
+# A turn that changes coordinates [rad, shares of the longest arm] and seats by less than this is
+# the last: what is left is its square, or its share by the clearances.
+SETTLED = 1e-9
+# By how much rows of loops that follow from the others may be open [m, 1]: what closes a loop as it
+# was drawn counts as closed (`start_check.HELD`).
+FOLLOWS = 1e-6
+# Of a Newton step, in radians or shares of the longest arm.
+LONGEST = 0.5
+
+
+class Spot(eqx.Module):
+    """Where the mechanism stands at one position: entries of the tree's coordinates, numbers of the
+    seats that are not zero by construction, by how much the last turn moved them [1], and on which
+    of its ways the mechanism is assembled: the sign of the loops' determinant, which changes where
+    two of them meet and nowhere else (0 where there is no loop)."""
+
+    q: Array
+    seats: dict[str, Array]
+    change: Array
+    branch: Array
+
+
+class Read(NamedTuple):
+    """What is read of a mechanism at positions, in the order of `Positions`."""
+
+    coordinates: Array
+    seats: dict[str, Array]
+    found: Array
+    side: float
+    moving: dict[str, tuple[int, ...]]
+    other: Any = None
+    carried: Any = None
+
+
+class Way(eqx.Module):
+    """How positions are sought: which numbers of each seat move, and whether the loads pull (1) or
+    push (-1)."""
+
+    moving: dict[str, tuple[int, ...]] = eqx.field(static=True)
+    side: float = eqx.field(static=True, default=1.0)
+
+    @property
+    def reversed(self) -> "Way":
+        """The same under reversed loads."""
+        return Way(self.moving, -self.side)
+
+    def alone(self, scene: Posed, start: Spot) -> Spot:
+        """Where the mechanism stands at one position, sought from a start."""
+        return _settled(scene, start, self)
+
+    def each(self, scene: Posed, position: Array, starts: Spot) -> Spot:
+        """Where it stands at positions (positions, drives), each from its own start; pure."""
+        one = lambda own, start: settle(scene.at(own), start, self)
+        return jax.vmap(one)(position, starts)
+
+    def read(self, scene: Posed, position: Array, spots: Spot) -> Read:
+        """What is read of the mechanism at positions (positions, drives) and where it stands."""
+        seats = {
+            name: jnp.zeros((len(position), SEAT)).at[:, list(own)].set(spots.seats[name])
+            for name, own in self.moving.items()
+        }
+        closed = jnp.ones(len(position), bool)
+        if scene.rows is not None:
+            opened = jax.vmap(lambda own, s: self._open(scene.at(own), s))(position, spots)
+            closed = opened <= FOLLOWS
+        return Read(spots.q, seats, closed & (spots.change <= SETTLED), self.side, self.moving)
+
+    def _open(self, scene: Posed, spot: Spot) -> Array:
+        """By how much a row of the loops is open at the most [m, 1]."""
+        left = left_open(scene, spot.q, self.opened(spot.seats))
+        return jnp.max(jnp.abs(sp.stack(left)), initial=0.0)
+
+    def amiss(self, scene: Posed, spot: Spot) -> tuple[dict[str, Any], dict[str, Any]]:
+        """By how much loops are open [m, 1], by the joint that closes them, and how deep journals
+        lie in their bearings: not at all."""
+        return open_loops(*standing_motion(scene, spot.q, self.opened(spot.seats))), {}
+
+    def opened(self, seats: dict[str, Array]) -> dict[str, tuple]:
+        """The five numbers of each seat, those that are zero by construction as such."""
+        return {
+            name: tuple(seats[name][own.index(k)] if k in own else 0 for k in range(SEAT))
+            for name, own in self.moving.items()
+        }
+
+    def middle(self) -> dict[str, Array]:
+        """The numbers of each seat that move, of journals in the middle."""
+        return {name: jnp.zeros(len(own)) for name, own in self.moving.items()}
+
+    def closed(self, seats: dict[str, tuple]) -> dict[str, Array]:
+        """The numbers of each seat that move."""
+        return {name: sp.stack([seats[name][k] for k in own]) for name, own in self.moving.items()}
+
+
+def way_of(scene: Posed) -> Way:
+    """Which numbers of the seats move."""
+    way = Way(dict.fromkeys(scene.gaps, ()))
+    while True:
+        found = moved_by(scene, way)
+        if found == way:
+            return way
+        way = found
+
+
+def moved_by(scene: Posed, way: Way) -> Way:
+    """Which numbers of the seats the reactions move where those of a way may."""
+    found: dict[str, tuple[int, ...]] = {}
+
+    def seen(q, seats):
+        now = standing(scene, q, way.opened(seats)).seats
+        found.update({n: tuple(k for k in range(SEAT) if not sp.is_zero(now[n][k])) for n in now})
+        return q
+
+    count = prepare(scene.mechanism).topology.coordinate_count
+    jax.eval_shape(seen, jnp.zeros(count), way.middle())
+    return Way(found)
+
+
+def turned(scene: Posed, spot: Spot, way: Way) -> Spot:
+    """The spot after a turn: seats from the reactions, coordinates by Newton's step on the loops as
+    the new seats have it."""
+    now = standing(scene, spot.q, way.opened(spot.seats), way.side)
+    seats, system = way.closed(now.seats), now.system
+    count, arm = system.topology.speed_count, longest_arm(system)
+    changes = [jnp.max(jnp.abs(seats[n] - spot.seats[n]), initial=0.0) / arm for n in seats]
+    q = spot.q
+    if count:
+        left = scene.determining(left_open(scene, q, way.opened(seats)))
+        rows = [[row.get(j, 0) for j in range(count)] for row in now.jacobian]
+        step = sp.stack(solved(rows, [sp.neg(x) for x in left]))
+        scales = speed_scales(system, arm)
+        q = retract(system, q, shortened(step, scales, LONGEST))
+        changes.append(jnp.max(jnp.abs(step / scales)))
+    branch = factorisation.orientation(rows) if count else jnp.zeros(())
+    return Spot(q, seats, jnp.max(jnp.stack([*changes, jnp.zeros(())])), branch)
+
+
+def settle(scene: Posed, start: Spot, way: Way) -> Spot:
+    """The spot at which the loops close and every seat is that of its reaction; pure, with the
+    derivatives of the solved equations with respect to the numbers of the scene."""
+    arrays, rest = eqx.partition(scene, eqx.is_inexact_array)
+
+    @jax.custom_jvp
+    def found(arrays, start):
+        own = eqx.combine(arrays, rest)
+        more = lambda s: ~(s[0].change <= SETTLED) & (s[1] < MOST_TURNS)
+        turn = lambda s: (turned(own, s[0], way), s[1] + 1)
+        first = eqx.tree_at(lambda s: s.change, start, jnp.full((), jnp.inf))
+        return while_loop(more, turn, (first, jnp.zeros((), int)))[0]
+
+    @found.defjvp
+    def tangents(primals, moved):
+        spot = found(*primals)
+        return spot, _tangent(primals[0], moved[0], rest, spot, way)
+
+    return found(arrays, start)
+
+
+_settled = eqx.filter_jit(settle)
+
+
+def _tangent(arrays: Any, moved: Any, rest: Any, spot: Spot, way: Way) -> Spot:
+    """How the spot moves with the numbers of the scene: implicit function theorem."""
+    system = prepare(eqx.combine(arrays, rest).mechanism)
+    count = system.topology.speed_count
+    flat, unflatten = ravel_pytree(spot.seats)
+    place = lambda step: retract(system, spot.q, step)
+
+    def equations(arrays, unknowns):
+        scene, seats = eqx.combine(arrays, rest), unflatten(unknowns[count:])
+        now = standing(scene, place(unknowns[:count]), way.opened(seats), way.side)
+        misses = unknowns[count:] - ravel_pytree(way.closed(now.seats))[0]
+        return jnp.concatenate([sp.stack(now.left), misses])
+
+    here = jnp.concatenate([jnp.zeros(count), flat])
+    rows = jax.jacfwd(equations, argnums=1)(arrays, here)
+    right = jax.jvp(lambda own: equations(own, here), (arrays,), (moved,))[1]
+    # The inverse first, so that what is solved for stays linear and can be transposed.
+    inverse = jax.vmap(lambda unit: _eliminated(rows, unit))(jnp.eye(len(here)))
+    found = -jnp.sum(inverse * right[:, None], axis=0)
+    q = jax.jvp(place, (here[:count],), (found[:count],))[1]
+    return Spot(q, unflatten(found[count:]), jnp.zeros(()), jnp.zeros(()))
+
+
+def _eliminated(rows: Array, right: Array) -> Array:
+    lines = [jnp.append(row, value) for row, value in zip(rows, right, strict=True)]
+    return jnp.stack(factorisation.eliminate(lines))

@@ -1,0 +1,357 @@
+"""A start at which journals lie in their bearings as their reactions press them, instead of in the
+middle, from where they would fall through their play.
+
+Each lies as its own reaction presses it, or, where the loops through them do not let them, all
+together at the least of one potential, without friction: the elastic energy of the contacts less
+the work of the reactions that the joints have while all of them touch (d'Alembert: that is the work
+of loads and inertia forces). Newton's method on the coordinates, held back (Levenberg) until its
+steps lessen the potential.
+"""
+
+import math
+import warnings
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.components.body import Connection, Marker
+from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.coupling import AbstractBodyCoupling
+from jaxclear.formulations import CompliantContact, model_of
+from jaxclear.formulations.permanent_reactions import ReactionNotUnique
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import expect
+from jaxclear.ground.compiling import compiled_quickly
+from jaxclear.ground.pose import frame_with_axis, quaternion_from_rotation
+from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.warning import warn
+from jaxclear.integrators import NonColliding
+from jaxclear.multibody import contact_point, kinematics
+from jaxclear.multibody.assembly import ready, ready_from
+from jaxclear.multibody.contact_point import laws_now
+from jaxclear.multibody.magnitudes import UnusualMagnitude
+from jaxclear.multibody.mechanism import Mechanism, rebuilt
+from jaxclear.multibody.newton import blocks_of, closed
+from jaxclear.multibody.reach import narrowest_gap
+from jaxclear.multibody.start_equations import (
+    GIVEN,
+    LOOP,
+    Ask,
+    ask,
+    motions_at,
+    retract,
+    speed_scales,
+    stacked,
+)
+from jaxclear.multibody.state import names
+from jaxclear.multibody.system import System, prepare, readings
+from jaxclear.results.state_history import SavedMotion, State
+from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.simulate import simulate
+from jaxclear.simulation.wear import worn_as_given
+
+# Step [s] over which the first reactions are taken: a motion does not change in it.
+FIRST = 1e-7
+# Turns of a bisection, each of which halves what is left of an indentation.
+HALVINGS = 60
+
+
+class Pressed(NamedTuple):
+    """Reaction on a journal about its marker, in the bearing's axes: force [N], torque [N m]."""
+
+    force: np.ndarray
+    torque: np.ndarray
+
+
+@answering
+def seated(mechanism: Mechanism, worn: Any = None) -> State:
+    """Where a run may begin without a fall: the mechanism's own start, with every journal pressed
+    into its bearing by the reaction that the joint has there while all of them touch
+    (`NonColliding`), as deep as its law carries that reaction, and resting in it.
+
+    Loads, drives and inertia forces of the start count; friction leans a journal sideways. Journals
+    without a reaction stay in the middle. Where reactions are not unique (a door on two hinges with
+    play) no friction leans a journal. Where the loops do not let each journal lie as its own
+    reaction presses it (a spatial linkage whose ends stay in their planes), all rest together where
+    their contacts carry the loads, without friction. `worn`: depths [m] by joint and surface, such
+    as `run.worn`. Give the state to `simulate`, `settled`, `wear_life` or a `Problem`. What `start`
+    holds is held. Raises `ValueError` with a sentence for a joint of which it is not known where a
+    load presses it.
+    """
+    check_double_precision()
+    expect(mechanism, Mechanism, "what is seated", "a jaxclear.Mechanism")
+    surfaces = worn_as_given(mechanism, worn)
+    if not mechanism.topology.clearances:
+        return State(surfaces)
+    first = _first_reactions(mechanism)
+    read = {} if surfaces is None else readings(prepare(mechanism), surfaces)
+    known, start = _put(first, mechanism, read)
+    model = model_of(mechanism, CompliantContact())
+    own = names(model.system, model.layout)
+    parts = own[: model.layout.memory_start], own[model.layout.remembered]
+    motion = SavedMotion(
+        jnp.zeros(()),
+        start.coordinates,
+        start.speeds,
+        jnp.zeros(len(parts[1])),
+        tuple(parts[0]),
+        tuple(parts[1]),
+        known.topology.redundancy,
+    )
+    return State(surfaces, motion=motion)
+
+
+def _first_reactions(mechanism: Mechanism) -> Trajectory:
+    """A run so short that nothing moves, in which all journals touch; without friction where it
+    would hang on reactions that are not unique."""
+    asked: dict[str, Any] = {"save": 2, "integrator": NonColliding(FIRST), "verify": False}
+    try:
+        return simulate(mechanism, FIRST, **asked)
+    except ReactionNotUnique:
+        return simulate(_without_friction(mechanism), FIRST, **asked)
+
+
+def _without_friction(mechanism: Mechanism) -> Mechanism:
+    for name, connection in mechanism.connections.items():
+        if getattr(connection.joint, "friction", None) is not None:
+            joint = eqx.tree_at(lambda own: own.friction, connection.joint, None)
+            mechanism = mechanism.with_joint(name, joint)
+    return mechanism
+
+
+def _pressed(
+    first: Trajectory, mechanism: Mechanism, name: str
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """(offset [m] of a journal that its reaction presses to the wall, slope of its axis, sum of the
+    forces [N] that its contacts carry)."""
+    if name in first.formulation.contact_joints(first.mechanism):
+        contact = first.contact(name)
+        axis = np.asarray(contact.axis[0])
+        load = float(np.sum(contact.normal_force[0]))
+        return np.asarray(contact.offset[0]), axis[:2] / axis[2], load
+    force, torque = _reaction(first, mechanism, name)
+    joint = mechanism.connections[name].joint
+    try:
+        offset, slope = joint.seat(tuple(force), tuple(torque))
+    except ValueError as error:
+        raise ValueError(f'joint "{name}" {error}') from None
+    return np.array(offset, float), np.array(slope, float), float(np.linalg.norm(force))
+
+
+def _put(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
+    """(mechanism, its start) with every journal in its seat."""
+    if any(isinstance(own, AbstractBodyCoupling) for own in mechanism.couplings.values()):
+        # A journal in its seat by a bearing that is moved would mesh elsewhere.
+        return _at_rest_together(first, mechanism, read)
+    system = prepare(mechanism)
+    connections = dict(mechanism.connections)
+    with warnings.catch_warnings(record=True) as doubts:
+        for name in mechanism.topology.clearances:
+            offset, slope, load = _pressed(first, mechanism, name)
+            share = _share(system, name, (offset, slope), load, read.get(name, {}))
+            moved = _led_to_seat(connections[name].parent, share * offset, share * slope)
+            connections[name] = Connection(connections[name].joint, moved, connections[name].child)
+    with warnings.catch_warnings():
+        # Its numbers have been looked at; where a journal lies is no length of a link.
+        warnings.simplefilter("ignore", UnusualMagnitude)
+        put = rebuilt(mechanism, connections=connections)
+    try:
+        known, start = ready(put)[:2]
+    except ValueError:
+        # The loops do not let every journal lie as its own reaction presses it.
+        return _at_rest_together(first, mechanism, read)
+    for doubt in doubts:
+        warn(str(doubt.message), doubt.category)
+    return known, start
+
+
+def _at_rest_together(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
+    """(mechanism, its start) where all journals rest under the reactions that they have while they
+    touch. Raises `ValueError` where no such place is found."""
+    with warnings.catch_warnings():
+        # Reactions that close the loops among themselves move nothing: any of them will do.
+        warnings.filterwarnings("ignore", message="the reaction of joint .* is not unique")
+        reactions = {n: _reaction(first, mechanism, n) for n in mechanism.topology.clearances}
+    found = resting(mechanism, reactions, read)
+    if found is None:
+        raise ValueError(
+            "the journals of this mechanism find no rest under their reactions without friction: "
+            "something that loads hold in no direction moves away. Begin with a state of a run."
+        )
+    return ready_from(mechanism, found, ready(mechanism).start.speeds, 0.0)
+
+
+def _reaction(first: Trajectory, mechanism: Mechanism, name: str) -> Pressed:
+    """Reaction on a journal at the start, in the bearing's axes."""
+    connection = mechanism.connections[name]
+    body, pose = connection.parent.body, connection.parent.pose()
+    turn = np.asarray(sp.dense(pose.rotation), float).reshape(3, 3)
+    if body in mechanism.bodies:
+        turn = np.asarray(first.body(body).rotation[0]) @ turn
+    reaction = first.reaction(name)
+    return Pressed(*(turn.T @ np.asarray(x[0]) for x in (reaction.force, reaction.torque)))
+
+
+def _share(system: System, name: str, seat: tuple, load: float, worn: dict) -> float:
+    """By how much a seat is to be stretched so that the contacts carry the `load` [N]."""
+    if load == 0.0:
+        return 1.0
+    bearing = system.bearings[name]
+    force = eqx.filter_jit(lambda share: _carried(bearing, seat, share, worn))
+    low, high = 0.0, 1.0
+    while float(force(high)) < load:
+        low, high = high, 2.0 * high
+        if not math.isfinite(high):
+            return 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if float(force(middle)) < load else (low, middle)
+    return high
+
+
+def _carried(bearing: Any, seat: tuple, share: Any, worn: dict) -> Any:
+    """Sum of the elastic forces [N] of the contacts of a journal in a stretched seat."""
+    joint: AbstractClearance = bearing.joint
+    offset, slope = (share * jnp.asarray(x) for x in seat)
+    axis = (slope[0], slope[1], 1.0)
+    across = {0: (1.0, 0.0, -slope[0]), 1: (0.0, 1.0, -slope[1])}
+    axes = across | {2: tuple(x / sp.norm(axis) for x in axis)}
+    place = tuple(offset), tuple(axes[k] for k in joint.axes)
+    depths = joint.indentations(*place, worn)
+    contact_laws = laws_now(joint, bearing.contact_laws, *place, worn)
+    forces = [
+        jnp.where(depth > 0, laws.contact.elastic_force(jnp.maximum(depth, 0.0)), 0.0)
+        for laws, depth in zip(contact_laws, depths, strict=True)
+    ]
+    return sum(forces)
+
+
+def _led_to_seat(marker: Marker, offset: np.ndarray, slope: np.ndarray) -> Marker:
+    """A bearing's marker where the journal's is when it lies in its seat."""
+    pose = marker.pose()
+    turn = np.asarray(sp.dense(pose.rotation), float).reshape(3, 3)
+    at = np.asarray(sp.dense(pose.translation), float).ravel() + turn @ offset
+    place = at if np.any(at[2]) else at[:2]
+    if not np.any(slope):
+        # Planar markers stay so.
+        if marker.quaternion is not None:
+            return Marker(marker.body, place, quaternion=marker.quaternion)
+        axis = marker.named_axis if marker.axis is None else marker.axis
+        return Marker(marker.body, place, axis=axis)
+    lean = np.asarray(sp.dense(frame_with_axis((*slope, 1.0))), float).reshape(3, 3)
+    return Marker(marker.body, place, quaternion=quaternion_from_rotation(turn @ lean))
+
+
+# Steps after which a rest that has not been found counts as none; forces that are left at one,
+# beside the largest reaction.
+MOST_STEPS, LEFT = 400, 1e-6
+# By which a step that lessens the potential is held back less, and one that does not more.
+LESS, MORE = 0.3, 4.0
+# Points of Gauss and Legendre's rule between touch and an indentation: after t^2 for the share of
+# it, powers of a half are polynomials.
+POINTS = 8
+# Steps that close the loops anew.
+CLOSING = 4
+
+
+class Ground(NamedTuple):
+    """Potential [J] at coordinates, its gradient and Hessian in the scaled speeds, and the rows
+    that hold the loops there."""
+
+    value: Array
+    slope: Float[Array, " v"]
+    bend: Float[Array, "v v"]
+    rows: Float[Array, "rows v"]
+
+
+def resting(mechanism: Mechanism, pressed: dict[str, Pressed], worn: dict) -> Array | None:
+    """Coordinates at which the journals rest under these reactions; None where none were found.
+    `worn`: readings of worn surfaces, by joint."""
+    known, start = ready(mechanism)[:2]
+    asked = ask(known, False)
+    arm = float(asked.arm)
+    largest = max(float(np.linalg.norm(own.force)) for own in pressed.values())
+    if largest == 0.0:
+        return start.coordinates
+    at = lambda q: _ground(known, q, pressed, worn)
+    moved = lambda q, step: _moved(known, q, step)
+    q, held_back = start.coordinates, largest * arm**2 / float(narrowest_gap(asked.system))
+    now = at(q)
+    for _ in range(MOST_STEPS):
+        free = _free(np.asarray(now.rows))
+        slope, bend = free.T @ np.asarray(now.slope), free.T @ np.asarray(now.bend) @ free
+        if np.abs(slope).max(initial=0.0) < LEFT * largest * arm:
+            return q
+        sizes, ways = np.linalg.eigh(bend)
+        # Where the potential bends down, as far as where it bends up.
+        step = -free @ (ways @ ((ways.T @ slope) / (np.abs(sizes) + held_back)))
+        there = moved(q, jnp.asarray(step))
+        then = at(there)
+        if float(then.value) < float(now.value):
+            q, now, held_back = there, then, LESS * held_back
+        else:
+            held_back *= MORE
+    return None
+
+
+def _free(rows: np.ndarray) -> np.ndarray:
+    """Directions (v, n) in which no row changes."""
+    if not len(rows):
+        return np.eye(rows.shape[1])
+    _, sizes, ways = np.linalg.svd(rows)
+    rank = int((sizes > 1e-9 * sizes.max(initial=0.0)).sum())
+    return ways[rank:].T
+
+
+@compiled_quickly
+def _ground(mechanism: Mechanism, q: Array, pressed: dict[str, Pressed], worn: dict) -> Ground:
+    asked = ask(mechanism, False)
+    scales = speed_scales(asked)
+    energy = lambda step: _potential(asked, retract(asked.system, q, scales * step), pressed, worn)
+    none = jnp.zeros(asked.system.topology.speed_count)
+    value, slope = jax.value_and_grad(energy)(none)
+    rows = stacked(asked, blocks_of(asked, q, 0.0, (LOOP, GIVEN)))[0] * scales
+    return Ground(value, slope, jax.hessian(energy)(none), rows)
+
+
+@compiled_quickly
+def _moved(mechanism: Mechanism, q: Array, step: Array) -> Array:
+    """Coordinates after a step in the scaled speeds, loops closed."""
+    asked = ask(mechanism, False)
+    q = retract(asked.system, q, speed_scales(asked) * step)
+    return closed(asked, q, 0.0, CLOSING, (LOOP, GIVEN))
+
+
+def _potential(asked: Ask, q: Array, pressed: dict[str, Pressed], worn: dict) -> Array:
+    still = jnp.zeros(asked.system.topology.speed_count)
+    motions = motions_at(asked, q, still, 0.0)[2]
+    total: Any = 0.0
+    for name, bearing in asked.system.bearings.items():
+        pose = kinematics.relative_motion(bearing.closure, motions)[1]
+        readings = worn.get(name, {})
+        depths = contact_point.depths(bearing.joint, pose, readings)
+        contact_laws = contact_point.laws_at(bearing.joint, bearing.contact_laws, pose, readings)
+        # Forces are those of the laws as they are there, not of how these change from place to
+        # place.
+        contact_laws = jax.lax.stop_gradient(contact_laws)
+        for laws, depth in zip(contact_laws, depths, strict=True):
+            total = total + _stored(laws.contact.elastic_force, depth)
+        force, torque = pressed[name]
+        axis = sp.transpose(pose.rotation)[2]
+        # A lean towards x is a turn about y, one towards y a turn back about x.
+        leant = sp.sub(sp.mul(torque[1], axis[0]), sp.mul(torque[0], axis[1]))
+        total = total + sp.add(sp.dot(tuple(force), pose.translation), leant)
+    return total
+
+
+def _stored(force: Any, depth: Any) -> Array:
+    """Energy [J] of an elastic force at an indentation [m]."""
+    points, weights = np.polynomial.legendre.leggauss(POINTS)
+    t = jnp.asarray(0.5 * (points + 1))
+    deep = jnp.where(depth > 0, depth, 0.0)
+    return jnp.sum(jnp.asarray(weights) * t * deep * jax.vmap(force)(deep * t * t))
