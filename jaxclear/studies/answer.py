@@ -100,6 +100,11 @@ def with_interval(
     return {name: Column(dims, read("value"), unit, error=read("error"))} | ends
 
 
+def with_unit(name: str, unit: str) -> str:
+    """What a column is called that tells its unit in a table."""
+    return "" if unit == "1" else f"{name} [{unit}]"
+
+
 def means_and_deviations(
     means: Mapping[str, Any], deviations: Mapping[str, Any]
 ) -> dict[str, Column]:

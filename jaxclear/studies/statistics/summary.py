@@ -21,8 +21,6 @@ from jaxclear.studies.statistics.scrambled import (
     student,
 )
 
-# Columns of means and deviations, and those of their errors, in tables of other studies.
-ERRORS = {"mean": "error of mean (95 %)", "standard deviation": "error of deviation (95 %)"}
 # An interval of 95 % that holds less often than this [1] is not called one without a word.
 PROMISED = 0.92
 PERCENTILES = {"5 %": 0.05, "median": 0.5, "95 %": 0.95}
