@@ -5,7 +5,6 @@ every limit, share and quantile. Means and variances of it there are none: whoev
 told so, and what serves instead.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -76,12 +75,12 @@ def undrawn_levels(problem: AbstractProblem, values: np.ndarray) -> dict[str, st
         seen = np.argmin(np.abs(values[:, i, None] - float(nominal) - levels), axis=1)
         rare = [k for k in np.flatnonzero(shares) if k not in seen]
         if rare:
-            level, share = f"{float(nominal) + levels[rare[0]]:.6g}", shares[rare[0]]
-            unit = problem.variable_units[i]
+            level, share = float(nominal) + levels[rare[0]], shares[rare[0]]
+            told = f"{level:.6g} {problem.variable_units[i]}".removesuffix(" 1")
             found[name] = (
-                f'No run has "{name}" at {level} {unit}, as a share of {share:.2g} of the parts: '
-                "what it does there is in none of its shares. About "
-                f"{math.ceil(RULE_OF_THREE / share)} samples would meet it."
+                f'No run has "{name}" = {told}, which {100 * share:.2g} % of the parts have: what '
+                f"that does to the variance is not known. About {RULE_OF_THREE / share:.2g} "
+                "samples would meet it."
             )
     return found
 
