@@ -71,7 +71,9 @@ def undrawn_levels(problem: AbstractProblem, values: np.ndarray) -> dict[str, st
         own = problem.variables[name].distribution
         if not isinstance(own, Discrete):
             continue
-        levels, shares = own.levels()
+        levels = np.asarray(own.deviations, float)
+        weights = np.ones(len(levels)) if own.shares is None else np.asarray(own.shares, float)
+        shares = weights / weights.sum()
         seen = np.argmin(np.abs(values[:, i, None] - float(nominal) - levels), axis=1)
         rare = [k for k in np.flatnonzero(shares) if k not in seen]
         if rare:

@@ -41,11 +41,6 @@ class Discrete(AbstractDistribution):
         shares = jnp.ones(len(sizes)) if self.shares is None else jnp.stack(self.shares)
         return sizes, jnp.cumsum(shares / shares.sum())
 
-    def levels(self) -> tuple[np.ndarray, np.ndarray]:
-        """The deviations, and the share [1] of each."""
-        sizes, upper = self._table()
-        return np.asarray(sizes), np.diff(np.asarray(upper), prepend=0.0)
-
     def quantile(self, share):
         sizes, upper = self._table()
         return sizes[jnp.searchsorted(upper[:-1], share, side="right")]
