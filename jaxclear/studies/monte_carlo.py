@@ -50,6 +50,7 @@ from jaxclear.studies.statistics.summary import (
     doubtful_of,
     ends_of,
     failure,
+    remarks_of,
     spread_of,
     summary_of,
     summary_row,
@@ -164,7 +165,8 @@ class MonteCarlo(AbstractAnswer):
 
     def _shown(self):
         lost = [f"The first that failed: {failure(self, int(i))}" for i in self.failed[:1]]
-        return self.sentence(), *lost, *spread_of(self.summary())
+        summary = self.summary()
+        return self.sentence(), *lost, *spread_of(summary), *remarks_of(self, summary)
 
     def _stated(self):
         problem, over = self.problem, ("sample",)
@@ -193,7 +195,9 @@ class MonteCarlo(AbstractAnswer):
             for n, values in self.replicas.responses.items():
                 columns[finer_name(n)] = Column(("replica",), values, units[n], FINER)
         numbers = {"seed": self.seed, "chunk": self.chunk}
-        return Stated("Monte Carlo", columns, problem, (), numbers)
+        return Stated(
+            "Monte Carlo", columns, problem, lambda: remarks_of(self, self.summary()), numbers
+        )
 
     def good(self, response: str) -> tuple[np.ndarray, np.ndarray]:
         """A response of the samples that did not fail, and their scramblings."""

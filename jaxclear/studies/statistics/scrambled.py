@@ -60,8 +60,11 @@ class Statistic(eqx.Module):
     def __str__(self) -> str:
         unit = "" if self.unit in ("", "1") else f" {self.unit}"
         ends = [float(end) for end in self]
-        if np.isfinite(self.value) and np.isfinite(self.low) != np.isfinite(self.high):
-            return "{:.6g}{} ({:.6g} to {:.6g})".format(ends[0], unit, *ends[1:])
+        if np.isfinite(self.low) != np.isfinite(self.high):
+            known = (
+                f"at least {self.low:.6g}" if np.isfinite(self.low) else f"at most {self.high:.6g}"
+            )
+            return f"{ends[0]:.6g}{unit} (95 %: {known})"
         return f"{with_error(ends[0], float(self.error))}{unit}"
 
 

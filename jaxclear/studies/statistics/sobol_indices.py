@@ -34,7 +34,7 @@ from jaxclear.studies.answer import (
     with_interval,
 )
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.endless import refuse_endless, undrawn_levels
 from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
@@ -139,7 +139,24 @@ def sobol_indices(
             first[name, variable] = _share(own, i)
             total[name, variable] = _share(own, count + i)
     warnings = told(problem, found.checks, reached.ravel())
-    return SobolIndices(problem, first, total, len(values), int(np.sum(~good)), warnings)
+    told_of = open_shares(problem, np.asarray(values)[np.tile(good, len(columns))], first, total)
+    return SobolIndices(
+        problem, first, total, len(values), int(np.sum(~good)), (*warnings, *told_of)
+    )
+
+
+def open_shares(
+    problem: AbstractProblem, values: np.ndarray, *shares: dict[tuple[str, str], Statistic]
+) -> tuple[str, ...]:
+    """Sentences for variables with a level that no run (runs, variables) has seen, whose shares of
+    a variance are then open: 0 to 1."""
+    found = undrawn_levels(problem, values)
+    for own in shares:
+        for response, variable in own:
+            if variable in found:
+                known = own[response, variable]
+                own[response, variable] = Statistic(known.value, 0.0, 1.0)
+    return tuple(found.values())
 
 
 def _of_surface(surface: ResponseSurface) -> SobolIndices:
@@ -169,7 +186,8 @@ def _of_surface(surface: ResponseSurface) -> SobolIndices:
             for variable, share, own_half in zip(problem.names, shares, halves, strict=True):
                 low, high = float(share - own_half), float(share + own_half)
                 kind[name, variable] = Statistic(float(share), low, high)
-    return SobolIndices(problem, *indices, 0, 0, surface.warnings)
+    told_of = open_shares(problem, surface.values, *indices)
+    return SobolIndices(problem, *indices, 0, 0, (*surface.warnings, *told_of))
 
 
 class _Parts(NamedTuple):
