@@ -17,7 +17,6 @@ from jaxtyping import Array, Float, Int
 
 from jaxclear.complementarity.friction_cone import natural_map, one_contact, project_on_cone
 from jaxclear.complementarity.friction_contact import FrictionContact
-from jaxclear.complementarity.interior_point import size_of
 from jaxclear.complementarity.kept_states import (
     REGULAR,
     Scaled,
@@ -25,7 +24,7 @@ from jaxclear.complementarity.kept_states import (
     linearised,
     scaled_contacts,
 )
-from jaxclear.complementarity.problem import AbstractSolver, Outcome, Solution
+from jaxclear.complementarity.problem import AbstractSolver, Outcome, Solution, size_of
 from jaxclear.ground.factorisation import eliminate
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity

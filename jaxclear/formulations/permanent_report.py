@@ -16,6 +16,7 @@ from jaxclear.formulations.permanent_reactions import (
     REACTION,
     PermanentJoint,
     Reaction,
+    own_part,
     slid,
     speeds_of,
     touching,
