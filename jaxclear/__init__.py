@@ -41,19 +41,15 @@ from jaxclear import formulations as formulation
 from jaxclear import integrators as integrator
 from jaxclear.components import clearance, coupling, drive, joint, load
 from jaxclear.components.body import Body, Connection, Marker
-from jaxclear.components.function_of_time import AbstractFunctionOfTime
-from jaxclear.components.time_table import TimeTable
+from jaxclear.components.function_of_time import AbstractFunctionOfTime, TimeTable
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
-from jaxclear.files.model_import import ImportedSoft, NotImported, read_mjcf, read_urdf
-from jaxclear.files.model_shapes import read_shapes
-from jaxclear.files.scene import Scene
-from jaxclear.files.scene_file import read_scene, write_scene
-from jaxclear.files.schema import scene_schema
+from jaxclear.files.model_import import ImportedSoft, NotImported, read_mjcf, read_shapes, read_urdf
+from jaxclear.files.scene import Scene, read_scene, scene_schema, write_scene
 from jaxclear.ground import numerics, pose
 from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.datasets import installed
+from jaxclear.ground.outcome import why_unknown
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
-from jaxclear.ground.unknown import why_unknown
-from jaxclear.ground.versions import installed
 from jaxclear.laws import contact, friction, material, stiffness, wear
 from jaxclear.laws.material import Material
 from jaxclear.multibody.assemblies import assemblies
@@ -64,7 +60,7 @@ from jaxclear.multibody.magnitudes import UnusualMagnitude
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results import response
 from jaxclear.results.pointing_error import pointing_error
-from jaxclear.results.saved_state import State
+from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.simulate import SimulationError, simulate
@@ -74,7 +70,6 @@ from jaxclear.studies import distribution, limit_state
 from jaxclear.studies.advice import PilotSettings, advise
 from jaxclear.studies.base import AbstractProblem, AbstractVariable
 from jaxclear.studies.campaign.campaign import campaign, open_campaign
-from jaxclear.studies.condition import Condition, Heating
 from jaxclear.studies.design import catalogue, cost, limit
 from jaxclear.studies.design.design import design, design_front
 from jaxclear.studies.design.settings import DesignSettings
@@ -96,7 +91,12 @@ from jaxclear.studies.statistics.sobol_indices import sobol_indices
 from jaxclear.studies.surface.correction import corrected
 from jaxclear.studies.surface.surface import surface
 from jaxclear.studies.sweep import sweep
-from jaxclear.studies.variable import AbstractMechanismVariable, Variable
+from jaxclear.studies.variable import (
+    AbstractMechanismVariable,
+    Condition,
+    Heating,
+    Variable,
+)
 from jaxclear.studies.worst_case import worst_case
 
 from jaxclear import scenes  # isort: skip

@@ -16,8 +16,8 @@ from benchmarks.attacks.kept import keep, known
 from benchmarks.attacks.structures import structures
 from benchmarks.attacks.verdicts import Verdict
 from benchmarks.claims import extremes
-from jaxclear.integrators.figures import Checks
-from jaxclear.integrators.promise import REFERENCE, RUNGE_KUTTA
+from jaxclear.integrators.base import REFERENCE, RUNGE_KUTTA
+from jaxclear.integrators.checks import Checks
 from jaxclear.laws.friction import AbstractForceFriction
 
 

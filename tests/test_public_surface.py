@@ -119,8 +119,8 @@ INNER = {
 }
 # A folder of samples remembers its problem by one.
 INNER |= {"RecordedProblem", "StateGroup"}
-# A mechanism that does not say how its loops are held.
-INNER |= {"AsNeeded"}
+# What problems of a mechanism have in common.
+INNER |= {"AbstractMechanismProblem"}
 
 
 def family_classes():

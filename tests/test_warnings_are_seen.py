@@ -7,9 +7,8 @@ import pytest
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.commands.reported import report_warnings
-from jaxclear.integrators.checks import Check
-from jaxclear.integrators.figures import Checks, Figure
+from jaxclear.commands.study import report_warnings
+from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.plot.canvas import canvas, captioned
 from jaxclear.results.pointing_error import pointing_error
 

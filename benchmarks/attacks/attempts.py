@@ -20,7 +20,7 @@ import jaxclear as jc
 from benchmarks.attacks import answers, rungs, verdicts
 from benchmarks.attacks.bearings import Case
 from benchmarks.attacks.verdicts import Verdict
-from jaxclear.integrators.promise import Promise
+from jaxclear.integrators.base import Promise
 from jaxclear.multibody.system import prepare
 from jaxclear.simulation.wear import unworn
 

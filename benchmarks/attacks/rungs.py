@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jaxclear as jc
 from benchmarks.attacks.bearings import Case
 from benchmarks.attacks.numbers import Draw
-from jaxclear.integrators.promise import STUDIES, Promise
+from jaxclear.integrators.base import STUDIES, Promise
 from jaxclear.studies.usual_integrator import usual_integrator
 
 I = jc.integrator  # noqa: E741

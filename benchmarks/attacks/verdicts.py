@@ -1,6 +1,6 @@
 """Whether a run's answers are right, said to be doubtful, undecidable, or silently wrong.
 
-A rung that says nothing is held to what its integrator promises (`jaxclear.integrators.promise`);
+A rung that says nothing is held to what its integrator promises (`jaxclear.integrators.base`);
 the book's page on accuracy shows this table. It is that of the model the rung has.
 """
 
@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.integrators import promise
+from jaxclear.integrators import base
 from jaxclear.integrators.checks import Check
-from jaxclear.integrators.promise import Promise
-from jaxclear.results.abstract_response import REACHES
+from jaxclear.integrators.base import Promise
+from jaxclear.results.response import REACHES
 
 
 # Of every rung: the limit beyond which a run warns of it.
@@ -29,14 +29,14 @@ PARTS = {
 }
 # Of every kind of rung, as the book names it.
 PROMISES = {
-    "Adaptive": promise.REFERENCE,
-    "Adaptive, loose": promise.LOOSE,
-    "default of studies": promise.STUDIES,
-    "FixedStep rk4": promise.RUNGE_KUTTA,
-    "FixedStep order 1": promise.FIRST_ORDER,
-    "ImplicitStep": promise.IMPLICIT,
-    "MoreauJean": promise.RIGID,
-    "NonColliding": promise.PERMANENT,
+    "Adaptive": base.REFERENCE,
+    "Adaptive, loose": base.LOOSE,
+    "default of studies": base.STUDIES,
+    "FixedStep rk4": base.RUNGE_KUTTA,
+    "FixedStep order 1": base.FIRST_ORDER,
+    "ImplicitStep": base.IMPLICIT,
+    "MoreauJean": base.RIGID,
+    "NonColliding": base.PERMANENT,
 }
 
 

@@ -25,7 +25,7 @@ import numpy as np
 import jaxclear as jc
 from benchmarks.claims.slopes import bouncing
 from benchmarks.measure import arguments, report, sign
-from jaxclear.studies import batch
+from jaxclear.studies.ledger import batch
 
 SIZES = (1, 64, 4096, 16384)
 # Seconds after which no larger batch is asked for.

@@ -12,7 +12,6 @@ from typing import Any
 import jaxclear as jc
 from benchmarks.measure import arguments, report
 from jaxclear.errors.accuracy import of_run
-from jaxclear.errors.choice import RK4, TSIT5
 from jaxclear.simulation.simulate import How, chosen_for
 from jaxclear.studies.usual_integrator import usual_integrator
 from tests.rigs.accuracy_asked import CASES, Case, share_off, truth
@@ -31,7 +30,7 @@ def usual(name: str, case: Case, exact: Any) -> dict[str, Any]:
     given = {"save": case.saves, "balance": True, "verify": False}
     run = jc.simulate(rig, case.duration, integrator=integrator, **given)
     kind = type(integrator).__name__
-    evaluations = {"FixedStep": RK4, "Adaptive": TSIT5}.get(kind, 3)
+    evaluations = integrator.evaluations(rig)
     step = integrator.asked_step()
     chosen = kind if step is None else f"{kind}({float(step):.3g})"
     return {

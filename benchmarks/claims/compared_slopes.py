@@ -23,7 +23,7 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.measure import arguments, report, sign
-from jaxclear.integrators import moreau_jean, trust
+from jaxclear.integrators import derivative_error, moreau_jean
 from jaxclear.simulation import derivatives
 
 STEPS, REFERENCES = (1e-6, 5e-6, 2e-5, 1e-4), (1e-7, 2e-7)
@@ -36,9 +36,9 @@ ROUNDING = 1e-9
 # By what is refused: the share of a slope by which other steps may tell it to be off, and the
 # share of the gap to which errors of places may have grown.
 RULES = {
-    "with other steps": (derivatives.TRUSTED, trust.TRUSTED_IMPACTS),
-    "growth alone": (math.inf, trust.TRUSTED_IMPACTS),
-    "growth alone, a fifth of it": (math.inf, trust.TRUSTED_IMPACTS / 5),
+    "with other steps": (derivatives.TRUSTED, derivative_error.TRUSTED_IMPACTS),
+    "growth alone": (math.inf, derivative_error.TRUSTED_IMPACTS),
+    "growth alone, a fifth of it": (math.inf, derivative_error.TRUSTED_IMPACTS / 5),
 }
 
 
@@ -204,7 +204,7 @@ def refused_by(compared: float, grown: float) -> Iterator[None]:
     """Programs that are traced in here refuse slopes by these shares."""
     with (
         patch.multiple(derivatives, TRUSTED=compared),
-        patch.multiple(trust, TRUSTED_IMPACTS=grown),
+        patch.multiple(derivative_error, TRUSTED_IMPACTS=grown),
     ):
         yield
 

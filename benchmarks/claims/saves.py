@@ -26,7 +26,7 @@ from jaxclear.native import explain
 from jaxclear.simulation.initial_state import beginning
 from jaxclear.simulation.loop import run
 from jaxclear.simulation.simulate import is_all_kernel
-from jaxclear.results.saved_state import State
+from jaxclear.results.state_history import State
 
 RUNGS = {
     "FixedStep(2e-5)": jc.integrator.FixedStep(2e-5),

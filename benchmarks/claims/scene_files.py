@@ -10,7 +10,7 @@ import equinox as eqx
 
 import jaxclear as jc
 from benchmarks.measure import arguments, report, side_by_side, sign
-from jaxclear.files.scene_file import scene_text
+from jaxclear.files.scene import scene_text
 from tests.files.test_malformed_files import run_mutations
 from tests.files.test_model_import import PUBLIC
 from tests.rigs.mujoco_trees import ROBOTS, largest_difference

@@ -18,8 +18,8 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.trade.questions import Question
-from jaxclear.ground.in_words import as_typed
-from jaxclear.studies.batch import evaluate_all
+from jaxclear.ground.shown import as_typed
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import draw
 
 COPIES, BATCH = 3, 16

@@ -2,23 +2,27 @@
 for both drives.
 
 Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
+
+Figures of the antenna study: motion by joint model, stick and slip by friction law, errors of
+the tip, its path in space.
 """
 
-import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas
+from matplotlib.figure import Figure
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.commands import antenna_figures as draw
-from jaxclear.commands.reported import report_warnings
+from jaxclear.commands.study import StudyFolder, report_warnings
 from jaxclear.ground.table import as_table
+from jaxclear.plot.canvas import captioned, warned
+from jaxclear.results.pointing_error import PointingError, shift, turn
+from jaxclear.results.trajectory import Trajectory
 from jaxclear.scenes.antenna import BASE, BEARING_RADIUS, HOLD, JOINTS, KINDS, TIP, antenna
-
-__all__ = ["friction_runs", "friction_table", "motion_table", "study"]
 
 # Step of the runs [s]; benchmarks/claims/antenna.py shows what it costs in accuracy.
 STEP = 1e-3
@@ -86,8 +90,7 @@ def friction_table(runs: dict[str, Any]) -> pandas.DataFrame:
 
 def study(folder: Path, duration: float = 4.0) -> None:
     """Runs everything and writes it to `folder`; `duration` [s] of the periodic drive."""
-    begun = time.perf_counter()
-    folder.mkdir(parents=True, exist_ok=True)
+    kept = StudyFolder(folder)
     print("periodic drive: ideal, planar and spatial joints", flush=True)
     periodic = {kind: _simulate(kind, "periodic", duration) for kind in reversed(KINDS)}
     print("step drive: Coulomb's law and two regularised ones", flush=True)
@@ -98,19 +101,14 @@ def study(folder: Path, duration: float = 4.0) -> None:
         "step": jc.pointing_error(stepped[COULOMB], TIP, BASE),
     }
     tables = _tables(periodic, stepped, found)
-    for name, table in tables.items():
-        table.to_csv(folder / f"{name}.csv", index=False)
+    kept.write_tables(**tables)
     for name in ("motion", "stick_slip"):
         print(f"\n{tables[name]}", flush=True)
     for drive, error in found.items():
         print(f"\n{drive} drive: {error.sentence()}")
     figures = _figures(periodic, stepped, found)
-    for name, figure in figures.items():
-        figure.savefig(folder / f"{name}.png", dpi=130)
-    print(
-        f"\n{len(figures)} figures and {len(tables)} tables in {folder.resolve()}, "
-        f"{time.perf_counter() - begun:.0f} s"
-    )
+    kept.write_figures(**figures)
+    print(f"\n{kept.sentence()}")
 
 
 def _tables(periodic: dict, stepped: dict, found: dict) -> dict[str, pandas.DataFrame]:
@@ -123,10 +121,178 @@ def _tables(periodic: dict, stepped: dict, found: dict) -> dict[str, pandas.Data
 def _figures(periodic: dict, stepped: dict, found: dict) -> dict[str, Any]:
     spatial, error = periodic["spatial"], found["periodic"]
     figures = {
-        "motion": draw.motion(periodic),
-        "stick_slip": draw.stick_slip(stepped, "J1", BEARING_RADIUS, CLOSE),
-        "errors": draw.errors(found),
-        "tip_path": draw.tip_path(spatial, error, periodic["ideal"], EXAGGERATION),
+        "motion": motion_figure(periodic),
+        "stick_slip": stick_slip_figure(stepped, "J1", BEARING_RADIUS, CLOSE),
+        "errors": errors_figure(found),
+        "tip_path": tip_path_figure(spatial, error, periodic["ideal"], EXAGGERATION),
     }
     budgets = {f"pointing_budget_{drive}": plot.pointing_budget(e) for drive, e in found.items()}
     return figures | budgets
+
+
+MILLI = 1e3
+STYLES = {"ideal": ("k", "--"), "planar": ("C0", "-"), "spatial": ("C3", "-")}
+# Difference of model and exact error below which nothing is drawn on a logarithmic axis, relative
+# to the largest.
+FLOOR = 1e-6
+
+
+def motion_figure(runs: Mapping[str, Trajectory]) -> Figure:
+    """Angle of both joints over time, and the speed, for every joint model; below, how far the
+    angles are from the ideal ones.
+    """
+    figure = Figure(figsize=(10.0, 8.0), layout="constrained")
+    axes = figure.subplots(3, 2, sharex=True)
+    for column, joint in enumerate(JOINTS):
+        ideal = np.asarray(runs["ideal"].coordinate(joint))
+        for kind, run in runs.items():
+            colour, line = STYLES[kind]
+            angle, speed = (np.asarray(read(joint)) for read in (run.coordinate, run.speed))
+            axes[0][column].plot(
+                run.time, angle, color=colour, ls=line, lw=1.3, label=f"{kind} joints"
+            )
+            axes[1][column].plot(run.time, speed, color=colour, ls=line, lw=1.3)
+            if kind != "ideal":
+                axes[2][column].plot(run.time, np.abs(angle - ideal), color=colour, lw=1.3)
+        axes[0][column].set_title(f"{joint}")
+        axes[2][column].set_xlabel("time [s]")
+        axes[2][column].set_yscale("log")
+        axes[2][column].set_ylim(bottom=1e-5)
+    for row, label in enumerate(("angle [rad]", "speed [rad/s]", "off the ideal angle [rad]")):
+        axes[row][0].set_ylabel(label)
+    figure.legend(*axes[0][0].get_legend_handles_labels(), ncols=3, loc="outside lower center")
+    return warned(figure, runs)
+
+
+def stick_slip_figure(
+    runs: Mapping[str, Trajectory], joint: str, radius: float, close: tuple[float, float]
+) -> Figure:
+    """Slip speed, acceleration and friction of a joint by friction law; right, the same over the
+    interval `close` [s].
+    """
+    figure = Figure(figsize=(11.0, 8.5), layout="constrained")
+    axes = figure.subplots(3, 2, sharex="col")
+    for number, (label, run) in enumerate(runs.items()):
+        time, speed = np.asarray(run.time), np.asarray(run.speed(joint))
+        acceleration = np.diff(speed) / np.diff(time)
+        friction = np.asarray(run.contact(joint).traction).sum(1)[1:]
+        style = {"color": f"C{number}", "lw": 1.6 if number == 0 else 1.0, "zorder": 3 - number}
+        for column in (0, 1):
+            axes[0][column].plot(time, MILLI * radius * speed, label=label, **style)
+            axes[1][column].plot(time[1:], acceleration, **style)
+            axes[2][column].plot(time[1:], friction, **style)
+    first = next(iter(runs.values()))
+    time, speed = np.asarray(first.time), np.asarray(first.speed(joint))
+    held = np.abs(speed) * radius < STUCK
+    held[0] = False
+    for axis in axes.flat:
+        _shade(axis, time, held)
+    for axis in axes[:, 1]:
+        _fit(axis, (time > close[0]) & (time < close[1]))
+        axis.set_xlim(*close)
+        axis.axhline(0.0, color="0.6", lw=0.6, zorder=1)
+    for row, text in enumerate(("slip speed [mm/s]", "acceleration [rad/s²]", "friction [N]")):
+        axes[row][0].set_ylabel(text)
+    for axis in axes[-1]:
+        axis.set_xlabel("time [s]")
+    axes[0][0].set_title(f"{joint}; grey: sticks by Coulomb's law")
+    axes[0][1].set_title("close up")
+    lines = axes[0][0].get_legend_handles_labels()
+    figure.legend(*lines, ncols=len(runs), fontsize=9, loc="outside lower center")
+    return warned(figure, runs)
+
+
+def _shade(axis, time, held):
+    """Grey where `held`, over the whole height of the axis."""
+    low, high = axis.get_ylim()
+    whole = axis.get_xaxis_transform()
+    axis.fill_between(time, 0, 1, where=held, color="0.88", transform=whole, zorder=0, lw=0)
+    axis.set_ylim(low, high)
+
+
+def _fit(axis, inside):
+    """Limits that show the first two curves where time is `inside`."""
+    values = np.concatenate(
+        [line.get_ydata()[inside[-len(line.get_ydata()) :]] for line in axis.lines[:2]]
+    )
+    low, high = values.min(), values.max()
+    axis.set_ylim(low - 0.15 * (high - low), high + 0.15 * (high - low))
+
+
+def errors_figure(found: Mapping[str, PointingError]) -> Figure:
+    """Pointing and position error of the tip over time by drive: exact, by the adjoint model, and
+    their difference.
+    """
+    figure = Figure(figsize=(11.0, 6.5), layout="constrained")
+    axes = figure.subplots(2, len(found), sharex="col")
+    for column, (drive, error) in enumerate(found.items()):
+        beyond = error.model - error.exact
+        # At the start no force is known yet, so nothing leans.
+        time = error.time[1:]
+        for axis, exact, size, unit in (
+            (axes[0][column], error.pointing_angle, turn, "mrad"),
+            (axes[1][column], error.position_error, shift, "mm"),
+        ):
+            axis.plot(time, MILLI * exact[1:], color="0.6", lw=3.0, label="exact")
+            axis.plot(time, MILLI * size(error.model)[1:], "k--", lw=1.0, label="adjoint model")
+            axis.plot(time, MILLI * size(beyond)[1:], color="C3", lw=1.0, label="their difference")
+            axis.set_yscale("log")
+            axis.set_ylim(bottom=MILLI * max(size(beyond)[1:].min(), FLOOR * exact.max()))
+            axis.set_ylabel(f"{'pointing' if unit == 'mrad' else 'position'} error [{unit}]")
+        axes[0][column].set_title(f"{drive} drive")
+        axes[1][column].set_xlabel("time [s]")
+    figure.legend(*axes[0][0].get_legend_handles_labels(), ncols=3, loc="outside lower center")
+    said = [f"Warning ({drive}): {w}" for drive, error in found.items() for w in error.warnings]
+    return captioned(figure, said)
+
+
+def tip_paths(run: Trajectory, error: PointingError) -> tuple[np.ndarray, np.ndarray]:
+    """(ideal, actual) path of the tip in the satellite's axes [m]: with ideal joints at the run's
+    coordinates, and as the journals lean."""
+    base, link = run.body(BASE), run.body(TIP.body)
+    turned = np.asarray(base.rotation)
+    place = np.asarray(run.marker(TIP).position) - np.asarray(base.origin)
+    ideal = np.einsum("tji,tj->ti", turned, place)
+    frame = np.asarray(link.rotation) @ np.array(
+        [[float(x) for x in row] for row in TIP.pose().rotation]
+    )
+    linear, angular = error.exact[:, :3], error.exact[:, 3:]
+    # The exponential of the twist moves the origin by this to second order in the angle.
+    moved = linear + 0.5 * np.cross(angular, linear)
+    return ideal, ideal + np.einsum("tji,tjk,tk->ti", turned, frame, moved)
+
+
+def tip_path_figure(
+    run: Trajectory, error: PointingError, nominal: Trajectory, scale: float
+) -> Figure:
+    """Path of the tip in space, seen from the satellite: of the ideal mechanism, of this run with
+    ideal joints, and as its journals lean, drawn `scale` times as far from it."""
+    figure = Figure(figsize=(9.0, 7.5), layout="constrained")
+    axis = figure.add_subplot(projection="3d")
+    base = nominal.body(BASE)
+    away = np.asarray(nominal.marker(TIP).position) - np.asarray(base.origin)
+    frictionless = np.einsum("tji,tj->ti", np.asarray(base.rotation), away)
+    ideal, actual = tip_paths(run, error)
+    exaggerated = (ideal + scale * (actual - ideal))[1:]
+    axis.plot(*frictionless.T, color="0.6", ls="--", lw=1.2, label="ideal mechanism, no friction")
+    axis.plot(*ideal.T, color="k", lw=1.2, label="ideal joints, same angles")
+    axis.plot(
+        *exaggerated.T,
+        color="C3",
+        lw=1.2,
+        label=f"actual, its departure drawn {scale:g} times as large",
+    )
+    axis.scatter(*ideal[0], color="k", s=25)
+    axis.text(*ideal[0], "  start", fontsize=9)
+    for name, setter in zip(
+        "xyz", (axis.set_xlabel, axis.set_ylabel, axis.set_zlabel), strict=True
+    ):
+        setter(f"{name} [m]", labelpad=10)
+    axis.locator_params(nbins=4)
+    points = np.concatenate([frictionless, ideal, exaggerated])
+    sides = np.ptp(points, axis=0)
+    axis.set_box_aspect(np.maximum(sides, 0.2 * sides.max()), zoom=0.85)
+    axis.legend(loc="upper left", fontsize=9)
+    largest = MILLI * np.linalg.norm(actual - ideal, axis=1).max()
+    axis.set_title(f"Path of the tip seen from the satellite (largest departure {largest:.2f} mm)")
+    return warned(figure, {"": run, "ideal": nominal})

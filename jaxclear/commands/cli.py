@@ -15,12 +15,10 @@ import jax
 
 import jaxclear as jc
 from jaxclear.commands import antenna, design, flap, four_bar, guide, parallel_3rsr, wear_life
-from jaxclear.commands.examples import example
-from jaxclear.commands.own_scene import monte_carlo, parameters, run
-from jaxclear.commands.report.command import report
-from jaxclear.studies.store import OtherStudy
-
-__all__ = ["answer"]
+from jaxclear.commands.own_scene import example, monte_carlo, parameters, run
+from jaxclear.commands.report import report
+from jaxclear.studies.ledger.ledger import OtherStudy
+from jaxclear.studies.ledger.pieces import Unwritable
 
 STUDIES = {
     "four-bar": four_bar,
@@ -54,7 +52,7 @@ def answer(name: str, options: dict[str, Any]) -> None:
         given["show"] = not given.pop("quiet")
     try:
         COMMANDS[name](**given)
-    except (jc.SimulationError, OtherStudy) as error:
+    except (jc.SimulationError, OtherStudy, Unwritable) as error:
         raise click.ClickException(str(error)) from None
 
 

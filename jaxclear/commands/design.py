@@ -2,12 +2,11 @@
 clearances against its pointing error, the four-bar's clearance and links against worn depth and
 follower error at once.
 
-Writes figures (PNG), tables (CSV) and stores (Zarr) into a folder, from which an interrupted design
+Writes figures (PNG), tables (CSV) and stores into a folder, from which an interrupted design
 goes on, and prints what it found.
 """
 
 import math
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,10 +15,10 @@ import numpy as np
 
 import jaxclear as jc
 from jaxclear import plot
+from jaxclear.commands.four_bar import PLACES
+from jaxclear.commands.study import StudyFolder
 from jaxclear.scenes.antenna import BASE, JOINTS, TIP, antenna
 from jaxclear.scenes.four_bar import four_bar
-
-__all__ = ["QUESTIONS", "Asked", "antenna_question", "four_bar_question", "study"]
 
 # Clearances may be no smaller than this [m] in the worst case: room for oil and heat; assumed.
 LEAST_CLEARANCE = 10e-6
@@ -86,31 +85,24 @@ def four_bar_question() -> Asked:
     against worn depth and follower error after a turn, mean and two deviations of both. Contact is
     compliant, so that depth comes from forces."""
     ideal = jc.simulate(four_bar("ideal"), TURN, save=WEAR_SAVES).body("follower").com
-    places: dict[str, Callable] = {
-        "clearance": lambda rig: rig.connections["B"].joint.clearance,
-        "crank length": lambda rig: rig.connections["A"].parent.at[0],
-        "coupler length": lambda rig: rig.connections["B"].parent.at[0],
-        "follower length": lambda rig: rig.connections["B"].child.at[0],
-        "ground length": lambda rig: rig.connections["D"].parent.at[0],
-    }
     problem = jc.Problem(
         four_bar("planar", 100e-6),
         {
             "worn depth": jc.response.PeakWornDepth("B"),
             "follower error": jc.response.PositionError("follower", ideal, axes=(0, 1)),
         },
-        {name: jc.Variable(where, tolerance=20e-6) for name, where in places.items()},
+        {name: jc.Variable(where, tolerance=20e-6) for name, where in PLACES.items()},
         duration=TURN,
         save=WEAR_SAVES,
     )
-    cost = {n: jc.cost.Reciprocal(b) for n, b in zip(places, (BORE, *LINK), strict=True)}
+    cost = {n: jc.cost.Reciprocal(b) for n, b in zip(PLACES, (BORE, *LINK), strict=True)}
     limits = [
         jc.limit.MeanAndDeviation("worn depth", at_most=DEPTH, deviations=2),
         jc.limit.MeanAndDeviation("follower error", at_most=FOLLOWER, deviations=2),
         jc.limit.WorstCase("clearance", at_least=LEAST_CLEARANCE),
     ]
     choices = {
-        "tolerance": dict.fromkeys(places, TOLERANCES),
+        "tolerance": dict.fromkeys(PLACES, TOLERANCES),
         "nominal": {"clearance": CLEARANCES},
     }
     return Asked(problem, cost, limits, choices)
@@ -122,29 +114,22 @@ QUESTIONS = {"antenna": antenna_question, "four-bar": four_bar_question}
 def study(scene: str, folder: Path, accuracy: float = 5e-3, show: bool = True) -> None:
     """Designs a scene and writes what it finds to `folder`; `accuracy` [1] of its limits, `show`:
     progress bars."""
-    begun = time.perf_counter()
-    folder.mkdir(parents=True, exist_ok=True)
+    kept = StudyFolder(folder, f"{scene}_")
     asked = QUESTIONS[scene]()
     options = {"settings": jc.DesignSettings(allowed_excess=accuracy), "progress_bar": show}
     found = asked.designed(store=folder / f"{scene}_store", **options)
     print(f"{scene}\n{found}\n", flush=True)
     tables = {"design": found.table(), "limits": found.limit_table(), "history": found.history()}
-    for name, table in tables.items():
-        table.to_csv(folder / f"{scene}_{name}.csv", index=False)
-        if name != "design":
-            print(f"{table}\n")
+    kept.write_tables(**tables)
+    for name in ("limits", "history"):
+        print(f"{tables[name]}\n")
     bounds = [share * float(asked.limits[0].bound()) for share in FRONT]
     front = jc.design_front(
         asked.problem, asked.cost, asked.limits, bounds, **asked.choices, **options
     )
     for bound, one in zip(bounds, front, strict=True):
-        kept = "holds" if one.holds else "does not hold"
-        print(f"{asked.limits[0].words()} {bound:.4g}: cost {one.cost:.4g}, {kept}")
-    figures = {"design": plot.design(found), "front": plot.design_front(front)}
-    for name, figure in figures.items():
-        figure.savefig(folder / f"{scene}_{name}.png", dpi=130)
+        stands = "holds" if one.holds else "does not hold"
+        print(f"{asked.limits[0].words()} {bound:.4g}: cost {one.cost:.4g}, {stands}")
+    kept.write_figures(design=plot.design(found), front=plot.design_front(front))
     spared = np.ptp([one.cost for one in front])
-    print(
-        f"\nBetween the ends of the front lies {spared:.3g} of cost. {len(figures)} figures and "
-        f"{len(tables)} tables in {folder.resolve()}, {time.perf_counter() - begun:.0f} s"
-    )
+    print(f"\nBetween the ends of the front lies {spared:.3g} of cost. {kept.sentence()}")

@@ -4,7 +4,6 @@ the shaft beside that of ideal joints, and who carries most as the lever ratio c
 Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
 """
 
-import time
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +13,10 @@ from matplotlib.figure import Figure
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.commands.reported import report_warnings
+from jaxclear.commands.study import StudyFolder, report_warnings
 from jaxclear.ground.table import as_table
 from jaxclear.plot.canvas import MILLI, canvas, warned
 from jaxclear.scenes.flap import JOINTS, flap
-
-__all__ = ["study"]
 
 # Steps that resolve the stiff dampers: at twice their length runs warn of creep.
 STEP = 1e-6
@@ -155,8 +152,7 @@ def ratio_figure(table: pandas.DataFrame) -> Figure:
 
 def study(folder: Path, duration: float = 0.5, show: bool = True) -> None:
     """Runs everything and writes it to `folder`; `duration` [s], `show`: progress bars."""
-    begun = time.perf_counter()
-    folder.mkdir(parents=True, exist_ok=True)
+    kept = StudyFolder(folder)
     clear = simulated(flap(), duration, show)
     ideal = jc.simulate(flap("ideal"), duration, save=len(clear.time))
     report_warnings({"four joints with clearance": clear, "ideal": ideal})
@@ -166,22 +162,16 @@ def study(folder: Path, duration: float = 0.5, show: bool = True) -> None:
         "lever_ratio": over_ratio(),
         "lasting_contact": lasting_contact(clear, ideal),
     }
-    for name, table in tables.items():
-        table.to_csv(folder / f"{name}.csv", index=False)
+    kept.write_tables(**tables)
     spent = tables["modes"].assign(time=lambda rows: rows["to [s]"] - rows["from [s]"])
     shares = spent.pivot_table("time", "joint", "mode", "sum", 0.0) / duration
     print(f"share of the time in each mode\n{shares.to_string(float_format='%.3f')}\n")
     for name in ("lever_ratio", "lasting_contact"):
         print(f"{tables[name]}\n")
-    figures = {
-        "modes": plot.modes(clear),
-        "forces": forces_figure(clear),
-        "shaft": shaft_figure(clear, ideal, tables["lasting_contact"]),
-        "lever_ratio": ratio_figure(tables["lever_ratio"]),
-    }
-    for name, figure in figures.items():
-        figure.savefig(folder / f"{name}.png", dpi=130)
-    print(
-        f"{len(figures)} figures and {len(tables)} tables in {folder.resolve()}, "
-        f"{time.perf_counter() - begun:.0f} s"
+    kept.write_figures(
+        modes=plot.modes(clear),
+        forces=forces_figure(clear),
+        shaft=shaft_figure(clear, ideal, tables["lasting_contact"]),
+        lever_ratio=ratio_figure(tables["lever_ratio"]),
     )
+    print(kept.sentence())

@@ -4,7 +4,7 @@ lengths, and derivatives.
 Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
 """
 
-import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +13,9 @@ import pandas
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.commands.reported import report_samples, report_warnings
+from jaxclear.commands.study import StudyFolder, report_samples, report_warnings
 from jaxclear.ground.table import as_table
 from jaxclear.scenes.four_bar import BEARING_LENGTH, CLEARANCES, four_bar
-
-__all__ = ["paper_runs", "problem", "run_table", "study"]
 
 LARGEST = CLEARANCES[-1]
 # The follower's error is that in the plane of the mechanism; along the bearing's axis the journal
@@ -32,6 +30,16 @@ UNSHOWN = ("standard deviation", "5 %", "median", "95 %")
 TURN = 2 * np.pi / 10.0
 # Tolerances of the study (half of the allowed variation) [m]; assumed, of a usual machining grade.
 CLEARANCE_TOLERANCE, LENGTH_TOLERANCE = 20e-6, 20e-6
+# Where clearance and lengths of links stand.
+LINKS: dict[str, Callable] = {
+    "crank length": lambda rig: rig.connections["A"].parent.at[0],
+    "coupler length": lambda rig: rig.connections["B"].parent.at[0],
+    "follower length": lambda rig: rig.connections["B"].child.at[0],
+    "ground length": lambda rig: rig.connections["D"].parent.at[0],
+}
+PLACES: dict[str, Callable] = {
+    "clearance": lambda rig: rig.connections["B"].joint.clearance
+} | LINKS
 # The tilted journal's scar is a millimetre long, a thirtieth of its bearing.
 CELLS, EDGE = (144, 320), 1e-3
 
@@ -53,20 +61,8 @@ def problem(duration: float, saves: int, clearance: float = LARGEST) -> jc.Probl
     ideal = jc.simulate(four_bar("ideal"), duration, save=saves)
     report_warnings({"the ideal mechanism": ideal})
     reference = ideal.body("follower").com
-    length = {
-        "crank length": lambda rig: rig.connections["A"].parent.at[0],
-        "coupler length": lambda rig: rig.connections["B"].parent.at[0],
-        "follower length": lambda rig: rig.connections["B"].child.at[0],
-        "ground length": lambda rig: rig.connections["D"].parent.at[0],
-    }
-    variables = {
-        "clearance": jc.Variable(
-            lambda rig: rig.connections["B"].joint.clearance, tolerance=CLEARANCE_TOLERANCE
-        )
-    }
-    variables |= {
-        name: jc.Variable(where, tolerance=LENGTH_TOLERANCE) for name, where in length.items()
-    }
+    tolerances = {"clearance": CLEARANCE_TOLERANCE} | dict.fromkeys(LINKS, LENGTH_TOLERANCE)
+    variables = {n: jc.Variable(PLACES[n], tolerance=own) for n, own in tolerances.items()}
     return jc.Problem(
         four_bar("spatial", clearance, cells=CELLS),
         {
@@ -122,41 +118,35 @@ def study(
     """Runs everything and writes it to `folder`: runs of `duration` [s], a Monte Carlo over `turns`
     of the crank; `show`: progress bars.
     """
-    begun = time.perf_counter()
-    folder.mkdir(parents=True, exist_ok=True)
+    kept = StudyFolder(folder)
     runs = paper_runs(duration, round(duration * SAVES_PER_SECOND) + 1)
     table = run_table(runs)
-    table.to_csv(folder / "runs.csv", index=False)
+    kept.write_tables(runs=table)
     _show(table.drop(columns="result"))
     question = problem(TURN * turns, round(SAVES_PER_TURN * turns) + 1)
-    sample = _monte_carlo(question, samples, folder, show)
+    sample = _monte_carlo(question, samples, kept, show)
     print("derivatives with respect to clearance", flush=True)
     pairs = max(16, samples // 2)
     answers = jc.sensitivity(
         question, "clearance", sample=sample, difference_samples=pairs, progress_bar=show
     )
-    answers.table().to_csv(folder / "sensitivity.csv")
+    kept.write_tables(sensitivity=answers.table().reset_index())
     _print_derivatives(answers)
     figures = _run_figures(runs)
     figures |= {"monte_carlo": plot.monte_carlo(sample), "sensitivity": plot.sensitivity(answers)}
-    for name, figure in figures.items():
-        figure.savefig(folder / f"{name}.png", dpi=130)
-    print(
-        f"\n{len(figures)} figures and 4 tables in {folder.resolve()}, "
-        f"{time.perf_counter() - begun:.0f} s"
-    )
+    kept.write_figures(**figures)
+    print(f"\n{kept.sentence()}")
 
 
 def _show(table: pandas.DataFrame) -> None:
     print(f"\n{table}\n", flush=True)
 
 
-def _monte_carlo(question: jc.Problem, samples: int, folder: Path, show: bool) -> Any:
+def _monte_carlo(question: jc.Problem, samples: int, kept: StudyFolder, show: bool) -> Any:
     turns = question.duration / TURN
     print(f"Monte Carlo, {samples} samples over {turns:g} turn(s) of the crank", flush=True)
     sample = jc.monte_carlo(question, samples, progress_bar=show)
-    sample.table().to_csv(folder / "monte_carlo.csv", index=False)
-    sample.summary().to_csv(folder / "monte_carlo_summary.csv", index=False)
+    kept.write_tables(monte_carlo=sample.table(), monte_carlo_summary=sample.summary())
     # The files hold every error; the screen that of the mean.
     _show(sample.summary().drop(columns=[f"{name} error" for name in UNSHOWN]))
     report_samples(sample)

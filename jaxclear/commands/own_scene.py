@@ -1,22 +1,208 @@
 """What the command line does with a scene file: a run of it, a campaign over what varies of it, a
-list of its numbers; and files of ready scenes to begin with.
+list of its numbers, what is kept of these in a folder; and files of ready scenes to begin with.
 """
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator
+import json
+import math
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
+import pandas
+from matplotlib.figure import Figure
 
 import jaxclear as jc
-from jaxclear.commands.kept_run import keep, keep_positions
-from jaxclear.commands.reported import report_samples, report_warnings
+from jaxclear import plot
+from jaxclear.commands.study import DOTS_PER_INCH, report_samples, report_warnings
+from jaxclear.files.scene import scene_text
+from jaxclear.ground.datasets import told_versions
+from jaxclear.ground.table import as_table
+from jaxclear.plot.canvas import canvas, key, readable, warned
+from jaxclear.plot.overview import draw_forces
+from jaxclear.scenes.antenna import BASE, TIP
 
-__all__ = ["monte_carlo", "parameters", "run"]
+DATA, JOINTS, SCENE, TOLD = "run.nc", "joints.csv", "scene.yaml", "run.json"
+STANDING, PLACES = "positions.nc", "positions.csv"
+# Lines in one figure; more would not be told apart.
+MOST_LINES = 8
 
-SCENE = "scene.yaml"
+
+def keep(scene: jc.Scene, run: jc.Trajectory, folder: Path, name: str) -> pandas.DataFrame:
+    """Writes a run to a folder; its table of joints."""
+    folder.mkdir(parents=True, exist_ok=True)
+    table = joint_table(run)
+    if len(table):
+        table.to_csv(folder / JOINTS, index=False)
+    for title, figure in _figures(run).items():
+        figure.savefig(folder / f"{title}.png", dpi=DOTS_PER_INCH)
+    data = run.to_dataset(flat=True)
+    data.to_netcdf(folder / DATA, engine="scipy")
+    told = {"result": run.result, "warnings": list(run.warnings), "checks": str(run)}
+    _tell(scene, folder, {"title": f"Run of {name}", **told})
+    return table
+
+
+def keep_positions(scene: jc.Scene, found: Any, folder: Path, name: str) -> pandas.DataFrame:
+    """Writes where a mechanism stands to a folder; a table of it, a row for each position."""
+    folder.mkdir(parents=True, exist_ok=True)
+    data = found.to_dataset()
+    columns = {}
+    for what in data.data_vars:
+        own = data[what]
+        if own.dims == ("position",) and what != "found":
+            columns[f"{what} [{own.units}]"] = own.values
+        elif own.dims == ("position", "axis"):
+            columns |= {
+                f"{what} {axis} [{own.units}]": own.values[:, i] for i, axis in enumerate("xyz")
+            }
+    table = as_table(columns)
+    table.to_csv(folder / PLACES, index=False)
+    plot.positions(found).savefig(folder / "positions.png", dpi=DOTS_PER_INCH)
+    data.to_netcdf(folder / STANDING, engine="scipy")
+    sentence = f"The mechanism stands at {len(table)} positions."
+    told = {"result": sentence, "warnings": [], "checks": sentence}
+    _tell(scene, folder, {"title": f"Positions of {name}", **told})
+    return table
+
+
+def _tell(scene: jc.Scene, folder: Path, told: dict[str, Any]) -> None:
+    """Keeps the scene, how it ended, and by which versions."""
+    jc.write_scene(scene, folder / SCENE)
+    text = json.dumps(told | {"versions": told_versions()}, indent=1)
+    (folder / TOLD).write_text(text, encoding="utf-8")
+
+
+def joint_table(run: jc.Trajectory) -> pandas.DataFrame:
+    """A row for each joint with clearance: its forces and wear, contact at the saving times."""
+    rows = []
+    for name in run.formulation.contact_joints(run.mechanism):
+        contact = run.contact(name)
+        force = np.asarray(contact.normal_force).sum(axis=1)
+        row = {
+            "joint": name,
+            "mean normal force [N]": float(jc.response.MeanContactForce(name)(run)),
+            "peak normal force of a contact [N]": float(jc.response.PeakContactForce(name)(run)),
+            "share of saves in contact [1]": (force > 0).mean(),
+            "largest indentation [um]": 1e6 * float(np.asarray(contact.indentation).max()),
+        }
+        for surface in run.worn.get(name, {}):
+            row[f"worn depth of the {surface} [um]"] = 1e6 * float(
+                np.asarray(run.worn_depth(name, surface)).max()
+            )
+        rows.append(row)
+    return as_table(rows)
+
+
+def _figures(run: jc.Trajectory) -> dict[str, Figure]:
+    """Figures by the names of their files."""
+    joints = run.formulation.contact_joints(run.mechanism)
+    found = {"motion": _motion(run)}
+    if joints:
+        found["contact_forces"] = _forces(run, joints)
+        found["modes"] = plot.modes(run)
+    for joint, surfaces in run.worn.items():
+        for surface in surfaces:
+            found[f"wear_of_{joint}_{surface}"] = plot.wear_unrolled(run, joint, surface)
+    return found
+
+
+def _motion(run: jc.Trajectory) -> Figure:
+    """Places of the bodies' centres of mass over time, an axis for each direction that they move
+    in."""
+    places = {
+        name: np.asarray(run.body(name).com) for name in list(run.mechanism.bodies)[:MOST_LINES]
+    }
+    moved = [i for i in range(3) if any(np.ptp(own[:, i]) > 0 for own in places.values())] or [0]
+    figure, axes = canvas(len(moved), 1, (8.0, 2.3 * len(moved)), sharex=True, squeeze=False)
+    for axis, direction in zip(axes[:, 0], moved, strict=True):
+        own = {name: place[:, direction] for name, place in places.items()}
+        factor, unit = readable(np.concatenate(list(own.values())), "m")
+        for name, values in own.items():
+            axis.plot(run.time, factor * values, lw=1.0, label=name)
+        axis.set_ylabel(f"{'xyz'[direction]} [{unit}]")
+    axes[-1, 0].set_xlabel("time [s]")
+    axes[0, 0].set_title("Centres of mass")
+    key(axes[0, 0])
+    return warned(figure, {"": run})
+
+
+def _forces(run: jc.Trajectory, joints: Any) -> Figure:
+    """Normal force of every joint with clearance over time."""
+    figure, axes = canvas(
+        len(joints), 1, (8.0, 0.8 + 1.9 * len(joints)), sharex=True, squeeze=False
+    )
+    for axis, joint in zip(axes[:, 0], joints, strict=True):
+        draw_forces(axis, run, joint)
+        key(axis)
+    axes[-1, 0].set_xlabel("time [s]")
+    axes[0, 0].set_title("Normal force in the joints with clearance")
+    return warned(figure, {"": run})
+
+
+# Half of the allowed variation [m]; assumed, of a usual machining grade.
+GRADE = 20e-6
+
+
+def _place(where: Callable) -> jc.Variable:
+    return jc.Variable(where, tolerance=GRADE)
+
+
+def _planar(rig: jc.Mechanism, length: str, responses: dict[str, Any], **settings: Any) -> jc.Scene:
+    """A scene in which the clearance of joint "B" and where it sits on its first body vary."""
+    places = {
+        "clearance": _place(lambda rig: rig.connections["B"].joint.clearance),
+        length: _place(lambda rig: rig.connections["B"].parent.at[0]),
+    }
+    return jc.Scene(rig, variables=places, responses=responses, **settings)
+
+
+EXAMPLES = {
+    "slider-crank": lambda: _planar(
+        jc.scenes.slider_crank(),
+        "rod length",
+        {
+            "mean force": jc.response.MeanContactForce("B"),
+            "peak force": jc.response.PeakContactForce("B"),
+        },
+        duration=0.126,
+        save=253,
+        description="Slider-crank at 50 rad/s with 0.2 mm of clearance between rod and slider.",
+    ),
+    "four-bar": lambda: _planar(
+        jc.scenes.four_bar("planar"),
+        "coupler length",
+        {
+            "worn depth": jc.response.PeakWornDepth("B"),
+            "mean force": jc.response.MeanContactForce("B"),
+        },
+        duration=2 * math.pi / 10.0,
+        save=501,
+        description="Four-bar that wears in the joint between coupler and follower, one turn.",
+    ),
+    "antenna": lambda: jc.Scene(
+        jc.scenes.antenna("spatial", 100e-6),
+        duration=1.0,
+        save=101,
+        integrator=jc.integrator.NonColliding(1e-3),
+        variables={
+            f"{name} clearance": _place(
+                lambda rig, name=name: rig.connections[name].joint.clearance
+            )
+            for name in ("J1", "J2")
+        },
+        responses={"pointing error": jc.response.PointingAngle(TIP, BASE)},
+        description="Antenna on a satellite, a period of its drive; joints always in contact.",
+    ),
+}
+
+
+def example(name: str) -> None:
+    """Prints the scene file of a ready mechanism."""
+    click.echo(scene_text(EXAMPLES[name]()), nl=False)
 
 
 @contextlib.contextmanager
@@ -108,6 +294,6 @@ def monte_carlo(
 def _remember(scene: Path, folder: Path) -> None:
     """Keeps the scene beside its samples, once there are any."""
     kept = folder / SCENE
-    if folder.is_dir() and any(folder.glob("*.zarr")) and not kept.exists():
+    if folder.is_dir() and any(folder.iterdir()) and not kept.exists():
         with contextlib.suppress(ValueError):
             jc.write_scene(jc.read_scene(scene), kept)

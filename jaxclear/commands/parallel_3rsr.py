@@ -5,7 +5,6 @@ difference as the clearance vanishes, worn volume over the drive angle, and the 
 Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
 """
 
-import time
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +15,10 @@ from matplotlib.figure import Figure
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.commands.reported import report_warnings
+from jaxclear.commands.study import StudyFolder, report_warnings
 from jaxclear.ground.table import as_table
 from jaxclear.plot.canvas import MICRO, MILLI, canvas, warned
 from jaxclear.scenes.parallel_3rsr import PAPER, QUIET, RATTLING, parallel_3rsr, usual_drive
-
-__all__ = ["study"]
 
 REGIMES = {"paper": PAPER, "quiet": QUIET, "rattling": RATTLING}
 CLEARANCES = (5e-4, 5e-5, 5e-6)
@@ -164,8 +161,7 @@ def volume_figure(table: pandas.DataFrame) -> Figure:
 
 def study(folder: Path, cycles: int = 40, show: bool = True) -> None:
     """Runs everything and writes it to `folder`; `cycles` of wear, `show`: progress bars."""
-    begun = time.perf_counter()
-    folder.mkdir(parents=True, exist_ok=True)
+    kept = StudyFolder(folder)
     rigs = {name: parallel_3rsr("one", period=period) for name, period in REGIMES.items()}
     clear = {name: simulated(rig, DENSE * REGIMES[name], show=show) for name, rig in rigs.items()}
     ideal = {name: ideal_run(period) for name, period in REGIMES.items()}
@@ -185,8 +181,7 @@ def study(folder: Path, cycles: int = 40, show: bool = True) -> None:
         "clearance": over_clearance(force(ideal["quiet"])),
         "volume": volumes(many, cycles),
     }
-    for name, table in tables.items():
-        table.to_csv(folder / f"{name}.csv", index=False)
+    kept.write_tables(**tables)
     for name in ("deviations", "clearance"):
         print(f"{tables[name]}\n")
     deepest, touched = float(depth.max()), float((depth > 0.01 * depth.max()).mean())
@@ -201,9 +196,5 @@ def study(folder: Path, cycles: int = 40, show: bool = True) -> None:
         "socket": plot.wear_surface(many, "S1", "socket"),
         "socket_unrolled": plot.wear_unrolled(many, "S1", "socket"),
     }
-    for name, figure in figures.items():
-        figure.savefig(folder / f"{name}.png", dpi=130)
-    print(
-        f"{len(figures)} figures and {len(tables)} tables in {folder.resolve()}, "
-        f"{time.perf_counter() - begun:.0f} s"
-    )
+    kept.write_figures(**figures)
+    print(kept.sentence())

@@ -1,12 +1,11 @@
 """The wear of a life from one command: a four-bar whose bearing wears as lubricated steel does, its
 settled cycle, depth and forces over a million cycles, the groove that it digs.
 
-Writes figures (PNG), tables (CSV) and a store (Zarr) into a folder, from which an interrupted life
+Writes figures (PNG), tables (CSV) and a store into a folder, from which an interrupted life
 goes on, and prints what it found.
 """
 
 import math
-import time
 from pathlib import Path
 
 import equinox as eqx
@@ -17,12 +16,10 @@ from matplotlib.figure import Figure
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.commands.reported import report_warnings
+from jaxclear.commands.study import StudyFolder, report_warnings
 from jaxclear.plot.canvas import MICRO, canvas, captioned, shades
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.studies.life.result import WearLife
-
-__all__ = ["study"]
 
 # Assumed: steel in oil. The paper's coefficient is a thousand times larger, to see wear in seconds.
 WEAR_COEFFICIENT = 2e-5
@@ -75,8 +72,7 @@ def groove_figure(life: WearLife) -> Figure:
 def study(folder: Path, cycles: float = 1e6, tolerance: float = 1e-2, show: bool = True) -> None:
     """Runs everything and writes it to `folder`; `tolerance` [1] of the depth, `show`: a progress
     bar."""
-    begun = time.perf_counter()
-    folder.mkdir(parents=True, exist_ok=True)
+    kept = StudyFolder(folder)
     problem = asked()
     settled = jc.settled(problem)
     print(f"{settled}\n", flush=True)
@@ -85,15 +81,8 @@ def study(folder: Path, cycles: float = 1e6, tolerance: float = 1e-2, show: bool
     )
     print(life.sentence())
     report_warnings({"life": life})
-    tables = {"settled": settled.table(), "life": life.table()}
-    for name, table in tables.items():
-        table.to_csv(folder / f"{name}.csv", index=False)
+    kept.write_tables(settled=settled.table(), life=life.table())
     print(f"\n{life.table()}\n")
     print(life.until("depth", TOLD * float(life.over_life("depth")[-1])))
-    figures = {"life": plot.wear_life(life), "groove": groove_figure(life)}
-    for name, figure in figures.items():
-        figure.savefig(folder / f"{name}.png", dpi=130)
-    print(
-        f"{len(figures)} figures, {len(tables)} tables and a store in {folder.resolve()}, "
-        f"{time.perf_counter() - begun:.0f} s"
-    )
+    kept.write_figures(life=plot.wear_life(life), groove=groove_figure(life))
+    print(kept.sentence("a store"))

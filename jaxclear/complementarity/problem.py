@@ -16,9 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxclear.ground.kinds import as_given
 from jaxclear.ground.outcome import AbstractOutcome
-from jaxclear.ground.quantity import AbstractQuantified
+from jaxclear.ground.quantity import AbstractQuantified, as_given
 from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.wording import described
 

@@ -1,27 +1,28 @@
-"""What a load or a drive asks of a function of time: it takes a time [s], traced by JAX, and
+r"""What a load or a drive asks of a function of time: it takes a time [s], traced by JAX, and
 returns so many numbers. Looked at once, when the load or drive is built.
+
+A function of time as a table: pieces of polynomials through given numbers.
+
+Between two times :math:`t_i` it is :math:`\sum_k c_k (t - t_i)^k`, with coefficients of scipy's
+interpolators, worked out once when the table is built.
 """
 
 import math
 from abc import abstractmethod
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
-from jaxclear.ground.given_functions import asked, shape_of
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, as_vector
-from jaxclear.ground.wording import described, public_name
-
-__all__ = [
-    "AbstractFunctionOfTime",
-    "check_function_of_time",
-    "number_or_function",
-    "one_or_more_or_function",
-    "value_at",
-    "vector_or_function",
-]
+from jaxclear.ground.arguments import check_known
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, as_vector, quantity
+from jaxclear.ground.warning import asked, shape_of
+from jaxclear.ground.wording import described, public_name, unknown
 
 
 class AbstractFunctionOfTime(AbstractQuantified):
@@ -82,3 +83,247 @@ def number_or_function(value: Any) -> Any:
 def value_at(value: Any, time: Any) -> Any:
     """A number, or what its function gives at a time [s]."""
     return value(time) if callable(value) else value
+
+
+INTERPOLATIONS = ("cubic", "monotone", "linear")
+BEYOND = ("held", "straight", "repeated")
+# Largest file of a table [bytes].
+LARGEST = 64_000_000
+# A speed [1/s of the largest value over the whole time] that counts as rest at an end.
+REST = 1e-6
+
+
+class TimeTable(AbstractFunctionOfTime):
+    """A function of time through a table of numbers, for a drive or a load.
+
+    `times` (n,) [s], rising; `values` (n,) or (n, columns), in the unit of what the table serves.
+    `interpolation`: "cubic" (a spline, two continuous derivatives), "monotone" (PCHIP: no
+    overshoot, one continuous derivative) or "linear". `beyond` the first and last time it is "held"
+    there, goes "straight" on, or is "repeated". `factor` [1] multiplies it. JAX differentiates it
+    by time, `factor` and, where it is not monotone, by `values`. Between two times stands a
+    polynomial with `coefficients` [unit of the values/s^k]; `areas` [s times that unit] are its
+    integrals. Raises `ValueError` for a table that is none. A drive refuses one that jumps in its
+    speed.
+
+    Source of "monotone": Fritsch & Butland 1984, SIAM J. Sci. Stat. Comput. 5, 300,
+    doi:10.1137/0905021.
+    """
+
+    times: Float[Array, " n"]
+    values: Float[Array, "n ..."]
+    coefficients: Float[Array, "4 pieces ..."]
+    areas: Float[Array, "n ..."]
+    factor: Scalar = quantity(1.0, "1", "factor of all values")
+    interpolation: str = eqx.field(static=True, default="cubic")
+    beyond: str = eqx.field(static=True, default="held")
+
+    def __init__(
+        self,
+        times: Any,
+        values: Any,
+        interpolation: str = "cubic",
+        *,
+        beyond: str = "held",
+        factor: Any = 1.0,
+    ):
+        check_known("interpolation of a TimeTable", interpolation, INTERPOLATIONS)
+        check_known("way beyond a TimeTable", beyond, BEYOND)
+        known = _known_times(times)
+        values = _checked(values, known, beyond)
+        self.times, self.values, self.factor = jnp.asarray(known), values, factor
+        self.interpolation, self.beyond = interpolation, beyond
+        self.coefficients = _coefficients(known, values, interpolation, beyond)
+        steps = _along(np.diff(known), values)
+        gained = sum(c * steps ** (k + 1) / (k + 1) for k, c in enumerate(self.coefficients))
+        self.areas = jnp.concatenate([jnp.zeros_like(values[:1]), jnp.cumsum(gained, axis=0)])
+
+    @classmethod
+    def sampled(
+        cls,
+        function: Callable[[Any], Any],
+        times: Any,
+        interpolation: str = "cubic",
+        **further: Any,
+    ) -> "TimeTable":
+        """The table of a function of time at `times` [s]: how a function of one's own becomes data.
+        `further`: `beyond`, `factor`."""
+        at = jnp.asarray(_known_times(times))
+        values = jax.vmap(lambda time: jnp.asarray(function(time), float))(at)
+        return cls(at, values, interpolation, **further)
+
+    @classmethod
+    def from_csv(
+        cls, path: Any, time: str, values: Any, interpolation: str = "cubic", **further: Any
+    ) -> "TimeTable":
+        """The table in columns of a CSV file with a line of names: `time` [s], and `values`, one
+        name or several. `further`: `beyond`, `factor`. Raises `ValueError` with a sentence."""
+        names = [values] if isinstance(values, str) else list(values)
+        columns = _columns(Path(path), [time, *names])
+        found = np.stack(columns[1:], axis=-1) if not isinstance(values, str) else columns[1]
+        return cls(columns[0], found, interpolation, **further)
+
+    def __call__(self, time: Scalar) -> Any:
+        time, whole, _ = self._within(time)
+        index, s = self._piece(whole)
+        a, b, c, d = (self.coefficients[k, index] for k in range(4))
+        found = a + s * (b + s * (c + s * d))
+        if self.beyond == "straight":
+            found = found + (time - whole) * (b + s * (2 * c + 3 * s * d))
+        return self.factor * found
+
+    def integral(self, time):
+        def area(at):
+            at, whole, turns = self._within(at)
+            index, s = self._piece(whole)
+            a, b, c, d = (self.coefficients[k, index] for k in range(4))
+            found = self.areas[index] + s * (a + s * (b / 2 + s * (c / 3 + s * d / 4)))
+            if self.beyond == "repeated":
+                return found + turns * self.areas[-1]
+            past, end = at - whole, a + s * (b + s * (c + s * d))
+            found = found + past * end
+            if self.beyond == "held":
+                return found
+            return found + 0.5 * past * past * (b + s * (2 * c + 3 * s * d))
+
+        return self.factor * (area(time) - area(0.0))
+
+    def check_motion(self):
+        if self.interpolation == "linear":
+            raise ValueError(
+                'a drive is given a TimeTable that is "linear": its speed jumps at every time of '
+                'the table; take interpolation="cubic" or "monotone".'
+            )
+        if self.beyond == "straight" or isinstance(self.coefficients, jax.core.Tracer):
+            return
+        scale = float(jnp.max(jnp.abs(self.values)) / (self.times[-1] - self.times[0]))
+        first, last = (float(speed) for speed in self._end_speeds())
+        if self.beyond == "repeated" and abs(first - last) > REST * scale:
+            raise ValueError(
+                "a drive is given a TimeTable that is repeated, and its speeds at both ends "
+                'differ; take interpolation="cubic", which makes them one.'
+            )
+        if self.beyond == "held" and max(abs(first), abs(last)) > REST * scale:
+            raise ValueError(
+                "a drive is given a TimeTable that is held beyond its ends, where it moves: its "
+                'speed would jump. Take beyond="straight" or "repeated", or let the table end at '
+                "rest."
+            )
+
+    def _end_speeds(self) -> tuple[Any, Any]:
+        """Rates at the first and the last time."""
+        _, b, c, d = self.coefficients
+        step = self.times[-1] - self.times[-2]
+        return b[0], b[-1] + step * (2 * c[-1] + 3 * step * d[-1])
+
+    def _within(self, time: Any) -> tuple[Any, Any, Any]:
+        """A time, the one within the table that it is read at, and the whole turns between."""
+        time = jnp.asarray(time, float)
+        first, last = self.times[0], self.times[-1]
+        if self.beyond != "repeated":
+            return time, jnp.clip(time, first, last), 0.0
+        turns = jnp.floor((time - first) / (last - first))
+        return time, time - turns * (last - first), turns
+
+    def _piece(self, time: Any) -> tuple[Any, Any]:
+        """The piece in which a time lies, and how far [s]."""
+        last = len(self.times) - 2
+        index = jnp.zeros((), int)
+        # Bisection, one number of the table at a time: kernels read long arrays so.
+        for power in reversed(range(last.bit_length())):
+            further = jnp.minimum(index + (1 << power), last)
+            index = jnp.where(self.times[further] <= time, further, index)
+        return index, time - self.times[index]
+
+
+def _along(steps: np.ndarray, values: Any) -> Any:
+    """Numbers of the pieces beside those of the columns."""
+    return jnp.asarray(steps).reshape(-1, *[1] * (values.ndim - 1))
+
+
+def _known_times(times: Any) -> np.ndarray:
+    try:
+        found = np.asarray(times, float)
+    except (TypeError, ValueError, jax.errors.TracerArrayConversionError):
+        found = np.zeros(0)
+    if found.ndim != 1 or len(found) < 2 or not np.all(np.isfinite(found)):
+        raise ValueError(
+            f"times of a TimeTable are {described(times)}; they must be two or more finite numbers "
+            "[s]."
+        )
+    if np.any(np.diff(found) <= 0):
+        raise ValueError("times of a TimeTable must rise, each above the one before.")
+    return found
+
+
+def _checked(values: Any, times: np.ndarray, beyond: str) -> Array:
+    """The values as an array, one row for each time."""
+    try:
+        found = jnp.asarray(values, float)
+    except (TypeError, ValueError):
+        found = jnp.zeros(())
+    if found.ndim not in (1, 2) or len(found) != len(times):
+        raise ValueError(
+            f"values of a TimeTable are {described(values)}; there must be one, or one row, for "
+            f"each of its {len(times)} times."
+        )
+    if isinstance(found, jax.core.Tracer):
+        return found
+    if not np.all(np.isfinite(found)):
+        raise ValueError("values of a TimeTable must be finite.")
+    if beyond == "repeated" and not np.allclose(found[0], found[-1], rtol=1e-9, atol=0.0):
+        raise ValueError(
+            "a TimeTable that is repeated must end with the value with which it begins."
+        )
+    return found
+
+
+def _coefficients(times: np.ndarray, values: Array, interpolation: str, beyond: str) -> Array:
+    """Coefficients of the pieces (4, pieces, ...), rising powers."""
+    from scipy import interpolate
+
+    if interpolation == "linear":
+        slopes = jnp.diff(values, axis=0) / _along(np.diff(times), values)
+        return jnp.stack([values[:-1], slopes, jnp.zeros_like(slopes), jnp.zeros_like(slopes)])
+    traced = isinstance(values, jax.core.Tracer)
+    if interpolation == "monotone":
+        if traced:
+            raise ValueError(
+                "a monotone TimeTable is not differentiated by its values; take a cubic one."
+            )
+        return jnp.asarray(interpolate.PchipInterpolator(times, np.asarray(values)).c[::-1])
+    ends = "periodic" if beyond == "repeated" else "not-a-knot"
+    if not traced:
+        numbers = np.array(values)
+        if beyond == "repeated":
+            numbers[-1] = numbers[0]
+        return jnp.asarray(interpolate.CubicSpline(times, numbers, bc_type=ends).c[::-1])
+    # Splines are linear in their values: those of the unit vectors.
+    unit = np.eye(len(times))
+    if beyond == "repeated":
+        unit[-1] = unit[0]
+    per_value = jnp.asarray(interpolate.CubicSpline(times, unit, bc_type=ends).c[::-1])
+    return jnp.tensordot(per_value, values, axes=1)
+
+
+def _columns(path: Path, names: list[str]) -> list[np.ndarray]:
+    """Columns of a CSV file by name."""
+    import pandas
+
+    if not path.is_file():
+        raise ValueError(f"the table {path.name} is no file; give the path of a CSV file.")
+    if path.stat().st_size > LARGEST:
+        raise ValueError(f"the table {path.name} is larger than {LARGEST} bytes.")
+    try:
+        table = pandas.read_csv(path, skipinitialspace=True, encoding="utf-8-sig")
+    except (ValueError, UnicodeDecodeError, pandas.errors.ParserError) as error:
+        said = str(error).strip().splitlines()[0].rstrip(".")
+        raise ValueError(f"the table {path.name} cannot be read: {said}.") from None
+    found = []
+    for name in names:
+        if name not in table.columns:
+            raise ValueError(unknown("column", name, list(table.columns), f" in {path.name}"))
+        try:
+            found.append(table[name].to_numpy(float))
+        except (TypeError, ValueError):
+            raise ValueError(f'column "{name}" of {path.name} holds what is no number.') from None
+    return found

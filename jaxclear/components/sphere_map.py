@@ -1,19 +1,299 @@
-"""Where a ball wears its socket: depth in azimuth and elevation. Cells share a loss as in
-`contact_patch`, all over the sphere alike, poles included."""
+"""Where a ball wears its socket: depth in azimuth and elevation, which cells a loss may overlap,
+how wide and deep it is there. Cells share a loss as in `contact_patch`, all over the sphere alike,
+poles included; quadratic B-splines read the map between their centres.
+"""
 
 import functools
+import math
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Float, Int
 
-from jaxclear.components.contact_patch import depth_lost, square_width
-from jaxclear.components.sphere_contact import Wall, loss_of
-from jaxclear.components.stencil import stencil
-from jaxclear.components.touched_cells import all_shared, taken_off
+from jaxclear.components.contact_patch import (
+    SHARPEST,
+    Elasticity,
+    Outline,
+    Patch,
+    Touched,
+    Way,
+    all_shared,
+    angle_touched,
+    arc,
+    arc_with_cell,
+    depth_lost,
+    depth_of,
+    entry,
+    point_contact,
+    point_sunk,
+    square_width,
+    taken_off,
+    way_of,
+)
 from jaxclear.components.wear_map import AbstractWearMap
+from jaxclear.ground.numerics import OFF_THE_TIES, arc_sine, direction_angle, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
+
+# Mean square of an angle [rad2] below which a direction has stood still: rounding is below.
+STILL = 1e-13
+
+
+# Half an arc, beside a cell, below which a contact's direction is taken as one along the wall, for
+# what tells it drowns in rounding; and below which cells do not resolve it, so that nothing real
+# hangs on how it changes.
+DROWNED, UNRESOLVED = 1e-4, 0.2
+
+
+class Wall(NamedTuple):
+    """A wall of so many `cells` of azimuth and elevation; radius and radial clearance [m]."""
+
+    cells: tuple[int, int]
+    radius: Scalar
+    clearance: Scalar
+
+    @property
+    def sides(self) -> tuple[float, float]:
+        """Of a cell at the equator, around and along [rad]."""
+        around, along = self.cells
+        return 2 * math.pi / around, math.pi / along
+
+    @property
+    def cell(self) -> float:
+        """The shorter side of a cell at the equator [rad]: a groove of that width is resolved where
+        it runs along the longer one."""
+        return min(self.sides)
+
+    def position(self, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """Where a direction (x, y, z) lies, in units of cells: azimuth, elevation."""
+        around, along = self.cells
+        azimuth = direction_angle(x, y)
+        elevation = direction_angle(safe_sqrt(x * x + y * y), z)
+        return azimuth * (around / (2 * jnp.pi)) - 0.5, (elevation / jnp.pi + 0.5) * along - 0.5
+
+    def rows(self) -> Float[np.ndarray, "along 3"]:
+        """Cosine and sine of the elevation of the centre of each row, area of its cells beside the
+        square of the radius."""
+        around, along = self.cells
+        angles = ((np.arange(along) + 0.5) / along - 0.5) * np.pi
+        bands = np.diff(np.sin(np.linspace(-np.pi / 2, np.pi / 2, along + 1)))
+        return np.stack([np.cos(angles), np.sin(angles), bands * (2 * np.pi / around)], axis=1)
+
+
+class Swept(NamedTuple):
+    """How a ball overlaps cells at most, as it goes through an arc of this `half` [rad]: across its
+    way as `nearest` tells, and less beyond the arc; cells lie `away` so far from the middle of that
+    and are so `long` in its direction [rad]."""
+
+    nearest: Outline
+    away: Array
+    half: Scalar
+    long: Array
+
+    @property
+    def cosine(self) -> Array | Scalar:
+        """As of an `Outline`."""
+        return self.nearest.cosine
+
+    def at(self, level: Scalar) -> tuple[Array, Array]:
+        """As of an `Outline`: means over what a cell has of the arc, and of the parabolas beyond
+        it."""
+        overlap, share = self.nearest.at(level)
+        width = safe_sqrt(2.0 * safe_divide(overlap, self.nearest.room))
+
+        def until(place):
+            inside = jnp.clip(place, -self.half, self.half)
+            beyond = jnp.clip(place - inside, -width, width)
+            covered = inside + beyond
+            return covered, covered - beyond * safe_divide(beyond, width) ** 2 / 3.0
+
+        first, last = until(self.away - 0.5 * self.long), until(self.away + 0.5 * self.long)
+        covered, filled = ((b - a) / self.long for a, b in zip(first, last, strict=True))
+        return overlap * filled, share * covered
+
+
+class Loss(NamedTuple):
+    """A volume [m3] that a `wall` loses to a ball that comes closest towards a direction of length
+    1 (0: without one), and goes through an arc of half that angle [rad] about it in the direction
+    of its `travel`, of length 1 or less where cells do not resolve the arc; its `load` before
+    anything is lost, and how deep it would sink into an unworn wall (`sunk`) [m]."""
+
+    wall: Wall
+    volume: Scalar
+    normal: Float[Array, "3"]
+    there: Array
+    travel: Float[Array, "3"]
+    half_arc: Scalar
+    load: Elasticity
+    sunk: Scalar
+
+    @property
+    def cells(self) -> tuple[int, int]:
+        """How many cells the wall has, azimuth and elevation."""
+        return self.wall.cells
+
+    def patch(self, places: Float[Array, "*cells 3"], depth: Array, area: Array) -> Patch:
+        """Cells in these directions, worn so deep [m], of this area [m2]; no start."""
+        x, y, z = (places[..., i] for i in range(3))
+        ahead, sideways = places @ self.normal, places @ self.travel
+        beside = safe_sqrt(ahead * ahead + sideways * sideways)
+        # A cell's sides, along the mean normal and along the travel.
+        wide, high = self.wall.sides
+        level = safe_sqrt(x * x + y * y)
+        pairs = (self.normal, ahead), (self.travel, sideways)
+        around = [wide * (x * way[1] - y * way[0]) for way, _ in pairs]
+        along = [high * safe_divide(way[2] - z * share, level) for way, share in pairs]
+
+        def extent(a, b):
+            """Of a cell, along a part of the one and one of the other, as two spreads add up."""
+            first, second = (a * side[0] + b * side[1] for side in (around, along))
+            return safe_sqrt(first * first + second * second)
+
+        a, b = safe_divide(ahead, beside), safe_divide(sideways, beside)
+        # Without a direction all are as near.
+        cosine = jnp.where(self.there, beside, 1.0)
+        away = jnp.where(self.there, direction_angle(ahead, jnp.abs(sideways)), 0.0)
+        room = self.wall.clearance + depth
+        nearest = Outline(cosine, room, self.wall.clearance * (0.5 * extent(a, b) + SHARPEST))
+        long = extent(-b, a) + SHARPEST
+        way = Way(away, nearest, arc_with_cell(self.half_arc, long), room)
+        outline = Swept(nearest, away, self.half_arc, long)
+        return Patch(outline, way, area, 1.0, 0.0, self.load)
+
+    def in_column(self, column: Int[Array, ""]) -> Float[Array, "2"]:
+        """Cosine and sine of its azimuth."""
+        return way_of(column, self.cells[0])
+
+    def cell(self, column: Float[Array, "2"], row: Int[Array, ""], depth: Scalar) -> Patch:
+        """One of them, worn so deep [m]."""
+        level, height, area = jax.lax.dynamic_slice(self.wall.rows(), (row, 0), (1, 3))[0]
+        place = jnp.stack([column[0] * level, column[1] * level, height])
+        return self.patch(place, depth, area * self.wall.radius * self.wall.radius)
+
+    def start(self, depth: Float[Array, "around along"]) -> Scalar:
+        """A level [m] near that of the ball and above it, on walls worn so deep [m]: in the middle
+        of its arc."""
+        around, along = self.cells
+        # Between two cells either rounding must choose the same.
+        off = OFF_THE_TIES - 0.5
+        place = (jnp.floor(each + off).astype(int) for each in self.wall.position(*self.normal))
+        column, row = place
+        there = entry(depth, (column % around, jnp.clip(row, 0, along - 1)))
+        return self.wall.clearance + there + self.sunk
+
+    def touched(self, level: Scalar) -> Touched:
+        """Cells that the ball may overlap at a level: of a cap about its mean direction."""
+        around, along = self.cells
+        # A cell that lies aslant of the travel is touched from as far as its diagonal.
+        diagonal = math.sqrt(2.0) * max(self.wall.sides)
+        reach = self.half_arc + angle_touched(level, diagonal, self.wall.clearance)
+        column, row = self.wall.position(*self.normal)
+        level = safe_sqrt(1.0 - self.normal[2] * self.normal[2])
+        # A cap that holds a pole lies on all columns.
+        beside = jnp.sin(jnp.minimum(reach, 0.5 * jnp.pi))
+        all_around = (beside >= level) | ~self.there
+        wide = arc_sine(jnp.where(all_around, 1.0, safe_divide(beside, level)))
+        wide, high = wide * (around / (2 * jnp.pi)), reach * (along / jnp.pi)
+        first = -jnp.floor(wide - column)
+        columns = jnp.where(all_around, around, jnp.floor(column + wide) - first + 1.0)
+        lower = jnp.where(self.there, jnp.maximum(-jnp.floor(high - row), 0.0), 0.0)
+        upper = jnp.where(self.there, jnp.minimum(jnp.floor(row + high), along - 1.0), along - 1.0)
+        counts = first, jnp.minimum(columns, around), lower, upper - lower + 1.0
+        return Touched(*(jnp.asarray(each).astype(int) for each in counts))
+
+
+def loss_of(wall: Wall, volume: Scalar, features: Float[Array, "9"]) -> Loss:
+    """What an event with these location features takes off a wall (see `SphereMap`)."""
+    mean, products, narrowness = features[:3], features[3:8], features[8]
+    length = safe_sqrt(jnp.sum(mean * mean))
+    normal = safe_divide(mean, length)
+    travel, share = _travel(normal, products, DROWNED * wall.cell)
+    half_arc = arc(length) * safe_sqrt(share)
+    square, unresolved = half_arc * half_arc, (UNRESOLVED * wall.cell) ** 2
+    held = jax.lax.stop_gradient(travel)
+    told = square / jnp.sqrt(square * square + unresolved * unresolved)
+    travel = held + jax.lax.stop_gradient(told) * (travel - held)
+    overlap = depth_of(safe_divide(1.0, narrowness), wall.cell, wall.clearance)
+    load = point_contact(overlap, wall.radius, wall.clearance, half_arc)
+    return Loss(
+        wall,
+        volume,
+        normal,
+        length > 0,
+        travel,
+        half_arc,
+        load,
+        point_sunk(volume + load.overlap, wall.radius, wall.clearance),
+    )
+
+
+def _travel(
+    normal: Float[Array, "3"], products: Float[Array, "5"], drowned: float
+) -> tuple[Array, Scalar]:
+    """(direction across the mean `normal` in which directions spread most, how much more there than
+    across it relative to both) from the mean products of their components. Where they spread by
+    little beside an angle at which they are `drowned` [rad], it is that `_along_the_wall`: the mean
+    over a cell that is taken in it is that of its pressure, whichever it is."""
+    xx, xy, xz, yy, yz = products
+    spread = jnp.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, 1.0 - xx - yy]])
+    across = jnp.eye(3) - jnp.outer(normal, normal)
+    spread = across @ spread @ across
+    both, more = _sum_and_difference(spread)
+    moves = both > STILL
+    some = _along_the_wall(normal)
+    # Cells with unlike sides would tell which way rounding points.
+    spread = jnp.where(moves, spread, 0.0) + drowned * drowned * jnp.outer(some, some)
+    of_both, of_more = _sum_and_difference(spread)
+    largest = spread - 0.5 * (of_both - of_more) * across
+    x, y, z = (largest[i, i] for i in range(3))
+    of_others = jnp.where(y >= z, largest[1], largest[2])
+    column = jnp.where((x >= y) & (x >= z), largest[0], of_others)
+    travel = safe_divide(column, safe_sqrt(jnp.sum(column * column)))
+    return travel, jnp.where(moves, safe_divide(more, both), 0.0)
+
+
+def _sum_and_difference(spread: Float[Array, "3 3"]) -> tuple[Scalar, Scalar]:
+    """Of the two spreads that a plane tensor has."""
+    both = jnp.trace(spread)
+    return both, safe_sqrt(2.0 * jnp.sum(spread * spread) - both * both)
+
+
+def _along_the_wall(normal: Float[Array, "3"]) -> Float[Array, "3"]:
+    """A direction of length 1 across a normal, in the plane of the two axes nearest to it."""
+    x, y, z = normal
+    zero = jnp.zeros_like(x)
+    first = jnp.abs(x) * OFF_THE_TIES >= jnp.abs(z)
+    way = jnp.where(first, jnp.stack([-y, x, zero]), jnp.stack([zero, -z, y]))
+    return safe_divide(way, safe_sqrt(jnp.sum(way * way)))
+
+
+def spline_weights(position: Float[Array, "..."]) -> tuple[Array, Float[Array, "... 3"]]:
+    """Index of the nearest cell and the weights of it and its neighbours, for a position in units
+    of cells.
+
+    Quadratic B-spline: continuous slope, weights add up to one.
+    """
+    nearest = jnp.round(position)
+    f = position - nearest
+    weights = jnp.stack([0.5 * (0.5 - f) ** 2, 0.75 - f * f, 0.5 * (0.5 + f) ** 2], axis=-1)
+    return nearest.astype(int), weights
+
+
+def stencil(
+    column: Float[Array, "..."], row: Float[Array, "..."], cells: tuple[int, ...]
+) -> tuple[Array, Array, Float[Array, "... 3 3"]]:
+    """(columns, rows, weights) of the nine cells about a position in units of cells. What falls
+    beyond an end is kept in the last row, so that nothing is lost.
+    """
+    nearest, across = spline_weights(column)
+    level, upwards = spline_weights(row)
+    offsets = jnp.arange(-1, 2)
+    columns = (nearest[..., None] + offsets) % cells[0]
+    rows = jnp.clip(level[..., None] + offsets, 0, cells[1] - 1)
+    weights = across[..., :, None] * upwards[..., None, :]
+    return columns[..., :, None], rows[..., None, :], weights
 
 
 class SphereMap(AbstractWearMap):

@@ -1,19 +1,235 @@
-"""Where a slider wears its guide, and a guide its slider: depth along the two flat walls of either.
-Cells share a loss as in `wall_contact`."""
+"""Where a slider wears its guide, and a guide its slider: depth along the two flat walls of either,
+by the face of a slider that one of its corners presses against the wall.
+
+The face is a straight line between its two corners, so on an unworn wall their overlaps tell that
+of every place between them. Pressure goes with the overlap, as of flat faces (Winkler's
+foundation), and each corner takes its share of it, as the line from 1 there to 0 at the other
+corner tells: both together press as the face does. Source: Johnson 1985, Contact Mechanics, section
+4.3, doi:10.1017/CBO9781139171731.
+
+A corner that moves while it wears leaves to each cell the mean of its pressures there over its way.
+The pressure is that after the loss, as in `contact_patch`.
+"""
 
 import functools
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from jaxclear.components.contact_patch import depth_lost
-from jaxclear.components.touched_cells import entry, through, with_entry, worn_in_turn
-from jaxclear.components.wall_contact import Wall, loss_of
+from jaxclear.components.contact_patch import (
+    LEAST_SHARE,
+    SHARPEST,
+    Elasticity,
+    Outline,
+    Touched,
+    depth_lost,
+    entry,
+    through,
+    with_entry,
+    worn_in_turn,
+)
 from jaxclear.components.wear_map import AbstractWearMap, mean_along
-from jaxclear.ground.numerics import positive_part
+from jaxclear.ground.numerics import positive_part, safe_divide
 from jaxclear.ground.quantity import Scalar, quantity
+
+# A tilted face overlaps a wall along so many cells at least, and any face by this share of the
+# clearance: 0.1 um at 0.1 mm, as rough as ground faces are. Of rigid parts nothing else is known.
+LEAST_CELLS, LEAST_OVERLAP = 2.0, 1e-3
+
+
+# Half of the shortest way [cells]: how long a shorter one is hangs on rounding.
+LEAST_WAY = 1e-2
+
+
+class Wall(NamedTuple):
+    """Two walls of so many `cells`; their length, the length of the `face` that wears them, breadth
+    of both, and gap beside a centred slider [m]."""
+
+    cells: tuple[int, int]
+    length: Scalar
+    face: Scalar
+    breadth: Scalar
+    clearance: Scalar
+
+    @property
+    def cell(self) -> Scalar:
+        """Length of a cell [m]."""
+        return self.length / self.cells[1]
+
+    @property
+    def area(self) -> Scalar:
+        """Of a cell [m2]."""
+        return self.breadth * self.cell
+
+    def place(self, row: Array) -> Array:
+        """Where the centres of cells lie, from the middle [m]."""
+        return self.length * ((row + 0.5) / self.cells[1] - 0.5)
+
+
+class Face(NamedTuple):
+    """A face that overlaps a wall by `depth` at its corner, and by `slope` less for every metre
+    from there, along a length [m]."""
+
+    depth: Scalar
+    slope: Scalar
+    length: Scalar
+
+    @property
+    def ends(self) -> tuple[Array, Array]:
+        """From which distance to which from the corner it overlaps [m]."""
+        crosses = jnp.abs(self.slope) * self.length > jnp.abs(self.depth)
+        there = positive_part(self.depth / jnp.where(crosses, self.slope, 1.0))
+        first = jnp.where(crosses & (self.slope < 0), there, 0.0)
+        return first, jnp.where(crosses & (self.slope > 0), there, self.length)
+
+    def overlap(self) -> Array:
+        """Integral of the overlap [m2]."""
+        first, last = self.ends
+        return (last - first) * (self.depth - 0.5 * self.slope * (first + last))
+
+    def share(self, first: Scalar, last: Scalar) -> Array:
+        """Integral [m2] of the overlap, times the corner's share, between two distances from it."""
+        least, most = self.ends
+        a, b = jnp.clip(first, least, most), jnp.clip(last, least, most)
+        linear = 0.5 * (self.slope + self.depth / self.length) * (a + b)
+        square = self.slope / (3.0 * self.length) * (a * a + a * b + b * b)
+        return positive_part((b - a) * (self.depth - linear + square))
+
+
+class WallCells(NamedTuple):
+    """Cells of a wall, worn so deep [m], `away` so far [m] from the middle of a corner's way of
+    this `half` [m], under a face of a `slope` and `length` [m]; `covered`: their share that the
+    face comes to; `outline`: how it overlaps them where it comes closest; the rest as in
+    `contact_patch.Patch`."""
+
+    away: Array
+    half: Scalar
+    slope: Scalar
+    length: Scalar
+    covered: Array
+    depth: Array
+    outline: Outline
+    area: Scalar
+    start: Scalar
+    elasticity: Elasticity
+
+    def overlapped(self, level: Scalar) -> tuple[Array, Array]:
+        """(mean over each cell of the overlap [m], its slope by the level) where the corner is at a
+        level [m]."""
+        overlap, share = self.outline.at(level)
+        return self.covered * overlap, self.covered * share
+
+    def pressures(self, volume: Scalar, level: Scalar) -> Array:
+        """What each cell loses beside the others, where the corner has come to a level [m]."""
+        overlap, _ = self.overlapped(level)
+        face = Face(level - self.depth, self.slope, self.length)
+        mean = face.share(self.away - self.half, self.away + self.half) / (2.0 * self.half)
+        own = volume * (mean + LEAST_SHARE * overlap)
+        return safe_divide(own * overlap, own + self.elasticity.root * overlap)
+
+
+class Loss(NamedTuple):
+    """A volume [m3] that one wall (`side` 0 or 1) loses to a corner at an `end` (-1 or 1) of a
+    face, which is at a `place` [m] from the walls' middle in the mean of its way, `half` [m] to
+    either side; `load` before anything is lost, and how deep the corner would sink into an unworn
+    wall (`sunk`) [m]; the face's `slope` towards its other corner."""
+
+    wall: Wall
+    volume: Scalar
+    side: Scalar
+    end: Scalar
+    place: Scalar
+    half: Scalar
+    slope: Scalar
+    load: Elasticity
+    sunk: Scalar
+
+    @property
+    def cells(self) -> tuple[int, int]:
+        """Two walls, and how many cells each has."""
+        return self.wall.cells
+
+    def in_column(self, column: Int[Array, ""]) -> None:
+        """Nothing."""
+
+    def cell(self, column: None, row: Array, depth: Array, start: Scalar = 0.0) -> WallCells:
+        """Cells in rows, worn so deep [m]; where their level is sought, from `start` [m]."""
+        wall, half, slope = self.wall, self.half, self.slope
+        face, cell = wall.face, wall.cell
+        away = self.end * (self.place - wall.place(row))
+        covered = _share((away + half) / cell) * _share((face + half - away) / cell)
+        nearest = jnp.clip(away - half, 0.0, face), jnp.clip(away + half, 0.0, face)
+        fallen = positive_part(slope) * nearest[0] - positive_part(-slope) * nearest[1]
+        rounding = 0.5 * jnp.abs(slope) * cell + SHARPEST * wall.clearance
+        outline = Outline(1.0, depth + fallen, rounding)
+        # As two spreads add up: over the way, and over the cell.
+        spread = jnp.sqrt(half * half + 0.25 * cell * cell)
+        parts = away, spread, slope, face, covered, depth, outline
+        return WallCells(*parts, wall.area, start, self.load)
+
+    def start(self, depth: Float[Array, "2 along"]) -> Scalar:
+        """A level [m] near that of the corner, on walls worn so deep [m]."""
+        # The cell that the corner has left behind.
+        row = self._row(self.place - 0.5 * self.end * self.wall.cell)
+        here = jnp.clip(jnp.round(_number(row)), 0, self.cells[1] - 1).astype(int)
+        return entry(depth, (jnp.asarray(self.side).astype(int), here)) + self.sunk
+
+    def touched(self, level: Scalar) -> Touched:
+        """Cells that the face comes to."""
+        far, near = self.wall.face + self.half, self.half
+        forward = self.end > 0
+        lower = self._row(self.place - jnp.where(forward, far, near))
+        upper = self._row(self.place + jnp.where(forward, near, far))
+        last = self.cells[1] - 1.0
+        # A cell is come to where its centre is less than half a cell away.
+        first = jnp.clip(jnp.floor(_number(lower + 0.5)), 0.0, last)
+        rows = jnp.clip(jnp.ceil(_number(upper - 0.5)), 0.0, last) - first + 1.0
+        found = self.side, 1.0, first, rows
+        return Touched(*(jnp.asarray(n).astype(int) for n in found))
+
+    def _row(self, place: Scalar) -> Scalar:
+        """A place [m] in units of cells."""
+        return (place / self.wall.length + 0.5) * self.cells[1] - 0.5
+
+
+def loss_of(wall: Wall, volume: Scalar, features: Float[Array, "6"]) -> Loss:
+    """What an event with these location features takes off walls (see `WallMap`)."""
+    middle, square, fall, indentation, side, end = features
+    # What is spread evenly to either side has a third of the square of its half as variance.
+    half = jnp.sqrt(3.0 * positive_part(square - middle * middle) + (LEAST_WAY * wall.cell) ** 2)
+    slope = fall / wall.face
+    least = LEAST_CELLS * wall.cell * positive_part(slope) + LEAST_OVERLAP * wall.clearance
+    face = Face(jnp.maximum(indentation, least), slope, wall.face)
+    deepest = face.depth + positive_part(-fall)
+    overlap = wall.breadth * (face.overlap() + 2.0 * half * deepest)
+    load = Elasticity(face.depth, overlap, wall.breadth * face.share(0.0, wall.face))
+    sunk = _sunk((volume + overlap) / wall.breadth, wall.face, half, slope)
+    place = middle + 0.5 * end * wall.face
+    return Loss(wall, volume, side, end, place, half, slope, load, sunk)
+
+
+def _sunk(area: Scalar, face: Scalar, half: Scalar, slope: Scalar) -> Scalar:
+    """How deep [m] a corner sinks into an unworn wall that its face overlaps by an area [m2] along
+    its way."""
+    falls, rises = positive_part(slope), positive_part(-slope)
+    whole = 2.0 * half + face
+    tilted = area < falls * (0.5 * face + 2.0 * half) * face
+    root = jnp.sqrt(4.0 * half * half + 2.0 * area / jnp.where(tilted, falls, 1.0))
+    flat = area + 0.5 * falls * face * face - rises * (0.5 * face + 2.0 * half) * face
+    return jnp.where(tilted, 2.0 * area / (2.0 * half + root), flat / whole)
+
+
+def _share(distance: Array) -> Array:
+    """Share of a cell that lies beyond a line, which is so many cells beyond its centre."""
+    return jnp.clip(distance + 0.5, 0.0, 1.0)
+
+
+def _number(row: Array) -> Array:
+    """A row to begin with, also where there is none."""
+    return jnp.where(jnp.isfinite(row), row, 0.0)
 
 
 class WallMap(AbstractWearMap):

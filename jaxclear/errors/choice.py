@@ -17,14 +17,13 @@ import numpy as np
 from jaxclear.errors.estimates import richardson
 from jaxclear.errors.verification import DOUBT
 from jaxclear.formulations.contact_rates import contact_rates
-from jaxclear.ground.in_words import as_typed
+from jaxclear.ground.shown import as_typed
 from jaxclear.integrators.adaptive import Adaptive
-from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.fixed_step import USUAL_STEP, FixedStep
 from jaxclear.integrators.implicit_step import ImplicitStep
 from jaxclear.integrators.moreau_jean import MoreauJean
 from jaxclear.integrators.non_colliding import NonColliding
-from jaxclear.integrators.stepping import SLIVER
 from jaxclear.multibody.mechanism import Mechanism
 
 # Share of 1 / rate of a contact that the first steps have: near where rk4 is stable at all.

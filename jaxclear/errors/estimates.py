@@ -16,8 +16,8 @@ from jaxtyping import Bool, Float
 from jaxclear.errors.observables import named
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
-from jaxclear.integrators.promise import PART_OF, Promise
-from jaxclear.results.abstract_response import needs_of
+from jaxclear.integrators.base import PART_OF, Promise
+from jaxclear.results.response import needs_of
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.results.verification import AbstractVerification, Estimate, Unverified
 

@@ -23,9 +23,8 @@ from jaxclear.errors.accuracy import Asked, Seen
 from jaxclear.errors.estimates import HALF, QUARTER, Failed, Verified, richardson
 from jaxclear.errors.observables import parted
 from jaxclear.ground.quantity import concrete, is_traced
-from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.events import Events
-from jaxclear.integrators.stepping import SLIVER
 from jaxclear.multibody.reach import narrowest
 from jaxclear.native import stoppable
 from jaxclear.results.trajectory import Trajectory

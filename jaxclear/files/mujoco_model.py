@@ -13,8 +13,6 @@ import numpy as np
 from jaxclear.ground.arguments import check_flags
 from jaxclear.ground.wording import described, listed
 
-__all__ = ["Compiled", "compiled"]
-
 # Of mjtJoint; slides and hinges come after balls.
 FREE, SPHERICAL, SLIDE = 0, 1, 2
 # Where a URDF begins, and what has MuJoCo keep what is only seen of it.

@@ -14,8 +14,6 @@ import jax
 from jaxclear.ground.wording import described, unknown
 from jaxclear.multibody.mechanism import Mechanism
 
-__all__ = ["NumberPlaces", "check_numbers", "places_in_words", "steps_of"]
-
 STEP = re.compile(r'\.?([A-Za-z_]\w*)|\[("(?:[^"\\]|\\.)*")\]|\[(\d{1,6})\]')
 PREFIX = "mechanism."
 

@@ -1,28 +1,60 @@
 """A scene: a mechanism with how it is run, or at which positions it stands, and, where it says so,
 what varies of it and which responses are wanted.
+
+A scene as a file of YAML or JSON, data only:
+
+```yaml
+jaxclear_scene: 1
+mechanism: {bodies: ..., connections: ..., loads: ..., guess: ...}
+run: {duration: 0.5, integrator: FixedStep, save: 501}  # or {positions: {crank: [0, 0.1, 0.2]}}
+variables: {clearance: {where: connections.B.joint.clearance, tolerance: 1.0e-5}}
+responses: {peak: {kind: PeakContactForce, joint: B}}
+```
 """
 
+import json
 from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
+import numpy as np
 
+from jaxclear.files.forms import (
+    AbstractForm,
+    ByName,
+    Choice,
+    Flag,
+    Listed,
+    Number,
+    NumberArray,
+    Schema,
+    Text,
+    Whole,
+)
+from jaxclear.files.parts import Part, mapping
+from jaxclear.files.places import NumberPlaces, check_numbers
+from jaxclear.files.text import JSON, YAML, Misread, Node, misread, parsed, text_of
+from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_known, expect
 from jaxclear.ground.quantity import AbstractQuantified
-from jaxclear.ground.wording import listed
+from jaxclear.ground.wording import described, listed, unknown
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.results.saved_state import State
+from jaxclear.results.response import AbstractResponse
+from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.saving import Saving, as_saving
 from jaxclear.simulation.simulate import check_duration, simulate
 from jaxclear.statics.position_path import checked_positions, positions
 from jaxclear.statics.positions import Positions
 from jaxclear.statics.seated import seated
+from jaxclear.studies.mechanism_problem import by_name
 from jaxclear.studies.position_problem import PositionProblem
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.responses import by_name
-
-__all__ = ["Scene"]
+from jaxclear.studies.variable import AbstractMechanismVariable
 
 SEATED = "seated"
 
@@ -133,3 +165,231 @@ class Scene(AbstractQuantified):
         state = seated(self.mechanism) if self.state == SEATED else self.state
         given: dict[str, Any] = {"duration": self.duration, "state": state}
         return given if self.save is None else given | {"save": self.save}
+
+
+FORMAT = 1
+HEAD = "jaxclear_scene"
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+
+
+@dataclass(frozen=True)
+class Correlated:
+    """Two variables and the `coefficient` [1] of correlation of their normal scores."""
+
+    between: tuple[str, str]
+    coefficient: float
+
+
+PAIRS = Listed(Part((Correlated,)))
+# What stands at the top of a file, and under "run".
+TOP: dict[str, AbstractForm] = {
+    HEAD: Whole({"at_least": 1}),
+    "$schema": Text(),
+    "written_by": Text(),
+    "description": Text(),
+    "mechanism": Part((Mechanism,)),
+    "variables": ByName(Part((AbstractMechanismVariable,))),
+    "responses": ByName(Part((AbstractResponse,))),
+    "correlation": Choice((PAIRS, NumberArray())),
+}
+RUN: dict[str, AbstractForm] = {
+    "duration": Number({"unit": "s", "above": 0}),
+    "integrator": Part((AbstractIntegrator,)),
+    "save": Choice((Whole({"at_least": 2}), NumberArray(), Part((Saving,)))),
+    "state": Choice((Text(), Part((State,)))),
+    "positions": ByName(NumberArray()),
+    "both_ways": Flag(),
+}
+
+
+@answering
+def read_scene(path: Any) -> Scene:
+    """The scene in a file of YAML (.yaml, .yml) or JSON (.json); numbers in SI units.
+
+    A file holds data, never code: nothing in it is run or imported, and what it may name are
+    classes that the process knows already. Files that it names itself (tables as CSV) are looked
+    for beside it. `jaxclear.scene_schema()` is its JSON schema. Raises `ValueError` with a sentence
+    that names line and place for what cannot be.
+    """
+    path = _as_path(path)
+    try:
+        return _scene_of(parsed(text_of(path), path.suffix), path.parent)
+    except Misread as error:
+        raise Misread(f"{path.name}: {error}") from None
+
+
+@answering
+def write_scene(scene: Scene | Mechanism, path: Any) -> None:
+    """Writes a scene, or a mechanism alone, to a file of YAML or JSON, by its ending; every number
+    with all its digits. Raises `ValueError` with a sentence for what is code (a function of one's
+    own) or being traced; nothing is written then.
+    """
+    path = _as_path(path)
+    scene = Scene(scene) if isinstance(scene, Mechanism) else scene
+    expect(scene, Scene, "what is written", "a jaxclear.Scene or a jaxclear.Mechanism")
+    ending = path.suffix.lower()
+    if ending not in (*YAML, *JSON):
+        raise ValueError(f'{path.name} ends in "{ending}"; it must end in .yaml, .yml or .json.')
+    path.write_text(scene_text(scene, ending), encoding="utf-8")
+
+
+def scene_text(scene: Scene, ending: str = ".yaml") -> str:
+    """The text of a scene's file."""
+    values = _values_of(scene)
+    if ending in JSON:
+        return json.dumps(values, indent=1, ensure_ascii=False) + "\n"
+    import yaml
+
+    class Plain(yaml.SafeDumper):
+        def ignore_aliases(self, data: Any) -> bool:
+            return True
+
+    style: dict[str, Any] = {"sort_keys": False, "default_flow_style": None, "width": 100}
+    return yaml.dump(values, Dumper=Plain, allow_unicode=True, **style)
+
+
+def _as_path(path: Any) -> Path:
+    if not isinstance(path, (str, Path)) or not str(path):
+        raise ValueError(f"the file is {described(path)}; it must be a path.")
+    return Path(path)
+
+
+def _scene_of(node: Node, folder: Path) -> Scene:
+    values = _mapping(node, "the file", {*TOP, "run"})
+    if HEAD not in values:
+        raise Misread(f'has no "{HEAD}: {FORMAT}"; a scene file begins with it.')
+    if values[HEAD].value != FORMAT or isinstance(values[HEAD].value, bool):
+        sentence = f"is {values[HEAD].said}; this version of jaxclear reads {FORMAT}."
+        raise misread(values[HEAD], HEAD, sentence)
+    if "mechanism" not in values:
+        raise Misread("has no mechanism.")
+    found = {
+        name: form.read(values[name], name, folder)
+        for name, form in TOP.items()
+        if name in values and values[name].value is not None and name != "correlation"
+    }
+    expect(found.get("mechanism"), Mechanism, "mechanism", "a mapping of bodies and connections")
+    run = _mapping(values["run"], "run", RUN) if "run" in values else {}
+    for name, own in run.items():
+        if own.value is not None:
+            found[name] = RUN[name].read(own, f"run.{name}", folder)
+    if "correlation" in values:
+        found["correlation"] = _correlation(values["correlation"], folder)
+    for name, variable in found.get("variables", {}).items():
+        _check_variable(variable, found["mechanism"], values["variables"].value[name], name)
+    for name, response in found.get("responses", {}).items():
+        _check_response(response, found["mechanism"], values["responses"].value[name], name)
+    for word in (HEAD, "$schema", "written_by"):
+        found.pop(word, None)
+    try:
+        return Scene(**found)
+    except ValueError as error:
+        raise Misread(f"run: {error}") from None
+
+
+def _mapping(node: Node, what: str, known: Any) -> dict[str, Node]:
+    """The values of a mapping whose names are known."""
+    if not isinstance(node.value, dict):
+        raise misread(node, what, f"is {node.said}; it must be a mapping of {listed(known)}.")
+    for name, entry in node.value.items():
+        if name not in known:
+            raise misread(entry, what, unknown("entry", name, known))
+    return node.value
+
+
+def _correlation(node: Node, folder: Path) -> Any:
+    """Coefficients by pairs, or a matrix."""
+    pairs = isinstance(node.value, list) and node.value and isinstance(node.value[0].value, dict)
+    if not pairs:
+        return NumberArray().read(node, "correlation", folder)
+    entries = PAIRS.read(node, "correlation", folder)
+    return {entry.between: entry.coefficient for entry in entries}
+
+
+def _check_variable(variable: Any, mechanism: Mechanism, node: Node, name: str) -> None:
+    """That a variable points at numbers of the mechanism."""
+    path = f'variables["{name}"]'
+    try:
+        where = getattr(variable, "where", None)
+        if isinstance(where, NumberPlaces):
+            check_numbers(where, mechanism)
+        variable.check(name, mechanism)
+    except ValueError as error:
+        raise misread(node, path, str(error)) from None
+
+
+def _check_response(response: Any, mechanism: Mechanism, node: Node, name: str) -> None:
+    """That a response asks about a joint and a body that there are."""
+    parts: dict[str, Mapping[str, Any]] = {
+        "joint": mechanism.connections,
+        "body": mechanism.bodies,
+    }
+    for what, known in parts.items():
+        own = getattr(response, what, None)
+        if isinstance(own, str) and own not in known:
+            sentence = unknown(what, own, known, " in this mechanism")
+            raise misread(node, f'responses["{name}"]', sentence)
+
+
+def _values_of(scene: Scene) -> dict[str, Any]:
+    """A scene in plain values."""
+    mechanism = scene.mechanism
+    found: dict[str, Any] = {HEAD: FORMAT, "written_by": _program()}
+    if scene.description:
+        found["description"] = scene.description
+    plain = lambda form, thing, path: form.plain(thing, path, mechanism)
+    found["mechanism"] = plain(TOP["mechanism"], mechanism, "")
+    told = {
+        "duration": scene.duration,
+        "integrator": scene.integrator,
+        "save": _plain_save(scene.save),
+        "state": scene.state,
+        "positions": scene.positions,
+        "both_ways": scene.both_ways or None,
+    }
+    run = {name: plain(RUN[name], own, name) for name, own in told.items() if own is not None}
+    found |= {"run": run} if run else {}
+    for what in ("variables", "responses"):
+        own = dict(getattr(scene, what))
+        found |= {what: plain(TOP[what], own, what)} if own else {}
+    if scene.correlation is not None:
+        found["correlation"] = _plain_correlation(scene.correlation, mechanism)
+    return found
+
+
+def _plain_save(save: Any) -> Any:
+    """Saving times or their number as a file tells them; a `Saving` where it keeps events too."""
+    if save is None or as_saving(save).events:
+        return save
+    at = as_saving(save).at
+    return int(at) if np.ndim(at) == 0 else np.asarray(at, float)
+
+
+def _plain_correlation(correlation: Any, mechanism: Mechanism) -> Any:
+    if isinstance(correlation, dict):
+        entries = tuple(Correlated(tuple(pair), value) for pair, value in correlation.items())
+        return PAIRS.plain(entries, "correlation", mechanism)
+    return NumberArray().plain(correlation, "correlation", mechanism)
+
+
+def _program() -> str:
+    try:
+        return f"jaxclear {version('jaxclear')}"
+    except PackageNotFoundError:
+        return "jaxclear"
+
+
+def scene_schema() -> Schema:
+    """The JSON schema (draft 2020-12) of the files that `jaxclear.read_scene` reads, as a
+    dictionary, from the same forms by which these are read; classes of one's own are not in it. It
+    tells kinds, names, units and ranges; how numbers bound each other only reading tells."""
+    known: dict[str, Schema] = {}
+    of = lambda forms: {name: form.schema(known) for name, form in forms.items()}
+    properties = of(TOP) | {HEAD: {"const": FORMAT}, "run": mapping(of(RUN), [])}
+    return {
+        "$schema": DRAFT,
+        "title": "A scene of jaxclear",
+        "description": "A mechanism, how it is run, what varies of it, and responses; SI units.",
+        **mapping(properties, [HEAD, "mechanism"]),
+        "$defs": dict(sorted(known.items())),
+    }

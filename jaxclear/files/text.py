@@ -3,6 +3,8 @@
 YAML is read event by event, so that depth and size are bounded before anything is built and a tag
 never becomes an object. Plain words are read as YAML 1.2 says (core schema: `1e-5` is a number,
 `on` a text). JSON is read by Python's own reader. Everything that is wrong ends in a `Misread`.
+
+Values of a file as numbers and texts; what they are not is refused by line and place.
 """
 
 import json
@@ -11,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from jaxclear.ground.wording import described
+import numpy as np
 
-__all__ = ["Misread", "Node", "misread", "parsed", "text_of"]
+from jaxclear.ground.wording import described
 
 # Largest file [bytes], values in it once aliases are written out, and nesting.
 LARGEST, MOST_VALUES, DEEPEST = 32_000_000, 1_000_000, 60
@@ -258,3 +260,37 @@ def _check_tag(tag: str | None, known: tuple[str, ...], line: int) -> None:
             f'line {line}: the tag "{tag[:60]}" asks for an object; a scene file holds mappings, '
             "lists, texts and numbers only."
         )
+
+
+def is_number(node: Node) -> bool:
+    """Whether a value is a number; a flag is none."""
+    return isinstance(node.value, (int, float)) and not isinstance(node.value, bool)
+
+
+def as_float(node: Node, path: str) -> float:
+    """A number. Raises `Misread` for one beyond all that a computer holds."""
+    try:
+        return float(node.value)
+    except OverflowError:
+        raise misread(node, path, "is a number beyond all that a computer holds.") from None
+
+
+def plain_text(node: Node, path: str) -> str:
+    """A text; a number without quotes is one, too."""
+    if isinstance(node.value, str):
+        return node.value
+    if node.raw is not None:
+        return node.raw
+    raise misread(node, path, f"is {node.said}; it must be a text.")
+
+
+def nested(node: Node, path: str) -> Any:
+    """Numbers in nested lists, all of one shape."""
+    if is_number(node):
+        return as_float(node, path)
+    if not isinstance(node.value, list):
+        raise misread(node, path, f"is {node.said}; it must be a list of numbers.")
+    found = [nested(entry, path) for entry in node.value]
+    if len({np.shape(entry) for entry in found}) > 1:
+        raise misread(node, path, "is a list whose entries have different lengths.")
+    return found

@@ -23,7 +23,7 @@ from jaxclear.formulations.midpoint_step import ImplicitSettings, WarmStart
 from jaxclear.formulations.model import Instant, Model, State
 from jaxclear.formulations.permanent_reactions import REACTION, Reaction, slips_of, touching
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.grouping import map_alike
+from jaxclear.ground.compiling import map_alike
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.forces import Forces, applied_forces, contact_reports
 from jaxclear.multibody.state import (

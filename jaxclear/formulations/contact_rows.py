@@ -16,7 +16,7 @@ from jaxclear.components.clearance import ContactLaws
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.grouping import map_alike
+from jaxclear.ground.compiling import map_alike
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.pose import Pose
 from jaxclear.laws.contact import Rigid

@@ -37,7 +37,7 @@ from jaxclear.formulations.permanent_reactions import Reaction
 from jaxclear.formulations.rubbing_over_step import damping, joints_over_step
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.grouping import map_alike
+from jaxclear.ground.compiling import map_alike
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.state import unpack_memories, unpack_motion

@@ -52,7 +52,7 @@ from jaxclear.formulations.permanent_wear import (
 from jaxclear.formulations.rigid import check_friction
 from jaxclear.formulations.state_rate import link_accelerations
 from jaxclear.ground import sparse as sp
-from jaxclear.multibody import energy, kinematics
+from jaxclear.multibody import dynamics, kinematics
 from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
@@ -219,7 +219,7 @@ def _powers(model: Model, forces: Forces, found: Answer, friction: Any, slips: l
     """Powers of the energy balance; friction's at the sliding speeds `slips` [m/s]."""
     solution = link_accelerations(model.system, found.accelerations, found.multipliers)
     acting = with_friction(model.system, forces, friction)
-    rates = energy.powers(model.system, acting, solution)
+    rates = dynamics.powers(model.system, acting, solution)
     lost, driven = friction_losses(touching(model.system), friction, slips)
     places = model.layout.energies.index
     rates[places("friction_loss")] = lost

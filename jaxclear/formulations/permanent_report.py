@@ -83,7 +83,7 @@ def report(
 ) -> ContactReport:
     """How a joint carries its reaction and the components of its friction [N] at an instant."""
     joint = held.joint
-    ends = carrying_ends(held, reaction, own_part(friction, slice(len(friction))))
+    ends = carrying_ends(held, reaction, own_part(friction, slice(0, len(friction))))
     found = sorted((c for end in ends for c in end.contacts), key=lambda c: c.number)
     speeds = speeds_of(instant.model.system, instant.motions, held, instant.speeds)
     slips = tuple(sp.mul(joint.arm, x) for x in speeds)

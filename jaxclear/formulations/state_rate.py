@@ -4,7 +4,7 @@ forces."""
 from typing import Any, NamedTuple
 
 from jaxclear.ground import sparse as sp
-from jaxclear.multibody import energy
+from jaxclear.multibody import dynamics
 from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
@@ -59,7 +59,7 @@ def passive_rates(
         out.extend(sp.mul(volume, features[i]) for i in slot.averaged)
     out.extend((*rubbing.worn, *pressing, *rubbing.pressing))
     if layout.energies:
-        powers = dict(zip(layout.energies, energy.powers(system, forces, solution), strict=True))
+        powers = dict(zip(layout.energies, dynamics.powers(system, forces, solution), strict=True))
         powers["input"] = sp.add(powers["input"], rubbing.driven)
         powers["friction_loss"] = sp.add(powers["friction_loss"], rubbing.lost)
         out.extend(powers.values())

@@ -8,12 +8,13 @@ call that is right.
 import functools
 import importlib.util
 import inspect
+import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
 
 import equinox as eqx
 
-from jaxclear.ground.wording import described, final_members, listed, meant, public_name
+from jaxclear.ground.wording import as_typed, described, final_members, listed, meant, public_name
 
 if TYPE_CHECKING:
     from equinox._module._module import _ModuleMeta as ModuleMeta
@@ -23,6 +24,7 @@ else:
 __all__ = ["AnsweringMeta", "answering", "nothing_else", "refuse_misfit"]
 
 P, R = ParamSpec("P"), TypeVar("R")
+OWN_PATH = re.compile(r"\bjaxclear(\.\w+)+")
 KEYWORDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 ORDERED = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
@@ -77,7 +79,28 @@ def answering(function: Callable[P, R]) -> Callable[P, R]:
                 raise TypeError(sentence) from None
             raise
 
+    signature = inspect.signature(function)
+    shown = [p.replace(annotation=_as_offered(p.annotation)) for p in signature.parameters.values()]
+    returned = _as_offered(signature.return_annotation)
+    called.__signature__ = signature.replace(  # type: ignore[attr-defined]
+        parameters=shown, return_annotation=returned
+    )
     return called
+
+
+class _Offered:
+    """A type that `help` tells by the names that users type."""
+
+    def __init__(self, kind: Any):
+        self.kind = kind
+
+    def __repr__(self) -> str:
+        told = inspect.formatannotation(self.kind)
+        return OWN_PATH.sub(lambda found: as_typed(found[0]), told)
+
+
+def _as_offered(kind: Any) -> Any:
+    return _Offered(kind) if OWN_PATH.search(inspect.formatannotation(kind)) else kind
 
 
 def refuse_misfit(called: Callable, args: tuple, kwargs: dict) -> None:

@@ -11,18 +11,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxclear.ground.kinds import finite_and_within, range_in_words
-from jaxclear.ground.quantity import as_number
+from jaxclear.ground.quantity import as_number, finite_and_within, range_in_words
 from jaxclear.ground.wording import described, listed, unknown
-
-__all__ = [
-    "check_count",
-    "check_flags",
-    "check_known",
-    "check_methods",
-    "check_number",
-    "expect",
-]
 
 
 def expect(thing: Any, kind: Any, what: str, wanted: str) -> None:

@@ -1,9 +1,17 @@
 """How programs are compiled that do little work themselves: how long they compile counts more than
-how fast they are."""
+how fast they are.
+
+Like pieces are traced once and mapped over, however they are named.
+
+Two calls are alike when the trees of their arguments have the same shape, static fields and
+structural zeros. A group of alike calls becomes one `vmap`; small groups are unrolled, because a
+few fused scalars are cheaper than a short axis. What several programs of a run ask for, or one
+program at several places, is traced at the first of them (`traced_once`, `by_form`).
+"""
 
 import functools
 import gc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -71,5 +79,145 @@ def compiled_quickly(
                 if not found:
                     raise
                 _unknown.update(found)
+
+    return call
+
+
+# From this many alike pieces on, one mapped trace beats repeated ones in compile time.
+SMALLEST_GROUP = 4
+# Kinds of calls that are kept of a function that is traced once.
+LATEST = 64
+# Stands for a leaf that may vary.
+VARYING = object()
+
+
+def signature(tree: Any) -> tuple:
+    """Hashable description of a tree: structure, structural integers, functions, and shapes and
+    types of arrays.
+    """
+    leaves, structure = jax.tree.flatten(tree)
+    kinds = tuple(
+        leaf if _is_structure(leaf) else (jnp.shape(leaf), str(jnp.result_type(leaf)))
+        for leaf in leaves
+    )
+    return structure, kinds
+
+
+def _is_structure(leaf: Any) -> bool:
+    """What stands in a program as it is, and cannot vary within a group."""
+    return isinstance(leaf, int) or callable(leaf)
+
+
+def map_alike(function: Callable, calls: Sequence[tuple], smallest: int = SMALLEST_GROUP) -> list:
+    """[function(*arguments) for arguments in calls], with alike calls mapped together.
+
+    The function must be pure; its result may contain structural integers, which must not depend on
+    array values.
+    """
+    groups: dict[tuple, list[int]] = {}
+    for index, arguments in enumerate(calls):
+        groups.setdefault(signature(arguments), []).append(index)
+    results: list = [None] * len(calls)
+    for members in groups.values():
+        if len(members) < smallest:
+            for index in members:
+                results[index] = function(*calls[index])
+        else:
+            for index, result in zip(
+                members, _mapped(function, [calls[index] for index in members]), strict=True
+            ):
+                results[index] = result
+    return results
+
+
+def _mapped(function, calls):
+    leaves, structure = jax.tree.flatten(calls[0])
+    varying = [position for position, leaf in enumerate(leaves) if not _is_structure(leaf)]
+    all_leaves = [jax.tree.leaves(call) for call in calls]
+    stacked = [jnp.stack([other[position] for other in all_leaves]) for position in varying]
+    template: dict[str, Any] = {}
+
+    def one(arrays):
+        filled = list(leaves)
+        for position, array in zip(varying, arrays, strict=True):
+            filled[position] = array
+        out_leaves, template["structure"] = jax.tree.flatten(
+            function(*jax.tree.unflatten(structure, filled))
+        )
+        template["leaves"] = [leaf if isinstance(leaf, int) else None for leaf in out_leaves]
+        return [leaf for leaf in out_leaves if not isinstance(leaf, int)]
+
+    mapped = jax.vmap(one)(stacked)
+    for index in range(len(calls)):
+        arrays = iter([array[index] for array in mapped])
+        filled = [next(arrays) if leaf is None else leaf for leaf in template["leaves"]]
+        yield jax.tree.unflatten(template["structure"], filled)
+
+
+def traced_once(function: Callable) -> Callable:
+    """The function, traced once for all calls that are alike, in whatever program they are.
+
+    It must be pure, and close over no numbers; its result may contain structural integers, which
+    must not depend on array values. A call with a function among its arguments, which may close
+    over anything, is traced by itself.
+    """
+
+    @functools.lru_cache(maxsize=LATEST)
+    def alike(structure, kinds):
+        form: list = []
+
+        @jax.jit
+        def one(arrays):
+            arrays = iter(arrays)
+            leaves = [next(arrays) if kind is VARYING else kind[1] for kind in kinds]
+            out, whole = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
+            form[:] = whole, [leaf if isinstance(leaf, int) else VARYING for leaf in out]
+            return [leaf for leaf in out if not isinstance(leaf, int)]
+
+        return one, form
+
+    @functools.wraps(function)
+    def call(*arguments):
+        leaves, structure = jax.tree.flatten(arguments)
+        if any(callable(leaf) for leaf in leaves) or not is_traced(leaves):
+            return function(*arguments)
+        # True is 1, but not alike.
+        kinds = tuple((type(x), x) if isinstance(x, int) else VARYING for x in leaves)
+        one, form = alike(structure, kinds)
+        found = iter(one([leaf for leaf in leaves if not isinstance(leaf, int)]))
+        whole, out = form
+        return jax.tree.unflatten(whole, [next(found) if x is VARYING else x for x in out])
+
+    return call
+
+
+def by_form(function: Callable) -> Callable:
+    """The function, asked once for all calls that are alike: what it says must hang on the form of
+    its arguments alone. It is shown no numbers, so JAX compiles none of its operations."""
+
+    @functools.lru_cache(maxsize=LATEST)
+    def asked(structure, kinds):
+        said: list = []
+        varying = [kind for own, kind in kinds if own is VARYING]
+
+        def shown(arrays):
+            arrays = iter(arrays)
+            leaves = [next(arrays) if own is VARYING else kind for own, kind in kinds]
+            said.append(function(*jax.tree.unflatten(structure, leaves)))
+
+        jax.eval_shape(shown, [jax.ShapeDtypeStruct(*kind) for kind in varying])
+        return said[0]
+
+    @functools.wraps(function)
+    def call(*arguments):
+        leaves, structure = jax.tree.flatten(arguments)
+        numbers = map(eqx.is_array, leaves)
+        kinds = tuple(
+            (VARYING, (x.shape, x.dtype)) if number else (type(x), x)
+            for x, number in zip(leaves, numbers, strict=True)
+        )
+        if any(callable(leaf) for leaf in leaves):
+            return asked.__wrapped__(structure, kinds)
+        return asked(structure, kinds)
 
     return call

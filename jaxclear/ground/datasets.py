@@ -1,4 +1,6 @@
-"""Results as xarray Datasets: numbers by name with units, and where they come from as attributes.
+"""Which programs compute here: what numbers are kept with, so that they can be had again.
+
+Results as xarray Datasets: numbers by name with units, and where they come from as attributes.
 
 Values and attributes are of kinds that netCDF and Zarr keep: numbers, texts, no truths and no
 objects. What computed them and what was asked stand in the attributes `versions` and `problem`, as
@@ -8,15 +10,34 @@ JSON.
 import datetime
 import json
 import math
+import platform
 import re
 from collections.abc import Iterable, Mapping
+from importlib import metadata
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
-from jaxclear.ground.versions import told_versions
+LIBRARIES = ("jaxclear", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr")
 
-__all__ = ["Column", "dataset", "of_table", "provenance"]
+
+def told_versions() -> dict[str, str]:
+    """Name and version of what computes here: libraries, Python, the kind of device."""
+    found = {"python": platform.python_version()}
+    found |= {library: installed(library) for library in LIBRARIES}
+    device = jax.devices()[0]
+    kind = platform.machine() if device.platform == "cpu" else device.device_kind
+    return found | {"device": f"{device.platform} ({kind})"}
+
+
+def installed(library: str) -> str:
+    """The version of a library that is installed here; "unknown" of one that is not."""
+    try:
+        return metadata.version(library)
+    except metadata.PackageNotFoundError:
+        return "unknown"
+
 
 # "depth [m]": a label with its unit.
 LABEL = re.compile(r"^(.*?) ?\[([^\[\]]*)\]$")
@@ -71,11 +92,12 @@ def of_table(table: Any, dimension: str, units: Mapping[str, str] | None = None)
         name, unit = (own[1], own[2]) if own else (str(label), (units or {}).get(label, ""))
         values = table[label].to_numpy()
         numbers = np.asarray(values).dtype.kind in "fiub"
-        found[_spelt(name)] = Column((dimension,), values, unit or ("1" if numbers else ""))
+        found[spelt(name)] = Column((dimension,), values, unit or ("1" if numbers else ""))
     return found
 
 
-def _spelt(name: str) -> str:
+def spelt(name: str) -> str:
+    """A name without signs that files take for something else."""
     return name.replace("%", "percent").replace("/", " per ")
 
 

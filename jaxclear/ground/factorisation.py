@@ -1,34 +1,34 @@
-"""Small linear systems, written out: the one place where a kernel of machine code factorises.
+r"""Small linear systems, written out: the one place where a kernel of machine code factorises.
 
 Symmetric positive definite matrices (masses, Schur complements, Delassus matrices): L D L^T without
 roots or pivots, on sparse scalars, so that structural zeros cost nothing. A call to LAPACK costs
 more than the whole arithmetic of a 4 x 4 system inside a compiled loop, and hides these zeros;
 beyond `LARGEST_WRITTEN_OUT` unknowns (three free bodies) its Cholesky factorisation takes over, for
-which kernels have no rule: an implicit step of a floating mechanism is then several hundred times
-slower. Matrices without symmetry (the generalised Jacobian of contacts that slide) cannot do
-without pivots: `eliminate`. Source: Golub & Van Loan 2013, Matrix Computations, sections 3.4, 4.1.
+which kernels have no rule. Matrices without symmetry (the generalised Jacobian of contacts that
+slide) cannot do without pivots: `eliminate`. Source: Golub & Van Loan 2013, Matrix Computations,
+sections 3.4, 4.1.
+
+Semidefinite matrices of known rank, $S \approx L L^T$ with so many columns, by pivots from the
+largest down (Higham 2002, Accuracy and Stability of Numerical Algorithms, section 10.3,
+doi:10.1137/1.9780898718027); then $L = Q R$, and $x = Q R^{-T} R^{-1} Q^T b$ is the least of all x
+that come nearest to $S x = b$. The smallest change that meets linear equations, the first of which
+count most: rows are made orthogonal one after the other (Gram and Schmidt, each twice: Giraud,
+Langou & Rozloznik 2005, Comput. Math. Appl. 50, 1069, doi:10.1016/j.camwa.2005.08.009), and one
+that says nothing new is left out. Elementary operations only: factorisations of LAPACK wait for
+each other in a batch on several threads.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg as jsl
 import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import OFF_THE_TIES, safe_divide
-
-__all__ = [
-    "LARGEST_WRITTEN_OUT",
-    "Rows",
-    "eliminate",
-    "factor",
-    "sign_of_determinant",
-    "solve",
-    "to_array",
-]
+from jaxclear.ground.numerics import OFF_THE_TIES, safe_divide, safe_sqrt
 
 LARGEST_WRITTEN_OUT = 18
 
@@ -163,3 +163,157 @@ def to_array(rows: Rows) -> jnp.ndarray:
     i, j = zip(*places, strict=True)
     entries = sp.stack([rows[a][b] for a, b in places])
     return jnp.zeros(shape).at[np.array(i), np.array(j)].set(entries, unique_indices=True)
+
+
+# A pivot that is this share of the largest, or less, is rounding: the matrix has lost rank here (a
+# linkage stretched flat), and the row waits until it says something again.
+VANISHED = 1e-13
+
+
+class KnownRank(NamedTuple):
+    """Orthogonal columns Q, the columns of R above its diagonal, and the inverses of its
+    diagonal; all zero where the matrix has lost rank."""
+
+    columns: list[Float[Array, " m"]]
+    above: list[list[Any]]
+    inverses: list[Any]
+
+
+def factor_of_rank(matrix: Rows, rank: int) -> KnownRank:
+    """Factors of a symmetric semidefinite matrix, given as rows of sparse scalars, with so many
+    independent rows; 0 at least."""
+    found = KnownRank([], [], [])
+    for column in _roots(matrix, rank):
+        above: list[Any] = [0.0] * len(found.columns)
+        # The second time for what rounding has left.
+        for _ in range(2):
+            shares = [jnp.sum(other * column) for other in found.columns]
+            for share, other in zip(shares, found.columns, strict=True):
+                column = column - share * other
+            above = [a + share for a, share in zip(above, shares, strict=True)]
+        inverse = safe_divide(1.0, safe_sqrt(jnp.sum(column * column)))
+        found.columns.append(column * inverse)
+        found.above.append(above)
+        found.inverses.append(inverse)
+    return found
+
+
+def solve_least(factors: KnownRank, right: tuple) -> tuple:
+    """The least x that comes nearest to S x = right."""
+    columns, above, inverses = factors
+    b = sp.stack(right)
+    y = [jnp.sum(column * b) for column in columns]
+    for j in reversed(range(len(y))):
+        y[j] = y[j] * inverses[j]
+        y[:j] = [x - share * y[j] for x, share in zip(y[:j], above[j], strict=True)]
+    for j in range(len(y)):
+        y[j] = (y[j] - sp.dot(above[j], y[:j])) * inverses[j]
+    x = sum((part * column for part, column in zip(y, columns, strict=True)), jnp.zeros_like(b))
+    return tuple(x[i] for i in range(len(right)))
+
+
+def _roots(matrix: Rows, rank: int) -> list[Float[Array, " m"]]:
+    """The columns of L."""
+    m = len(matrix)
+    rest, free = to_array(matrix), jnp.ones(m)
+    largest: Any = None
+    columns = []
+    for _ in range(rank):
+        diagonal = [rest[i, i] for i in range(m)]
+        place = _first_largest(diagonal, free)
+        free = free - place
+        pivot = jnp.sum(place * sp.stack(diagonal))
+        largest = pivot if largest is None else largest
+        root = safe_sqrt(jnp.where(pivot > VANISHED * largest, pivot, 0.0))
+        column = safe_divide(1.0, root) * jnp.sum(rest * place, axis=1)
+        rest = rest - column[:, None] * column
+        columns.append(column)
+    return columns
+
+
+def _first_largest(values: list, free: Float[Array, " m"]) -> Float[Array, " m"]:
+    """1 at the largest of the values that are free, 0 elsewhere. Of values that are alike but for
+    rounding the first is taken, always: in a batch XLA may ask twice."""
+    m = len(values)
+    if m > LARGEST_WRITTEN_OUT:
+        ahead = OFF_THE_TIES ** jnp.arange(m, 0, -1)
+        best = jnp.argmax(jnp.where(free > 0, sp.stack(values) * ahead, -jnp.inf))
+        return (jnp.arange(m) == best).astype(float)
+    held = [jnp.where(free[i] > 0, value, -jnp.inf) for i, value in enumerate(values)]
+    largest, best = held[0], jnp.zeros((), int)
+    for i in range(1, m):
+        larger = held[i] > jnp.where(largest > 0, OFF_THE_TIES, 1.0) * largest
+        largest = jnp.where(larger, held[i], largest)
+        best = jnp.where(larger, i, best)
+    return (jnp.arange(m) == best).astype(float)
+
+
+# A row whose part across the rows before it is this share of it, or less, follows from them: far
+# above rounding (1e-16 times the rows), far below what tells a position from a singular one.
+DEPENDENT = 1e-9
+
+
+class Change(NamedTuple):
+    """The smallest change, and which equations it meets; the rest follow from those before."""
+
+    change: Float[Array, " n"]
+    met: Bool[Array, " rows"]
+
+
+def least_change(
+    rows: Float[Array, "rows n"], targets: Float[Array, " rows"], scales: Float[Array, " n"]
+) -> Change:
+    """Smallest x, measured as x / scales, with rows @ x = targets; a row that follows from earlier
+    ones is left out, met or not. All derivatives are finite, also where x is zero.
+    """
+    scaled = rows * scales
+    m = rows.shape[0]
+
+    def across(row, basis):
+        along = jnp.sum(basis * row, axis=1)
+        return along, row - jnp.sum(along[:, None] * basis, axis=0)
+
+    def add(carry, entry):
+        basis, parts = carry
+        row, target, place = entry
+        first, rest = across(row, basis)
+        second, rest = across(rest, basis)
+        length = safe_sqrt(jnp.sum(rest * rest))
+        new = length > DEPENDENT * safe_sqrt(jnp.sum(row * row))
+        inverse = safe_divide(1.0, jnp.where(new, length, 0.0))
+        part = (target - jnp.sum((first + second) * parts)) * inverse
+        here = place == jnp.arange(m)
+        basis = jnp.where(here[:, None], rest * inverse, basis)
+        return (basis, jnp.where(here, part, parts)), new
+
+    start = (jnp.zeros_like(scaled), jnp.zeros_like(targets))
+    (basis, parts), new = jax.lax.scan(add, start, (scaled, targets, jnp.arange(m)))
+    return Change(scales * jnp.sum(parts[:, None] * basis, axis=0), new)
+
+
+def of_rank(
+    rows: Float[Array, "rows n"],
+    targets: Float[Array, " rows"],
+    scales: Float[Array, " n"],
+    rank: int,
+) -> tuple[Float[Array, "rank n"], Float[Array, " rank"]]:
+    """Equations, so many, that say the same as `rows @ x = targets` where only that many of them
+    are independent: the rows that stand out most, one after the other; the rest is not looked at. A
+    row is zero where fewer are independent."""
+    scaled = rows * scales
+    largest = jnp.max(jnp.sum(scaled * scaled, axis=1), initial=0.0)
+    chosen, parts = [], []
+    for _ in range(rank):
+        squares = jnp.sum(scaled * scaled, axis=1)
+        here = jnp.argmax(squares)
+        new = squares[here] > DEPENDENT**2 * largest
+        inverse = safe_divide(1.0, safe_sqrt(jnp.where(new, squares[here], 0.0)))
+        direction, part = scaled[here] * inverse, targets[here] * inverse
+        along = scaled @ direction
+        scaled = scaled - along[:, None] * direction
+        targets = targets - along * part
+        chosen.append(direction / scales)
+        parts.append(part)
+    if not chosen:
+        return rows[:0], targets[:0]
+    return jnp.stack(chosen), jnp.stack(parts)

@@ -1,9 +1,19 @@
 """How something that a compiled program does can end: numbers while it runs, sentences when a user
-reads them."""
+reads them.
+
+Why a derivative is no number: a nan that carries its reason.
+
+A nan has 51 bits that nobody reads, and arithmetic hands them on: through sums, products and
+choices, through `jax.jit`, `jax.grad` and kernels. So the reason needs no place in a result, and
+costs nothing. Processors of CPUs keep these bits; accelerators may not, and the reason is then one
+of all (`Unknown.SOMEHOW`).
+"""
 
 import enum
+from typing import Any
 
-__all__ = ["AbstractOutcome"]
+import jax
+import numpy as np
 
 
 class AbstractOutcome(enum.IntEnum):
@@ -17,3 +27,73 @@ class AbstractOutcome(enum.IntEnum):
         member._value_ = code
         member.sentence = sentence
         return member
+
+
+# The bits of a quiet nan, and behind them a word by which such a nan is told from any other; its
+# reason is in the last bits.
+QUIET, WORD, REASON = 0x7FF8 << 48, 0x4A43 << 32, 0xFFFF
+
+
+class Unknown(AbstractOutcome):
+    """Why a derivative is nan. `number`: the nan that says so."""
+
+    SOMEHOW = (
+        0,
+        "it is not a number, and where that was found has been lost: impacts have made its error "
+        "grow, or steps do not resolve it. Take shorter steps or a tighter rtol, or "
+        "jaxclear.sensitivity.",
+    )
+    STEPS_DECIDE = (
+        1,
+        "in steps of another length it is another, or none: take shorter steps.",
+    )
+    GROWN = (
+        2,
+        "impacts have made its error grow beyond what the steps determine: take a tighter rtol or "
+        "shorter steps, a shorter run, or jaxclear.sensitivity.",
+    )
+    UNRESOLVED = (
+        3,
+        "steps that resolve the motion do not resolve it, as at rest on a stiff spring or contact: "
+        "hold Adaptive's largest_step, or take a tighter rtol.",
+    )
+    PARTED = (
+        4,
+        "the run is off the motion by more than 3 % of the narrowest gap, as numerical dissipation "
+        "or long steps make it: take shorter steps, or ImplicitStep(rebound=1.0).",
+    )
+    NOT_FOLLOWED = (
+        5,
+        "this integrator does not follow how instants and rates of touches move: take "
+        "integrator.Adaptive().",
+    )
+    AT_ONCE = (
+        6,
+        "contacts strike at once in a step that would not move alike, or the run ends before it "
+        "takes an impact that is due: take shorter steps or another end.",
+    )
+
+    @property
+    def number(self) -> np.float64:
+        """The nan that carries this reason."""
+        return np.uint64(QUIET | WORD | self.value).view(np.float64)
+
+
+def why_unknown(derivatives: Any) -> str:
+    """Why derivatives are nan, a sentence each reason; "" where none is.
+
+    `derivatives`: what `jax.jvp`, `jax.jacfwd`, `jax.grad` of a run or a `Problem` have told: an
+    array, or anything that holds arrays.
+    """
+    found: dict[Unknown, None] = {}
+    for leaf in jax.tree.leaves(derivatives):
+        leaf = np.asarray(leaf)
+        if leaf.dtype == np.float64:
+            bits = np.unique(leaf[np.isnan(leaf)].view(np.uint64))
+            found |= dict.fromkeys(map(_reason, bits.tolist()))
+    return " ".join(f"{each.sentence[0].upper()}{each.sentence[1:]}" for each in found)
+
+
+def _reason(bits: int) -> Unknown:
+    known = (bits & (REASON << 32)) == WORD and (bits & REASON) in set(Unknown)
+    return Unknown(bits & REASON) if known else Unknown.SOMEHOW

@@ -16,36 +16,6 @@ from jax import lax
 
 from jaxclear.ground.numerics import safe_sqrt
 
-__all__ = [
-    "IDENTITY",
-    "ZERO",
-    "Mat",
-    "Vec",
-    "add",
-    "apply",
-    "apply_transposed",
-    "congruence",
-    "cross",
-    "dense",
-    "dot",
-    "is_zero",
-    "minus",
-    "mul",
-    "neg",
-    "norm",
-    "outer",
-    "plus",
-    "plus_matrix",
-    "product",
-    "scale",
-    "shift_inertia",
-    "stack",
-    "sub",
-    "total",
-    "transpose",
-    "vec3",
-]
-
 # Of three each: a type checker does not count what a loop builds.
 Vec = tuple[Any, ...]
 Mat = tuple[Vec, ...]

@@ -19,8 +19,6 @@ import numpy as np
 
 from jaxclear.ground.shown import PLAIN, SMALL, WIDTH, in_few, with_error
 
-__all__ = ["as_table"]
-
 # Spaces between columns; where the names of rows, and heads over narrow columns, are broken.
 APART, NAMES, HEAD = 2, 40, 12
 # Digits of a column, and the most where its numbers differ by less, as a micrometre beside a metre,

@@ -8,18 +8,6 @@ from collections.abc import Iterable
 from types import ModuleType
 from typing import Any
 
-__all__ = [
-    "described",
-    "final_members",
-    "listed",
-    "meant",
-    "nearest",
-    "offered_like",
-    "public_name",
-    "unit_of_rate",
-    "unknown",
-]
-
 # Longest text of a value in a sentence, and the most names that one lists.
 LONGEST, MOST_NAMES = 60, 16
 # Share of letters in common from which on a name counts as a slip of the pen (difflib's own).
@@ -91,6 +79,16 @@ def public_name(kind: Any) -> str:
     own name where it is not of this package.
     """
     return _offered(sys.modules[__name__.partition(".")[0]], kind) or kind.__qualname__
+
+
+def as_typed(path: str) -> str:
+    """The dotted path of one of the package's classes as users type it; its name where they are
+    offered none."""
+    module, _, name = path.rpartition(".")
+    offered = _offered(
+        sys.modules[__name__.partition(".")[0]], getattr(sys.modules.get(module), name, path)
+    )
+    return f"jaxclear.{offered}" if offered else name
 
 
 def final_members(family: type) -> list[type]:

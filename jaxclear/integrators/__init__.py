@@ -14,13 +14,12 @@ from jaxclear.integrators.base import (
     Advance,
     Interval,
 )
+from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.fixed_step import FixedStep
 from jaxclear.integrators.implicit_step import ImplicitStep
 from jaxclear.integrators.moreau_jean import MoreauJean
-from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas
+from jaxclear.integrators.munthe_kaas import AbstractGroup, GroupTerm, MuntheKaas
 from jaxclear.integrators.non_colliding import NonColliding
-from jaxclear.integrators.outcome import Outcome
-from jaxclear.integrators.state_group import AbstractGroup
 
 __all__ = [
     "AbstractGroup",

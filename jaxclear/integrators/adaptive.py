@@ -12,15 +12,24 @@ import jax.numpy as jnp
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar, concrete, constant, count, is_traced, quantity
 from jaxclear.ground.tangents import derived_once
-from jaxclear.integrators.base import AbstractIntegrator, Advance
-from jaxclear.integrators.error_control import Solved, solve, stepped_by_hand
-from jaxclear.integrators.impacts import EndingAtTouches, TakingImpactSpeeds
-from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas
-from jaxclear.integrators.outcome import Outcome
-from jaxclear.integrators.promise import LOOSE, REFERENCE
+from jaxclear.integrators.base import LOOSE, REFERENCE, AbstractIntegrator, Advance
+from jaxclear.integrators.checks import Outcome
+from jaxclear.integrators.derivative_error import (
+    NO_SECOND,
+    FollowingErrors,
+    resolved,
+    trusted,
+    unfollowed,
+)
+from jaxclear.integrators.error_control import (
+    EndingAtTouches,
+    Solved,
+    TakingImpactSpeeds,
+    solve,
+    stepped_by_hand,
+)
+from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas, state_group
 from jaxclear.integrators.saltation import equations, motion_of
-from jaxclear.integrators.state_group import state_group
-from jaxclear.integrators.trust import NO_SECOND, FollowingErrors, resolved, trusted, unfollowed
 from jaxclear.multibody.reach import narrowest_gap
 from jaxclear.multibody.system import longest_arm
 from jaxclear.native import size_of, with_fast_loops

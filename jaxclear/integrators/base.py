@@ -1,24 +1,64 @@
-"""How a state is carried from one saving time to the next: what every integrator is asked, and how
-it answers.
+"""How a state is carried from one saving time to the next: what every integrator is asked, how it
+answers, the accuracy that it promises, and what all with fixed steps share.
 
 An integrator holds a formulation, which knows how contact enters the equations of motion, and sees
 a `Model` (the mechanism) and an interval. Outcomes are numbers while the program runs and sentences
-when a user reads them.
+when a user reads them. What a rung promises is the largest errors with which a run by it says
+nothing; they are measured beside references (`benchmarks.attack`), and the book's page on accuracy
+shows them.
 """
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.formulations.base import AbstractFormulation
+from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
-from jaxclear.integrators.events import Events
-from jaxclear.integrators.peaks import Peaks
-from jaxclear.integrators.promise import IMPLICIT, Promise
+from jaxclear.integrators.checks import Outcome
+from jaxclear.integrators.events import Events, Peaks, Watch
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.native import while_loop
+
+
+class Promise(NamedTuple):
+    """Largest error [1] of `places` (beside the longest way of a body), of places in `gaps` (beside
+    the clearance), of mean and peak contact forces, and of `losses` (friction loss, worn volumes
+    and depths), each beside itself; None: not promised."""
+
+    places: float | None
+    gaps: float | None
+    mean_force: float | None
+    peak_force: float | None
+    losses: float | None
+
+
+# What a response is drawn from, and the part of a promise that holds of it.
+PART_OF = {
+    "motion": "places",
+    "places in gaps": "gaps",
+    "forces": "mean_force",
+    "peak forces": "peak_force",
+    "wear": "losses",
+    "worn depth": "losses",
+}
+# A journal that may be anywhere in its gap is off by two clearances, of the hundred by which places
+# are measured at least.
+IN_GAP = 0.02
+REFERENCE = Promise(0.001, 0.02, 0.02, 0.05, 0.02)
+LOOSE = Promise(0.005, 0.1, 0.1, 0.2, 0.1)
+STUDIES = Promise(0.005, 0.05, 0.02, 0.1, 0.02)
+RUNGE_KUTTA = Promise(0.005, 0.05, 0.05, 0.2, 0.05)
+FIRST_ORDER = Promise(IN_GAP, None, 0.1, 0.3, 0.1)
+IMPLICIT = Promise(IN_GAP, None, 0.1, 0.5, 0.1)
+RIGID = Promise(IN_GAP, None, 0.1, None, 0.1)
+PERMANENT = Promise(IN_GAP, None, 0.05, None, 0.05)
 
 
 class Interval(NamedTuple):
@@ -162,3 +202,88 @@ class AbstractIntegrator(AbstractQuantified):
     def promise(self) -> Promise:
         """The largest errors with which a run by it says nothing of its numbers."""
         return IMPLICIT
+
+
+# Share of a step by which rounding may miss the end of an interval.
+SLIVER = 1e-9
+# More steps than any run takes: at 200 ns each, a kernel's fastest, two days.
+MOST_STEPS = 1e12
+
+
+def divide(interval: Interval, step: Any, fixed: int | None = None) -> tuple[Any, Any]:
+    """(number of steps, their length [s]): the fewest equal ones no longer than `step`, or the
+    `fixed` number. Where that is more
+    than any run takes (a step of 0, which only a traced number can be here) one step of nan.
+    """
+    start, stop = interval.start, interval.stop
+    count = jnp.maximum(jnp.ceil((stop - start) / step * (1 - SLIVER)), 1.0)
+    count = count if fixed is None else jnp.asarray(float(fixed))
+    known = count <= MOST_STEPS
+    return jnp.where(known, count, 1.0).astype(int), (stop - start) / jnp.where(
+        known, count, jnp.nan
+    )
+
+
+def resolved(step: Any, interval: Interval) -> Any:
+    """A step [s], nan where it is so short that the time at the end of an interval does not grow by
+    it: a loop that waits for the end would wait for ever."""
+    return jnp.where(interval.stop + step > interval.stop, step, jnp.nan)
+
+
+def march(
+    one: Callable[[Any, Any, Any], tuple], steps: Any, state: Any, warm_start: Any
+) -> tuple[Any, Any]:
+    """State and warm start after `steps` turns of (index, state,
+    warm start) -> (state, warm start), in one loop."""
+    turn = lambda carry: (carry[0] + 1, *one(*carry))
+    _, state, warm_start = while_loop(
+        lambda carry: carry[0] < steps, turn, (jnp.zeros((), int), state, warm_start)
+    )
+    return state, warm_start
+
+
+def counted(one: Callable[[Any, Any], Any], steps: int, first: Any) -> Any:
+    """What is handed on after so many turns of (index, what is handed on) -> what is handed on, in
+    a loop that reverse mode goes through backwards: it keeps what a turn is handed within one
+    interval at a time, and of the others what these begin with, and goes through all once more."""
+    turn = jax.checkpoint(lambda carry, index: (one(index, carry), None), prevent_cse=False)
+    through = lambda first: jax.lax.scan(turn, first, jnp.arange(steps))[0]
+    return jax.checkpoint(through, prevent_cse=False)(first)
+
+
+def arrived(
+    end: Any,
+    steps: Any,
+    warm_start: Any,
+    met: Peaks | None = None,
+    watch: Watch | None = None,
+) -> Advance:
+    """The answer of steps that are never rejected, and that have `met` so deep contacts; `watch`:
+    events on the way."""
+    outcome = jnp.where(jnp.all(jnp.isfinite(end)), Outcome.REACHED, Outcome.NOT_FINITE)
+    events = None if watch is None else watch.events
+    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, met, events)
+
+
+def searching_steps(
+    interval: Interval, longest: Any, step: Callable, carry: tuple, loose: float
+) -> Advance:
+    """The answer of equal steps, each of which searches for percussions or friction.
+
+    `longest`: length [s] that no step exceeds; `step`: (time step, state, last) -> (state, last);
+    `carry`: state and warm start. The last entry of the warm start (of its first array) is the
+    largest residual with which a search has ended, and beyond `loose` the laws are not met.
+    """
+    steps, h = divide(interval, longest)
+
+    def one(index, state, last):
+        return step(TimeStep(interval.start + index * h, h), state, last)
+
+    state, warm_start = carry
+    (first, *others), structure = jax.tree.flatten(warm_start)
+    begun = jax.tree.unflatten(structure, [first.at[-1].set(0.0), *others])
+    state, warm_start = march(one, steps, state, begun)
+    found = arrived(state, steps, warm_start)
+    residual = jax.tree.leaves(warm_start)[0][-1]
+    failed = (found.outcome == Outcome.REACHED) & (residual > loose)
+    return found._replace(outcome=jnp.where(failed, Outcome.LAWS_NOT_MET, found.outcome))

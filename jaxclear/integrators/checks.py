@@ -1,6 +1,6 @@
-"""What a run finds out about itself that no finer run of the same model would tell: loops that are
-open, energy that nothing gave, contacts beyond their law, and what the model leaves out. How far
-its numbers are off is told by replicas (`jaxclear.errors`).
+"""How a run can end, or fail to begin, and what it finds out about itself that no finer run of the
+same model would tell: loops that are open, energy that nothing gave, contacts beyond their law, and
+what the model leaves out. How far its numbers are off is told by replicas (`jaxclear.errors`).
 
 A figure is a number for each place (a joint, or the mechanism), the worst that was met, beside the
 limit up to which numbers can be trusted. A run that lacks the thing has none and pays nothing.
@@ -8,10 +8,96 @@ Beyond `Check.ends_at` a run ends.
 """
 
 import enum
+from collections.abc import Mapping
+from typing import Any
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float
 
-from jaxclear.integrators.outcome import Outcome
+from jaxclear.ground.outcome import AbstractOutcome
+from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.table import as_table
+
+
+class Outcome(AbstractOutcome):
+    """How a run ended. `Outcome(code).sentence` says it; only `REACHED` (0) is a success.
+
+    `UNASSEMBLED`, `OUT_OF_RANGE` and `OTHER_MODE` are those of samples of a study, whose numbers do
+    not make a mechanism, or not the nominal one.
+    """
+
+    REACHED = 0, "The run reached its end."
+    STEP_TOO_SMALL = (
+        1,
+        "The step size fell below the smallest allowed: the equations are too stiff or not finite "
+        "here.",
+    )
+    TOO_MANY_STEPS = 2, "The allowed number of steps between two saved times was used up."
+    NOT_FINITE = 3, "The state became infinite or not a number."
+    ENERGY_GAINED = (
+        4,
+        "The mechanism gained energy that nothing gave it: the steps are too long for its contacts "
+        "or loads. Take shorter ones.",
+    )
+    LAWS_NOT_MET = (
+        5,
+        "The laws of contact or friction were not met: the sweeps over the joints were used up far "
+        "from their solution. Allow more of them (most_sweeps); joints that lock themselves "
+        "may have no solution there.",
+    )
+    UNASSEMBLED = 6, "The mechanism cannot be assembled."
+    OUT_OF_RANGE = (
+        7,
+        "A number of the mechanism lies outside its range (a negative clearance, say).",
+    )
+    LOOP_TORN = (
+        8,
+        "A loop came open by more than a run can mend: the steps are too long for this motion. "
+        "Take shorter ones, or stabilisation=jaxclear.Projection().",
+    )
+    DEAD_POINT = (
+        9,
+        "A drive leads a closed loop beyond a dead point: from here no position closes the loop. "
+        "Drive another joint, or keep the drive within reach.",
+    )
+
+    SUNK_IN = (
+        10,
+        "A journal, ball or slider sank into the wall that holds it by more than its own radius: "
+        "for these loads and speeds the contact is too soft, or the steps are too long. Look at "
+        "stiffness, loads and start, or take shorter steps.",
+    )
+
+    SINGULAR_POSITION = (
+        11,
+        "The mechanism is at a singular position, a linkage stretched flat, say: its loops leave "
+        "more than one way to go on there, and their reactions are not determined. Change a "
+        "length a little, keep the motion away from it, or take integrator.Adaptive() or shorter "
+        "steps, which pass such places more often.",
+    )
+
+    OFF_THE_WALLS = (
+        12,
+        "A slider left the walls of its guide that wear: its corners went beyond "
+        "guide_length about guide_middle. Give the SliderGuide longer walls, or another middle.",
+    )
+
+    OTHER_MODE = (
+        13,
+        "The mechanism was assembled in another mode than the nominal one: a position in which two "
+        "of its ways to assemble meet lies between the two. Vary its numbers less, or give start= "
+        "or guess= for more joints.",
+    )
+
+    @property
+    def began(self) -> bool:
+        """Whether there was a run at all."""
+        return self not in (Outcome.UNASSEMBLED, Outcome.OUT_OF_RANGE, Outcome.OTHER_MODE)
+
 
 NEVER = (np.inf, Outcome.REACHED)
 # What a figure is told for.
@@ -211,3 +297,143 @@ LIVE = (
     Check.INDETERMINATE_FORCE,
     Check.GAP_MOTION,
 )
+
+
+# So large a figure is that of a run which grew without bound.
+RAN_AWAY = 1e6
+
+
+class Figure(eqx.Module):
+    """The worst of a figure at each of its `places`, and at what `time` [s] its saving interval
+    ended."""
+
+    worst: Float[Array, "*batch places"]
+    time: Float[Array, "*batch places"]
+    places: tuple[str, ...] = eqx.field(static=True)
+
+
+class Checks(AbstractShown):
+    """The figures by which a run is judged. `print` shows them as a table; `warnings` are the
+    sentences of those beyond their limits. After `jax.vmap` every array has the samples in front:
+    `beyond` and `any_beyond` stay arrays, the rest is for one run.
+
+    Of all figures together it holds the `worst` and the `time` [s]: a short run would pay for every
+    array that it hands over. `named`: the checks in order, each with the names of its places.
+    """
+
+    worst: Float[Array, "*batch all_places"] = eqx.field(default_factory=lambda: np.zeros(0))
+    time: Float[Array, "*batch all_places"] = eqx.field(default_factory=lambda: np.zeros(0))
+    named: tuple[tuple[Check, tuple[str, ...]], ...] = eqx.field(static=True, default=())
+
+    def __check_init__(self):
+        columns = self.worst.shape[-1], self.time.shape[-1]
+        named = sum(len(places) for _, places in self.named)
+        if columns != (named, named):
+            raise ValueError(
+                f"Checks has {columns[0]} figures and {columns[1]} times for {named} named places; "
+                "it must have one of each for every place, in the same order."
+            )
+
+    @classmethod
+    def of(cls, figures: Mapping[Check, Figure]) -> "Checks":
+        """Of each figure by its check."""
+        if not figures:
+            return cls()
+        together = jnp if is_traced(figures) else np
+        rows = zip(*((figure.worst, figure.time) for figure in figures.values()), strict=True)
+        worst, time = (together.concatenate(row, axis=-1) for row in rows)
+        return cls(worst, time, tuple((check, own.places) for check, own in figures.items()))
+
+    @property
+    def figures(self) -> dict[Check, Figure]:
+        """Each figure by its check."""
+        found, start = {}, 0
+        worst: Any = self.worst
+        time: Any = self.time
+        # JAX takes long to give a part of an array, NumPy does not.
+        if not is_traced((worst, time)):
+            worst, time = np.asarray(worst), np.asarray(time)
+        for check, places in self.named:
+            own = slice(start, start + len(places))
+            found[check] = Figure(worst[..., own], time[..., own], places)
+            start = own.stop
+        return found
+
+    def beyond(self) -> dict[Check, Bool[Array, "*batch"]]:
+        """For each figure whether it is beyond its limit anywhere; samples stay in front."""
+        return {
+            check: (figure.worst > check.limit).any(axis=-1)
+            for check, figure in self.figures.items()
+        }
+
+    def any_beyond(self) -> Bool[Array, "*batch"]:
+        """Whether any figure is beyond its limit."""
+        found = jnp.zeros((), bool)
+        for beyond in self.beyond().values():
+            found = found | beyond
+        return found
+
+    def of_sample(self, index: int) -> "Checks":
+        """The figures of one sample of many."""
+        return jax.tree.map(lambda array: array[index], self)
+
+    def attributes(self) -> dict[str, str]:
+        """Each figure of one run beside its limit, by name, as text that goes with saved data."""
+        return {
+            f"check_{check.name.lower()}": f"{worst:.6g} (limit {check.limit:g})"
+            + (f", joint {place}" if place else "")
+            for check, worst, place, _ in self.rows()
+        }
+
+    def rows(self) -> list[tuple[Check, float, str, float]]:
+        """(check, worst figure, its place, when [s]) of each figure of one run."""
+        out = []
+        for check, figure in self.figures.items():
+            worst = np.asarray(figure.worst)
+            at = int(np.argmax(worst))
+            out.append((check, float(worst[at]), figure.places[at], float(figure.time[at])))
+        return out
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence for each figure beyond its limit; empty for a clean run."""
+        return tuple(_sentence(*row) for row in self._told())
+
+    @property
+    def before_the_end(self) -> tuple[str, ...]:
+        """The warnings of a run that ended early but for those of figures that grew without bound
+        with it: what was beyond its limit before may tell why."""
+        return tuple(_sentence(*row) for row in self._told() if row[1] < RAN_AWAY)
+
+    def _told(self) -> list[tuple[Check, float, str]]:
+        """(check, worst figure, its place) of those beyond their limits."""
+        return [row[:3] for row in self.rows() if row[1] > row[0].limit]
+
+    def table(self) -> Any:
+        """A pandas table: figure, unit, limit, where and when [s] the worst was met, what it
+        concerns, whether it is within its limit."""
+        return as_table(
+            [
+                {
+                    "check": check.label,
+                    "figure": worst,
+                    "limit": check.limit,
+                    "unit": check.unit,
+                    "joint": place or "-",
+                    "time [s]": time,
+                    "concerns": check.concerns,
+                    "within": worst <= check.limit,
+                }
+                for check, worst, place, time in self.rows()
+            ]
+        )
+
+    def _shown(self):
+        if not self.named:
+            return "This run had nothing to check."
+        return (self.table().drop(columns="time [s]"),)
+
+
+def _sentence(check: Check, worst: float, place: str) -> str:
+    said = check.sentence.format(figure=worst, place=place, limit=check.limit)
+    return f"{said[0].upper()}{said[1:]}."

@@ -1,22 +1,43 @@
-"""Touches and releases of contacts, noted as a run steps over them: instants of the run, not of its
-saving times.
+"""Touches and releases of contacts, noted as a run steps over them, and the deepest indentation of
+every contact in a run, and how hard those that damp were pressed at most, with their derivatives.
 
 A contact touches where its indentation rises through 0 and is released where it falls through it.
 Between the ends of a step the indentation follows Hermite's cubic through the depths and rates
 there. So many events of each contact as are asked for are kept between two saving times; all are
 counted.
+
+Of peaks, steps know the contacts at both their ends, and the largest of these is kept. The
+derivative is that of the highest point of the path: there the rate is 0, so that it does not hang
+on when that is, and of the end of a step it would be off by the step's length times that of the
+rate. Between the ends of the step in which a contact turns, derivatives follow Hermite's cubic, as
+the indentation does, and the law of its force along it. Largest values are those of a saving
+interval, but their derivatives those of the largest of the run so far (`since`): a contact may turn
+in the first step of an interval, deepest at the end of the one before; and the motion whose
+derivative is asked for may press hardest an interval sooner or later than the run beside which it
+goes.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.formulations.impact_speed import ContactMotion, cubic, passage, passed
+from jaxclear.formulations.impact_speed import (
+    ContactMotion,
+    PerContact,
+    bends,
+    cubic,
+    passage,
+    passed,
+    summit,
+)
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import constant
+from jaxclear.ground.tangents import derived, moved, moving_with, pushed, where_wanted
 
 
 class Events(NamedTuple):
@@ -94,3 +115,229 @@ def together(before: Events, more: Events) -> Events:
 
     times, rates = both(before.times, more.times), both(before.rates, more.rates)
     return Events(times, rates, before.counts + more.counts)
+
+
+# The highest point of a force within a step is sought by halving it so often.
+HALVINGS = 12
+# Forces that differ by no more than this share of themselves are the same but for rounding.
+ROUNDING = 1e-9
+# A later peak that is smaller than this share of an earlier one has nothing to say about it.
+NEAR = 0.9
+
+
+class Peaks(NamedTuple):
+    """The largest so far of every possible contact: indentation [m], and normal force [N] where
+    some contact damps (`damped_contacts`; None: where none does)."""
+
+    depths: PerContact
+    forces: Any = None
+
+
+def nothing_met(depths: PerContact, damped: bool) -> Peaks:
+    """Before the first step of a run with so many contacts."""
+    return Peaks(jnp.zeros_like(depths), jnp.zeros_like(depths) if damped else None)
+
+
+def risen(known: Peaks, depths: PerContact, forces: Any) -> Peaks:
+    """The peaks with these depths and forces. What is not a number is not met: every operation is
+    paid for in every step."""
+    larger = lambda new, old: jnp.where(new > old, new, old)
+    pressed = None if known.forces is None else larger(forces, known.forces)
+    return Peaks(larger(depths, known.depths), pressed)
+
+
+def since(so_far: Peaks | None, begun: Peaks) -> Peaks:
+    """What a saving interval has met where it begins, with the derivative of the largest `so_far`
+    in the run (None: it is not known) where that is as large."""
+    return _with_derivative(lambda so_far, begun: begun > so_far, so_far, begun)
+
+
+def among(so_far: Peaks | None, met: Peaks) -> Peaks:
+    """What a saving interval has `met` by steps that know of no peaks before it, with the
+    derivative of the largest in the run."""
+    return _with_derivative(lambda so_far, met: met >= so_far, so_far, met)
+
+
+def newest(so_far: Any, met: Any, counts: Any) -> Any:
+    """The larger of two peaks, with the derivative of the later one, which knows the earlier one
+    (`since`), where it `counts` and comes as near as `NEAR`: one whose steps are beyond what can be
+    known leaves that of an earlier, larger one as it is."""
+
+    def told(numbers, tangents):
+        so_far, met, counts = numbers
+        before, after = map(moved, tangents[:2])
+        return jnp.where(counts & ~(met < NEAR * so_far), after, before)
+
+    larger = lambda so_far, met, counts: jnp.where(counts & ~(met < so_far), met, so_far)
+    return derived(larger, told)(so_far, met, counts)
+
+
+def _with_derivative(own: Callable, so_far: Peaks | None, met: Peaks) -> Peaks:
+    """The peaks that were `met`, with their derivative where it is their own, otherwise that of
+    those `so_far`."""
+
+    def one(so_far, met):
+        if so_far is None or met is None:
+            return met
+
+        def told(numbers, tangents):
+            before, after = map(moved, tangents)
+            return jnp.where(own(*numbers), after, before)
+
+        return derived(lambda so_far, met: moving_with(so_far, met), told)(so_far, met)
+
+    return met if so_far is None else Peaks(*map(one, so_far, met))
+
+
+def peaks(
+    motion: Any, arrays: Any, ends: tuple, motions: tuple, known: Peaks, so_far: Peaks | None = None
+) -> Peaks:
+    """The peaks after a step, `known` until its start, and `so_far` in the run until the interval
+    began. `motion`: of the model with these arrays (`saltation.motion_of`); `ends`: (time [s],
+    state) at the start and at the end; `motions`: those of the contacts there, whose own
+    derivatives do not count."""
+
+    def larger(arrays, start, end, motions, known, _):
+        forces = None if known.forces is None else motion.pressing(arrays, end[1], motions[1])
+        return moving_with(end[1][0], risen(known, motions[1].depths, forces))
+
+    def moving(numbers, tangents):
+        arrays, start, end, motions, known, before = numbers
+        way, *ways, _, so_far, _ = tangents
+        so_far, length = jax.tree.map(moved, so_far), end[0] - start[0]
+        known = known if before is None else risen(known, *before)
+        deeper, share = _deeper(known.depths, motions, length)
+        force = _Force(motion, arrays, (start, end), motions, length)
+        pressed = force.reaches(known.forces)
+
+        def ahead(so_far):
+            found = [
+                pushed(motion.contacts, (arrays, *point), (way, *each))[1]
+                for point, each in zip((start, end), ways, strict=True)
+            ]
+            moves = [moved(each[0]) for each in ways]
+            bent = bends(_path(motions, length))
+            found = _at_fixed_times(found, motions, moves, bent, length)
+            depths = jnp.where(deeper, cubic(_path(found, length), share)[0], so_far.depths)
+            forces = force.moved(pressed, (way, ways[1][1], found), so_far.forces)
+            return Peaks(depths, forces)
+
+        wanted = jnp.any(deeper) if pressed is None else jnp.any(deeper | pressed)
+        return where_wanted(wanted, ahead, so_far)
+
+    return derived(larger, moving)(arrays, *ends, motions, known, so_far)
+
+
+def _deeper(known: PerContact, motions: tuple, length: Any) -> tuple:
+    """Which contacts are deepest in a step, and at which share of it. One that turns in it has been
+    deepest before, at the end of this step or nowhere."""
+    before, after = motions
+    turns = (before.rates > 0) & (after.rates <= 0)
+    turns = turns & (jnp.maximum(before.depths, after.depths) >= known)
+    share = jnp.where(turns, summit(_path(motions, length)), 1.0)
+    return turns | (after.depths > known), share
+
+
+def _path(motions: Any, length: Any) -> tuple:
+    """Hermite's cubic through the motion at both ends of a step, or what it moves by."""
+    before, after = motions
+    return before.depths, after.depths, length * before.rates, length * after.rates
+
+
+class _Force(NamedTuple):
+    """Normal forces along a step of this length [s] between two `ends`, (time [s], state), from the
+    `motions` of the contacts there and the impact speeds at its end."""
+
+    motion: Any
+    arrays: Any
+    ends: tuple
+    motions: tuple[ContactMotion, ContactMotion]
+    length: Any
+
+    def at_ends(self) -> list:
+        state = self.ends[1][1]
+        return [self.motion.pressing(self.arrays, state, motion) for motion in self.motions]
+
+    def reaches(self, known: Any) -> Any:
+        """Which contacts are pressed harder in the step than ever, or have just been."""
+        if known is None:
+            return None
+        most = jnp.maximum(*self.at_ends())
+        return (most > 0) & (most >= (1 - ROUNDING) * known)
+
+    def moved(self, pressed: Any, ways: tuple, so_far: Any) -> Any:
+        """The derivative of the largest forces, of those `pressed` at the highest point of this
+        step; `ways`: of (arrays, state, contacts at both ends)."""
+        if pressed is None:
+            return None
+        rises, share, goes_on = self._summit()
+        way, state_way, found = ways
+        # There a force does not hang on when it is: without the time by which all comes later,
+        # which is large beside a contact and would have to cancel. A force that still grows as the
+        # step ends is the largest where the run ends with it: at that time, whatever comes later.
+        gains = self._gains()
+        early, late = (_later(*each) for each in zip(self.motions, found, gains, strict=True))
+        later = jnp.where(jnp.less(*self.at_ends()), late, early)
+        later = jnp.where(goes_on, 0.0, later)
+        found = [
+            ContactMotion(*(x + later * gain for x, gain in zip(own, gains, strict=True)))
+            for own, gains in zip(found, gains, strict=True)
+        ]
+        along = lambda arrays, state, path: self._at(arrays, state, path, share)
+        numbers = self.arrays, self.ends[1][1], _path(self.motions, self.length)
+        moves = pushed(along, numbers, (way, state_way, _path(found, self.length)))[1]
+        return jnp.where(pressed & rises, moves, so_far)
+
+    def _gains(self) -> list[ContactMotion]:
+        """Rates of the contacts' motion at both ends."""
+        contacts = lambda time, state: self.motion.contacts(self.arrays, time, state)
+        gains = []
+        for (time, state), motion in zip(self.ends, self.motions, strict=True):
+            shares = jnp.where(motion.depths >= 0, 1.0, 0.0)
+            flow = self.motion.rates(self.arrays, shares, time, state)
+            gains.append(jax.jvp(contacts, (time, state), (jnp.ones_like(time), flow))[1])
+        return gains
+
+    def _at(self, arrays: Any, state: Any, path: tuple, share: Any) -> Any:
+        depths, slopes = cubic(path, share)
+        return self.motion.pressing(arrays, state, ContactMotion(depths, slopes / self.length))
+
+    def _summit(self) -> tuple[Any, Any, Any]:
+        """Whether each force grows where the step begins, the share of the step up to which it
+        does, and whether it still grows as the step ends."""
+        path = _path(self.motions, self.length)
+        force = lambda share: self._at(self.arrays, self.ends[1][1], path, share)
+
+        def grows(share):
+            _, slope = jax.jvp(force, (share,), (jnp.ones_like(share),))
+            depth, rate = cubic(path, share)
+            return jnp.where(depth < 0, rate, slope) > 0
+
+        def halve(carry):
+            i, low, high = carry
+            middle = 0.5 * (low + high)
+            early = grows(middle)
+            return i + 1, jnp.where(early, middle, low), jnp.where(early, high, middle)
+
+        start, end = jnp.zeros_like(path[0]), jnp.ones_like(path[0])
+        first = jnp.zeros((), int), start, end
+        _, low, high = jax.lax.while_loop(lambda carry: carry[0] < HALVINGS, halve, first)
+        return grows(start), 0.5 * (low + high), grows(end)
+
+
+def _later(motion: ContactMotion, moves: ContactMotion, gains: ContactMotion) -> Any:
+    """By how much later a contact moves as it does [s]: as near as that comes to how it is moved,
+    with rates beside depths as in its vibration."""
+    stiffness = abs(safe_divide(gains.rates, motion.depths))
+    weigh = lambda a, b: stiffness * a.depths * b.depths + a.rates * b.rates
+    return -safe_divide(weigh(moves, gains), weigh(gains, gains))
+
+
+def _at_fixed_times(found: list, motions: Any, moves: Any, bent: Any, length: Any) -> list:
+    """Derivatives of contacts at instants that do not move, from those at ends of a step that
+    `moves` tell of."""
+    gains = [safe_divide(each, length * length) for each in bent]
+    return [
+        ContactMotion(own.depths - move * now.rates, own.rates - move * gain)
+        for own, now, move, gain in zip(found, motions, moves, gains, strict=True)
+    ]

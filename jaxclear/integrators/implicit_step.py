@@ -16,16 +16,14 @@ from jaxclear.formulations.model import Model, State
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, constant, count, quantity
-from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.events import watch_from, watched
-from jaxclear.integrators.fine_motion import (
+from jaxclear.integrators.base import AbstractIntegrator, arrived, counted, divide, march
+from jaxclear.integrators.events import among, nothing_met, risen, since, watch_from, watched
+from jaxclear.integrators.variational import (
     beside_steps,
     nothing_beside,
     so_far,
     trusted_beside,
 )
-from jaxclear.integrators.peaks import among, nothing_met, risen, since
-from jaxclear.integrators.stepping import arrived, counted, divide, march
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import Bearing, prepare
 
@@ -64,7 +62,7 @@ class ImplicitStep(AbstractIntegrator):
     steps, which pays off for hundreds of numbers, and passes where surfaces wear, but not with
     friction in ideal joints, and not where contacts open and close. Without it derivatives through
     these are those of the motion itself, which goes beside the steps in parts that resolve contacts
-    (`fine_motion`): within 1e-3 through six bounces of Hertzian laws, half a per cent to two with a
+    (`variational`): within 1e-3 through six bounces of Hertzian laws, half a per cent to two with a
     damper beside the spring; nan where the run has parted from that motion by 3 % of the narrowest
     gap, or where steps twice as long tell another one. Numerical dissipation parts them soon:
     `rebound=1.0` and shorter steps go further.

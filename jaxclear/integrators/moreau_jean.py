@@ -1,21 +1,251 @@
-"""Steps through rigid contact: no stiffness to resolve, impacts in one step, friction that
-sticks."""
+r"""Steps through rigid contact: no stiffness to resolve, impacts in one step, friction that sticks;
+and their derivatives through impacts, which steps capture without locating them.
 
-from typing import ClassVar
+A step in which a contact strikes takes its percussion wherever in the step that falls; the instant
+:math:`t^*` at which the gap closes moves with whatever a derivative is by, and the step does not
+know it. Its derivative here does: it is taken at times that move with the gap,
+
+.. math:: dt^* = -\frac{d\delta}{\dot\delta}, \qquad
+    dy_{k+1} = D\,(dy_k + f^- dt^*) - f^+ dt^*,
+
+with the indentation :math:`\delta` halfway through the step, the derivative :math:`D` of the
+discrete step, whose percussions keep their states (open, sticking, sliding), and the rates
+:math:`f^-` and :math:`f^+` before and behind it of a motion in which nothing strikes. A step
+without an impact has its own derivative.
+
+The motion itself goes the same way: that an impact is taken up to a step late is a difference in
+the motion, which grows with every impact. It is carried along, and tells to which share of the gap
+places are off, and to which share approach speeds are: as much are derivatives off
+(`derivative_error`).
+
+At the end of a run an impact may be due that the run has not taken yet, or have been taken that is
+not due yet. Its derivative is then that of another motion, which runs in longer steps may share,
+and is not known (`known_at_end`).
+
+None of this is in a program of which no derivative is asked. Source: as `saltation`.
+"""
+
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array
 
 from jaxclear.formulations.closing import closed
-from jaxclear.formulations.rigid import RigidContact
+from jaxclear.formulations.contact_rows import TimeStep
+from jaxclear.formulations.model import Model, State
+from jaxclear.formulations.rigid import RigidContact, Strikes
 from jaxclear.formulations.unilateral import MoreauJeanSettings
+from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.ground.tangents import derived_once
-from jaxclear.integrators.base import AbstractIntegrator, Interval
-from jaxclear.integrators.mid_impact import known_at_end, nothing_moved, through_impacts
-from jaxclear.integrators.promise import RIGID
-from jaxclear.integrators.stepping import divide, searching_steps
-from jaxclear.integrators.trust import NO_SECOND, trusted_impacts
+from jaxclear.ground.tangents import derived, derived_once, moved, moving_with, pushed, where_wanted
+from jaxclear.integrators.base import RIGID, AbstractIntegrator, Interval, divide, searching_steps
+from jaxclear.integrators.derivative_error import IMPACT_FIGURES, NO_SECOND, trusted_impacts
+from jaxclear.integrators.saltation import FIRST
+from jaxclear.multibody.reach import gaps_passed
 from jaxclear.multibody.topology import rubbing_in
+from jaxclear.native import one_row
+
+# Contacts that strike in one step do so at once where their instants move alike, to this share.
+AT_ONCE = 1e-6
+# An instant moves where the gap does by more than rounding beside the state.
+ROUNDING = 1e-12
+
+
+class Moves(NamedTuple):
+    """What is carried beside the motion: `figures` of `derivative_error`, and by how much the
+    `state` and what a step hands to the next (`last`) are off, which is the same for all
+    derivatives of a run. Zeros but for their derivatives."""
+
+    figures: Array
+    state: State
+    last: Array
+
+
+def nothing_moved(state: State, last: Array) -> Moves:
+    """Before the first step."""
+    return Moves(jnp.zeros(IMPACT_FIGURES), jnp.zeros_like(state), jnp.zeros_like(last))
+
+
+class _Steps(NamedTuple):
+    """Functions of (arrays, (time [s], length [s]), state, last): `step`, with a first argument of
+    settings; `strikes`; and `rates` of the state where nothing strikes. `model(arrays)`."""
+
+    step: Callable
+    strikes: Callable
+    rates: Callable
+    model: Callable
+
+
+class _Way(NamedTuple):
+    """A derivative at the start of a step: of arrays, of time and length, of state and of `last`;
+    `late`: by what indentation it is off there all the same."""
+
+    arrays: Any
+    clock: Any
+    state: Any
+    last: Any
+    late: Any = 0.0
+
+
+def through_impacts(step: Callable, formulation: RigidContact, rest: Any) -> Callable:
+    """A step with its derivative, as a function of (arrays, clock, state, last, growth).
+
+    `step(model, settings, time step, state, last)`: (state, last). `arrays`: of model and settings,
+    of which this is the `rest`; `clock`: time [s] and length [s]. `growth`: `Moves`."""
+
+    def gone(how, arrays, clock, y, last):
+        model, settings = eqx.combine(arrays, rest)
+        return step(model, settings._replace(**how), TimeStep(*clock), y, last)
+
+    def rates(arrays, clock, y, last):
+        return (gone({"gentle": True}, arrays, clock, y, last)[0] - y) / clock[1]
+
+    strikes = _strikes(formulation, rest)
+    steps = _Steps(gone, strikes, rates, lambda arrays: eqx.combine(arrays, rest)[0])
+
+    @jax.custom_jvp
+    def known(*numbers):
+        *here, growth = numbers
+        end, left = gone({}, *here)
+        return end, left, moving_with(end[0], growth)
+
+    def moving(numbers, tangents):
+        *here, growth = numbers
+        (end, left), gone_way, grown = _moved(steps, tuple(here), tangents)
+        return (end, left, moving_with(end[0], growth)), (*gone_way, grown)
+
+    known.defjvp(moving, symbolic_zeros=True)
+    return known
+
+
+def _strikes(formulation: RigidContact, rest: Any) -> Callable:
+    """`Strikes` as a function of (arrays, clock, state, last), as of `through_impacts`."""
+
+    def strikes(arrays, clock, y, last):
+        model, settings = eqx.combine(arrays, rest)
+        return formulation.strikes(model, TimeStep(*clock), y, last, settings)
+
+    return strikes
+
+
+def _moved(steps: _Steps, here: tuple, tangents: Any) -> tuple[tuple, tuple, Moves]:
+    """((state, last) behind a step, their derivatives, what is carried along)."""
+    arrays, (time, h), *_ = here
+    *given, grown = tangents
+    met = steps.strikes(*here)
+    wanted = jnp.any(met.which)
+    figures, off, off_last = map(moved, grown)
+    still = jax.tree.map(SymbolicZero.from_primal_value, (arrays, (time, h)))
+    arrays_way, clock_way = still
+    ways = _Way(*given), _Way(arrays_way, clock_way, off, off_last, met.depths)
+
+    def before(carry):
+        states, _, figures = carry
+        flow = steps.rates(*here)
+        along = _along(steps, here, flow)
+        found = [_shift(steps, here, way, met, along) for way in ways]
+        late = abs(found[0].shift)
+        late = jnp.where(late * found[0].speed > ROUNDING * jnp.max(abs(states[0])), late, 0.0)
+        states = [state + one.shift * flow for state, one in zip(states, found, strict=True)]
+        return tuple(states), tuple(one.shift for one in found), _grown(figures, late, *found)
+
+    none = jnp.zeros(())
+    carry = (moved(ways[0].state), off), (none, none), figures
+    states, shifts, figures = where_wanted(wanted, before, carry)
+    striking = lambda *numbers: steps.step({"striking": wanted}, *numbers)
+    pairs = []
+    for way, state, shift in zip(ways, states, shifts, strict=True):
+        clock = moved(way.clock[0]) + shift, way.clock[1]
+        found, gone = pushed(striking, here, (way.arrays, clock, state, way.last))
+        pairs.append(gone)
+    (end, left), (gone, off) = found, pairs
+
+    def behind(carry):
+        (state, off), figures = carry
+        flow = steps.rates(arrays, (time + h, h), end, left)
+        off = off - shifts[1] * flow
+        return (state - shifts[0] * flow, off), _placed(figures, steps.model(arrays), off)
+
+    (state, ends), figures = where_wanted(wanted, behind, ((gone[0], off[0]), figures))
+    return (end, left), (state, gone[1]), Moves(figures, ends, off[1])
+
+
+def known_at_end(
+    formulation: RigidContact, rest: Any, now: tuple, growth: Moves, found: Array
+) -> Array:
+    """What was found at saving times, in rows; its derivative at the last one is nan where a
+    contact in flight overlaps there, by what the run is off: it has struck and should not have, or
+    not struck and should have.
+
+    `now`: (arrays, (time [s], length of a step [s]), state, last), as of `through_impacts`."""
+
+    strikes = _strikes(formulation, rest)
+
+    def due(arrays, clock, y, last, *off):
+        def met(*here):
+            found = strikes(arrays, clock, *here)
+            return (found.depths, found.rates), found.flying
+
+        (depths, rates), (deeper, _), flying = jax.jvp(met, (y, last), off, has_aux=True)
+        return jnp.any(flying & (depths - 0.5 * clock[1] * rates + deeper >= 0))
+
+    def judged(numbers, tangents):
+        _, growth, ways = tangents
+        unsure, ways = one_row(due, *numbers[0], *map(moved, growth[1:])), moved(ways)
+        return ways.at[-1].set(jnp.where(unsure, Unknown.AT_ONCE.number, ways[-1]))
+
+    return derived(lambda now, growth, found: found, judged)(now, growth, found)
+
+
+class _Shift(NamedTuple):
+    """By how much later (its derivative) what strikes in a step does so, whether all of it does,
+    by how much faster [m/s]; and how fast it is [m/s]."""
+
+    shift: Scalar
+    alike: Any
+    faster: Scalar
+    speed: Scalar
+
+
+def _along(steps: _Steps, here: tuple, flow: Any) -> tuple:
+    """Rates of indentations and of their rates halfway through a step, where the state at its start
+    goes on."""
+    arrays, (time, h), y, last = here
+    depths = lambda time, y: steps.strikes(arrays, (time, h), y, last)[1:3]
+    return jax.jvp(depths, (time, y), (jnp.ones_like(time), flow))[1]
+
+
+def _shift(steps: _Steps, here: tuple, way: _Way, met: Strikes, along: tuple) -> _Shift:
+    depths = lambda *numbers: steps.strikes(*numbers)[1:3]
+    deeper, faster = pushed(depths, here, (way.arrays, way.clock, way.state, way.last))[1]
+    late = jnp.where(met.which, -safe_divide(deeper + way.late, along[0]), 0.0)
+    shift = jnp.sum(late) / jnp.sum(jnp.where(met.which, 1.0, 0.0))
+    apart = jnp.max(jnp.where(met.which, abs(late - shift), 0.0))
+    both = jnp.stack([abs(faster + shift * along[1]), met.rates])
+    faster, speed = jnp.max(jnp.where(met.which, both, 0.0), 1)
+    return _Shift(shift, apart <= AT_ONCE * abs(shift), faster, speed)
+
+
+def _grown(figures: Array, late: Scalar, found: _Shift, error: _Shift) -> Array:
+    """The figures before an impact that moves so, and is off by so much."""
+    count, first, most, unknown, place, speeds, speed = [figures[i] for i in range(IMPACT_FIGURES)]
+    count = count + jnp.where(late > 0, 1.0, 0.0)
+    first = jnp.where(count <= FIRST, jnp.maximum(first, late), first)
+    unknown = jnp.where(found.alike, unknown, 1.0)
+    most = jnp.maximum(most, late)
+    speed = jnp.maximum(speed, error.speed)
+    return jnp.stack([count, first, most, unknown, place, speeds + error.faster / speed, speed])
+
+
+def _placed(figures: Array, model: Model, off: Any) -> Array:
+    """The figures behind an impact, where the state is off by so much."""
+    return figures.at[4].set(jnp.maximum(figures[4], gaps_passed(model.system, off)))
+
 
 # Residual of the contact laws, relative to the largest velocity, beyond which they are not met.
 LOOSE = 0.1
@@ -54,8 +284,8 @@ class MoreauJean(AbstractIntegrator):
     velocity; where they end far from that, the run ends and says so.
 
     First derivatives through contacts are those of the motion, as far as the steps resolve it
-    (`mid_impact`): they are off by as much as places are beside the gap, nan where impacts have
-    made that grow to a hundredth, where those in other steps tell that they are off by more of
+    (`through_impacts`): they are off by as much as places are beside the gap, nan where impacts
+    have made that grow to a hundredth, where those in other steps tell that they are off by more of
     themselves, where contacts strike in one step that would not move alike, or where a run ends
     before it takes an impact that is due: they want steps of a microsecond.
     Not where surfaces wear, nor where ideal joints rub beside contacts: `jaxclear.sensitivity` is

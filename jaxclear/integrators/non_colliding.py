@@ -10,9 +10,7 @@ from jaxclear.formulations.closing import closed
 from jaxclear.formulations.joint_friction import NonCollidingSettings
 from jaxclear.formulations.permanent import PermanentContact
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.promise import PERMANENT
-from jaxclear.integrators.stepping import searching_steps
+from jaxclear.integrators.base import PERMANENT, AbstractIntegrator, searching_steps
 
 # Last change of friction in a search, relative to its bound, beyond which it may be far from the
 # solution.

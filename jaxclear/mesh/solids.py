@@ -12,9 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.components.stencil import stencil
-from jaxclear.mesh.block_mesh import BlockMesh, joined
-from jaxclear.mesh.deformation import BlockDeformation, deformation
+from jaxclear.components.sphere_map import stencil
+from jaxclear.mesh.block_mesh import BlockDeformation, BlockMesh, deformation, joined
 
 GROWTH = 1.3
 # Half the side of a pin's square core, as a share of the radius.

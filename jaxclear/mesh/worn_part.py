@@ -13,8 +13,6 @@ from jaxclear.mesh.block_mesh import BlockMesh
 from jaxclear.mesh.solids import Solid, bush, pin, socket
 from jaxclear.multibody.mechanism import Mechanism
 
-__all__ = ["solid", "write"]
-
 # The part that carries a worn surface, by the surface's name.
 PARTS = {"bearing": bush, "journal": pin, "socket": socket}
 

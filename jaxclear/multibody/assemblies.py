@@ -18,10 +18,9 @@ from jaxclear.ground.wording import listed
 from jaxclear.multibody import assembly_modes, start_check
 from jaxclear.multibody.assembly import FirstFound, first_found
 from jaxclear.multibody.assembly_modes import Mode
+from jaxclear.multibody.given import at_start
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
-from jaxclear.multibody.own_numbers import coordinate_units
-from jaxclear.multibody.topology import joint_of
-from jaxclear.multibody.turned_round import at_start
+from jaxclear.multibody.topology import coordinate_units, joint_of
 
 
 class Assemblies(AbstractShown):

@@ -55,19 +55,6 @@ from jaxclear.multibody.start_equations import (
 from jaxclear.multibody.system import readings
 from jaxclear.multibody.topology import Redundancy
 
-__all__ = [
-    "Start",
-    "assemble",
-    "assemble_arrays",
-    "carried_on",
-    "guess",
-    "is_sound",
-    "nearest",
-    "ready",
-    "ready_from",
-    "sampled",
-]
-
 ITERATIONS = 30
 # The last of them.
 CLOSING = 5

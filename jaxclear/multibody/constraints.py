@@ -1,4 +1,11 @@
-r"""Constraints of the joints that close loops: residuals, Jacobian, what the accelerations must
+r"""Rows of couplings between coordinates, $\sum_i r_i q_i = c$: residual, rate, Jacobian, second
+derivative, and what the multiplier does to joints outside the tree.
+
+A coordinate that the tree carries is read, whole turns and all, and its entry of the Jacobian is
+its factor; one outside the tree is read between its two markers, as loads read it
+(`closure_coordinates`), its whole turns so that the sum is least.
+
+Constraints of the joints that close loops: residuals, Jacobian, what the accelerations must
 give, and the reactions.
 
 For residuals :math:`\Phi(q, t) = 0` the accelerations satisfy :math:`\Phi_q \dot v = \gamma` with
@@ -10,15 +17,89 @@ Baumgarte's (Nikravesh 1988, Computer-Aided Analysis of Mechanical Systems, sect
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
+
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import STILL, Pose, Twist
-from jaxclear.multibody import coordinate_sums, kinematics, loops, pose_rows, tree
+from jaxclear.multibody import kinematics, loops, pose_rows, tree
 from jaxclear.multibody.forces import add_action_and_reaction
 from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.loops import Baumgarte, Closure, CoordinateSum, SummedCoordinate
 from jaxclear.multibody.meshes import Mesh
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
+
+
+def sum_equation(
+    system: Any, motions: tuple[Motion, ...], row: CoordinateSum
+) -> tuple[Any, Any, JacobianRow]:
+    """(residual, rate, Jacobian by speed index) of the row."""
+    residual, rate, turn = 0 if row.total is None else sp.neg(row.total), 0, None
+    jacobian: JacobianRow = {}
+    for term in row.terms:
+        if term.link is not None:
+            motion = motions[term.link]
+            position, speed = motion.coordinates[0], motion.speeds[0]
+            own: JacobianRow = {}
+            if motion.columns:
+                own = {system.topology.branches[term.link].speeds.start: 1}
+        else:
+            position, speed, own = _outside(system, motions, term)
+            turn = 2 * jnp.pi * term.factor if term.turn else turn
+        residual = sp.add(residual, sp.mul(term.factor, position))
+        rate = sp.add(rate, sp.mul(term.factor, speed))
+        for j, entry in own.items():
+            jacobian[j] = sp.add(jacobian.get(j, 0), sp.mul(term.factor, entry))
+    if turn is not None:
+        residual = residual - turn * jnp.round(residual / turn)
+    return residual, rate, jacobian
+
+
+def _outside(
+    system: Any, motions: tuple[Motion, ...], term: SummedCoordinate
+) -> tuple[Any, Any, JacobianRow]:
+    """(coordinate, speed, Jacobian) of a joint outside the tree."""
+    _, pose, relative = kinematics.relative_motion(term.closure, motions)
+    (position,), (slope,) = pose_rows.gradients(term.reading, pose)
+    rates = lambda *own: (pose_rows.rate(slope, *own),)
+    jacobian = kinematics.relative_jacobian(system, motions, term.closure, pose, rates)
+    return position, rates(pose, relative.velocity, relative.spin)[0], jacobian[0]
+
+
+def sum_acceleration(motions: tuple[Motion, ...], row: CoordinateSum, second: Any) -> Any:
+    """Second derivative of the row at zero free accelerations; `second` gives relative velocity and
+    spin of a closure, and their rates."""
+    out = 0
+    for term in row.terms:
+        if term.link is not None:
+            prescribed = motions[term.link].prescribed
+            own = prescribed[0] if prescribed else 0
+        else:
+            pose = kinematics.relative_motion(term.closure, motions)[1]
+            slopes = pose_rows.gradients(term.reading, pose)[1]
+            own = pose_rows.accelerations(term.reading, pose, slopes, *second(term.closure))[0]
+        out = sp.add(out, sp.mul(term.factor, own))
+    return out
+
+
+def outer_wrenches(
+    motions: tuple[Motion, ...], row: CoordinateSum, multiplier: Any
+) -> Iterator[tuple[SummedCoordinate, Pose, Wrench]]:
+    """What a multiplier does to joints outside the tree: (coordinate, pose of the joint, wrench on
+    its child about its marker, in the parent marker's axes)."""
+    for term in row.terms:
+        if term.closure is not None:
+            pose = kinematics.relative_motion(term.closure, motions)[1]
+            (slope,) = pose_rows.gradients(term.reading, pose)[1]
+            force = sp.mul(multiplier, term.factor)
+            yield term, pose, Wrench(*(sp.scale(force, x) for x in slope.wrench(pose)))
+
+
+def driven_power(motions: tuple[Motion, ...], row: CoordinateSum, multiplier: Any) -> Any:
+    """Power [W] that a multiplier gives to coordinates that drives prescribe."""
+    driven = [t for t in row.terms if t.link is not None and motions[t.link].prescribed]
+    forces = [sp.mul(multiplier, sp.mul(t.factor, motions[t.link].speeds[0])) for t in driven]
+    return sp.total(forces)
 
 
 class ConstraintRows(NamedTuple):
@@ -118,7 +199,7 @@ def constraint_rows(
 ) -> ConstraintRows:
     """Residuals, rates and Jacobian of a closure's rows."""
     if isinstance(closure.reading, CoordinateSum):
-        residual, rate, row = coordinate_sums.equation(system, motions, closure.reading)
+        residual, rate, row = sum_equation(system, motions, closure.reading)
         return ConstraintRows([0], (residual,), (rate,), [row], {})
     _, pose, relative = kinematics.relative_motion(closure, motions)
     slopes = None
@@ -148,7 +229,7 @@ def constraint_rows(
 def residuals(system: System, motions: tuple[Motion, ...], closure: Closure) -> tuple:
     """Value of each row of a closure [m, rad, 1]; 0 where structurally satisfied."""
     if isinstance(closure.reading, CoordinateSum):
-        return coordinate_sums.equation(system, motions, closure.reading)[:1]
+        return sum_equation(system, motions, closure.reading)[:1]
     pose = kinematics.relative_motion(closure, motions)[1]
     return _counted(closure, loops.residuals_of(closure, pose), pose, motions)
 
@@ -184,7 +265,7 @@ def acceleration_equations(
     for closure, found in zip(system.closures, every, strict=True):
         if isinstance(closure.reading, CoordinateSum):
             of_closure = lambda own: relative(own)[1:]
-            second = (coordinate_sums.acceleration(motions, closure.reading, of_closure),)
+            second = (sum_acceleration(motions, closure.reading, of_closure),)
         else:
             pose, moving, faster = relative(closure)
             second = (
@@ -242,7 +323,7 @@ def coupled_wrenches(
     axes)."""
     for closure, own in every:
         if isinstance(closure.reading, CoordinateSum) and own:
-            yield from coordinate_sums.outer_wrenches(motions, closure.reading, own[0])
+            yield from outer_wrenches(motions, closure.reading, own[0])
 
 
 def wrench_of_rows(closure: Closure, pose: Pose, own: dict[int, Any]) -> tuple[sp.Vec, sp.Vec]:

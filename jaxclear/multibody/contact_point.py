@@ -4,21 +4,146 @@ and lost material.
 Normal forces act along the gradient of the indentation with respect to the relative displacement,
 so normal power is exactly -F_n d(delta)/dt, worn and tilted surfaces included. Friction acts at the
 point of contact, against the relative velocity of the two material points there.
+
+Laws may be told whether a contact counts as closed (`integrators.saltation`). Where a surface asks
+for it (`Wearing.worn_radius`) laws are fitted anew to the radii at the contact: a bearing or socket
+worn by h has R + h there, a journal or ball R - h, and the clearance grows by both. Source: Hou,
+Deng & Zeng 2021, J. Cent. South Univ. 28, 712, doi:10.1007/s11771-021-4640-y.
 """
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from jaxclear.components.clearance import AbstractClearance, ContactCandidate, ContactLaws
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.grouping import traced_once
+from jaxclear.ground.compiling import traced_once
 from jaxclear.ground.numerics import rounded_norm, safe_sqrt
 from jaxclear.ground.pose import Pose
-from jaxclear.multibody.counted_laws import laws_as_counted
+from jaxclear.ground.quantity import Scalar
+from jaxclear.laws.contact.base import AbstractContactLaw
+from jaxclear.laws.friction.base import AbstractForceFriction
+from jaxclear.laws.stiffness import AbstractFit, Shape, fitted
 from jaxclear.multibody.loops import Relative
-from jaxclear.multibody.worn_laws import laws_now
+
+# A force [N] beside which no other is anything, by which a contact that counts as closed presses.
+LEAST_FORCE = 1e-30
+
+
+def laws_as_counted(
+    contact_laws: tuple[ContactLaws, ...], shares: tuple[Any, ...]
+) -> tuple[ContactLaws, ...]:
+    """The laws of all contacts of a joint, by the share of each that acts; None: as it is."""
+    return tuple(
+        laws if share is None else _as_counted(laws, share)
+        for laws, share in zip(contact_laws, shares, strict=True)
+    )
+
+
+def _as_counted(laws: ContactLaws, share: Scalar) -> ContactLaws:
+    friction = laws.friction
+    own = _Force(laws.contact, share), None if friction is None else _Friction(friction, share)
+    parts = lambda laws: (laws.contact, laws.friction)
+    return eqx.tree_at(parts, laws, own, is_leaf=lambda part: part is None)
+
+
+class _Force(eqx.Module):
+    """A share of a contact's normal force."""
+
+    law: AbstractContactLaw
+    share: Scalar
+
+    def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Any) -> Scalar:
+        return self.share * self.law.normal_force(indentation, rate, impact_speed)
+
+    def elastic_force(self, indentation: Scalar) -> Scalar:
+        return self.share * self.law.elastic_force(indentation)
+
+
+class _Friction(eqx.Module):
+    """Friction of a contact of which a share acts: bristles of the rest straighten."""
+
+    law: AbstractForceFriction
+    share: Scalar
+
+    def tractions(self, normal_force: Scalar, bristles: tuple, slip: tuple, slip_speed: Scalar):
+        pressed = jnp.where(normal_force > 0, normal_force, LEAST_FORCE + normal_force)
+        tractions, closed = self.law.tractions(pressed, bristles, slip, slip_speed)
+        _, apart = self.law.tractions(jnp.zeros_like(pressed), bristles, slip, slip_speed)
+        rates = (a + self.share * (b - a) for a, b in zip(apart, closed, strict=True))
+        return tractions, tuple(rates)
+
+
+def fitted_laws(joint: AbstractClearance) -> tuple[ContactLaws, ...]:
+    """Laws of each possible contact of a joint as its unworn shape has them; with those before
+    fitting where a surface counts with its worn radius."""
+    follows = any(wearing.worn_radius for _, wearing in joint.maps().values())
+    return tuple(
+        own._replace(
+            contact=fitted(own.contact, own.shape),
+            unfitted=own.contact if follows and own.wears else None,
+        )
+        for own in joint.contact_laws()
+    )
+
+
+def check_followed(joint: AbstractClearance) -> None:
+    """Raises `ValueError`, with a sentence that goes behind the joint's name, where a surface
+    counts with its worn radius and no contact law there takes a number from the radii."""
+    follows = [name for name, (_, wearing) in joint.maps().items() if wearing.worn_radius]
+    fits = (
+        isinstance(node, AbstractFit) and _asks_for_radii(node, own.shape)
+        for own in joint.contact_laws()
+        if own.wears
+        for node in jax.tree.leaves(own.contact, is_leaf=lambda x: isinstance(x, AbstractFit))
+    )
+    if follows and not any(fits):
+        raise ValueError(
+            f"the wear of its {follows[0]} has worn_radius=True, but no number of its contact law "
+            "follows from the radii, so nothing would change; give the law such a number "
+            "(stiffness=jaxclear.stiffness.HertzStiffness(...), say) or leave worn_radius out."
+        )
+
+
+def _asks_for_radii(fit: AbstractFit, shape: Shape) -> bool:
+    """Whether a number follows from the radii: not from the materials or the length alone."""
+    value = lambda inner, outer: fit.value(Shape(inner, outer, shape.length))
+    program = jax.make_jaxpr(value)(shape.inner_radius, shape.outer_radius).jaxpr
+    used = [x for equation in program.eqns for x in equation.invars] + program.outvars
+    return any(x is radius for x in used for radius in program.invars)
+
+
+def laws_now(
+    joint: AbstractClearance,
+    laws: tuple[ContactLaws, ...],
+    offset: sp.Vec,
+    axes: tuple[sp.Vec, ...],
+    worn: dict[str, Any],
+) -> tuple[ContactLaws, ...]:
+    """The laws at each possible contact of a joint whose surfaces are worn as they are: the given
+    ones where none counts with its worn radius."""
+    counted = [name for name, (_, w) in joint.maps().items() if w.worn_radius and name in worn]
+    if not counted:
+        return laws
+    unworn = joint.indentations(offset, axes, {})
+    outer: list[Any] = [0.0] * len(laws)
+    inner: list[Any] = [0.0] * len(laws)
+    for name in counted:
+        of_part = inner if name in joint.inner_surfaces() else outer
+        there = joint.indentations(offset, axes, {name: worn[name]})
+        for k, (before, after) in enumerate(zip(unworn, there, strict=True)):
+            of_part[k] = of_part[k] + before - after
+    found = []
+    for own, lost, gone in zip(laws, outer, inner, strict=True):
+        if own.unfitted is not None:
+            shape = own.shape
+            radii = shape.inner_radius - gone, shape.outer_radius + lost
+            own = own._replace(contact=fitted(own.unfitted, Shape(*radii, shape.length)))
+        found.append(own)
+    return tuple(found)
+
 
 # Slip speeds are rounded here [m/s]: far below any transition speed, only so that the direction of
 # slip exists at rest.

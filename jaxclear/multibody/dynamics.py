@@ -4,16 +4,20 @@ r"""The equations of motion solved: from what acts to accelerations and reaction
 for each subtree of the spanning tree and the multipliers :math:`\lambda` of the closed loops from
 :math:`\Phi_q M^{-1} \Phi_q^T \lambda = \gamma - \Phi_q M^{-1} f` (Featherstone 2008, Rigid Body
 Dynamics Algorithms, chapters 6 and 8, doi:10.1007/978-1-4899-7560-7).
+
+Energy of a mechanism and what flows in and out of it, so that the balance can be closed.
 """
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
-from jaxclear.ground import factorisation, semidefinite
+from jaxclear.components.joint.base import drive_of
+from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.grouping import map_alike
+from jaxclear.ground.compiling import map_alike
 from jaxclear.ground.quantity import constant
 from jaxclear.multibody import constraints, kinematics, tree
 from jaxclear.multibody.constraints import ClosureEquations, Dependence
@@ -131,8 +135,8 @@ def _solver(
         return tuple(sp.mul(x, w) for x, w in zip(values, measured, strict=True))
 
     lengths = [scaled(sp.mul(x, w) for x in row) for row, w in zip(schur, measured, strict=True)]
-    known = semidefinite.factor_of_rank(lengths, dependence.rank)
-    return lambda lacking: scaled(semidefinite.solve_least(known, scaled(lacking)))
+    known = factorisation.factor_of_rank(lengths, dependence.rank)
+    return lambda lacking: scaled(factorisation.solve_least(known, scaled(lacking)))
 
 
 def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[Wrench, ...]:
@@ -155,3 +159,54 @@ def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[
         parts: tuple = (system.links, forces.motions, accelerations, wrenches)
         out.extend(tree.joint_wrenches(*kinematics.by_subtree(subtree, *parts)))
     return tuple(out)
+
+
+def powers(system: System, forces: Forces, solution: Solution) -> list:
+    """Rates [W] of the energies of the balance, in the order of `state.ENERGIES`."""
+    driven = 0
+    wrenches = joint_wrenches(system, forces, solution)
+    for index, link in enumerate(system.links):
+        if drive_of(link.joint) is not None:
+            twist = kinematics.joint_twist(system, forces.motions, index)
+            driven = sp.add(driven, tree.power(twist, wrenches[index]))
+    for closure, own in constraints.coupled(system, forces.motions, solution.multipliers):
+        given = constraints.driven_power(forces.motions, closure.reading, own[0])
+        driven = sp.sub(driven, given)
+    reports = forces.reports.values()
+    return [
+        sp.add(driven, forces.external_power),
+        sp.total(r.contact_power for r in reports),
+        sp.total(r.contact_loss for r in reports),
+        sp.total(r.friction_loss for r in reports),
+        forces.damping_loss,
+    ]
+
+
+def mechanical_energy(system: System, forces: Forces) -> tuple[Any, Any]:
+    """(kinetic energy, potential energy of gravity and springs) [J]; gravity's is zero at the
+    ground's origin.
+    """
+    kinetic, potential = 0.0, forces.stored
+    for index, (link, motion) in enumerate(zip(system.links, forces.motions, strict=True)):
+        v, w = motion.twist
+        if link.rotor is not None:
+            kinetic = kinetic + 0.5 * link.rotor * _speed(system, forces, index) ** 2
+        kinetic = kinetic + 0.5 * (
+            sp.add(sp.mul(link.mass, sp.dot(v, v)), sp.dot(w, sp.apply(link.inertia, w)))
+            + sp.mul(2.0, sp.dot(v, sp.cross(w, link.first_moment)))
+        )
+        weighted = sp.plus(
+            sp.scale(link.mass, motion.pose.translation),
+            sp.apply(motion.pose.rotation, link.first_moment),
+        )
+        potential = sp.sub(potential, sp.dot(system.gravity, weighted))
+    return kinetic, jnp.asarray(potential, float)
+
+
+def _speed(system: System, forces: Forces, index: int) -> Any:
+    """Speed [rad/s, m/s] of the single coordinate of a link's joint."""
+    (column,) = forces.motions[index].columns
+    twist = kinematics.joint_twist(system, forces.motions, index)
+    along = sp.add(sp.dot(column.linear, twist.linear), sp.dot(column.angular, twist.angular))
+    square = sp.add(sp.dot(column.linear, column.linear), sp.dot(column.angular, column.angular))
+    return along / square

@@ -24,8 +24,6 @@ from jaxclear.multibody.topology import Topology, coordinate_joint, free_joint, 
 # Twists that say no more than others [m, 1]: rounding.
 ALIKE = 1e-9
 
-__all__ = ["at_rest_under", "exchanged", "told_for_start", "without_loads_on"]
-
 
 def exchanged(
     connections: Mapping[str, Connection], bodies: dict[str, Body], name: str, joint: Any

@@ -11,7 +11,7 @@ import jax
 
 from jaxclear.components.load import AbstractBodyLoad, Action, Effect, MarkerMotion
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.grouping import map_alike
+from jaxclear.ground.compiling import map_alike
 from jaxclear.ground.pose import Pose
 from jaxclear.multibody import closure_coordinates, contact_point, kinematics, tree
 from jaxclear.multibody.contact_point import JointReport

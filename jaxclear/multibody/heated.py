@@ -17,8 +17,6 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_known, check_number, expect
 from jaxclear.multibody.mechanism import Mechanism
 
-__all__ = ["heated"]
-
 
 @answering
 def heated(mechanism: Mechanism, rise: Any, expansion: Any) -> Mechanism:

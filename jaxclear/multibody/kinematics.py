@@ -10,7 +10,7 @@ from typing import Any
 import jax
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.grouping import map_alike
+from jaxclear.ground.compiling import map_alike
 from jaxclear.ground.pose import STILL, Pose, Twist
 from jaxclear.multibody import loops, tree
 from jaxclear.multibody.loops import Closure, Relative

@@ -1,4 +1,5 @@
-"""A mechanism: bodies, connections and loads by name, checked before anything is traced.
+"""A mechanism: bodies, connections and loads by name, read-only and checked before anything is
+traced; and what `print` shows of it.
 
 The numbers are leaves of a pytree; names, joint types and what is absent are its structure. Values
 that are being traced are not checked: they were when the mechanism was built with numbers.
@@ -6,8 +7,8 @@ that are being traced are not checked: they were when the mechanism was built wi
 
 import copy
 import dataclasses
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Any, NoReturn
 
 import equinox as eqx
 import jax
@@ -22,18 +23,152 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractLoad
 from jaxclear.ground.arguments import check_known, expect
 from jaxclear.ground.quantity import IF_ANY, AbstractQuantified, as_number
+from jaxclear.ground.shown import (
+    INDENT,
+    fields_in_words,
+    in_a_line,
+    number_in_words,
+    numbers_in_words,
+)
 from jaxclear.ground.table import as_table
-from jaxclear.ground.wording import described
+from jaxclear.ground.wording import described, public_name
 from jaxclear.multibody import validation
-from jaxclear.multibody.coupled import check_couplings
 from jaxclear.multibody.exchange import exchanged, told_for_start, without_loads_on
-from jaxclear.multibody.in_words import in_words
 from jaxclear.multibody.loops import AsNeeded, Baumgarte, Projection
-from jaxclear.multibody.magnitudes import warn_of_magnitudes
-from jaxclear.multibody.own_numbers import own_numbers
-from jaxclear.multibody.parts import Parts
-from jaxclear.multibody.plane import check_plane
-from jaxclear.multibody.topology import Redundancy, Topology, grow
+from jaxclear.multibody.magnitudes import check_plane, warn_of_magnitudes
+from jaxclear.multibody.topology import (
+    Redundancy,
+    Topology,
+    acted_on,
+    coordinate_units,
+    grow,
+    own_numbers,
+    slides,
+    unit_along,
+)
+from jaxclear.multibody.validation import check_couplings
+
+
+class Parts(dict):
+    """A dictionary of a built mechanism, in the order of its names, that cannot be changed in
+    place. `|` and `copy` give a plain dictionary to build another mechanism from.
+
+    A node of a pytree; unlike JAX's own for dictionaries it keeps its names in their order. Raises
+    `TypeError` with a sentence where it is to be changed.
+    """
+
+    def _refused(self, *_: Any, **__: Any) -> NoReturn:
+        raise TypeError(
+            "a built Mechanism is read-only: what is changed in it now would not be checked, and "
+            "its motion would not follow. Build another: mechanism.with_joint(name, joint), "
+            "mechanism.with_body(name, body), mechanism.with_load(name, load), "
+            "mechanism.with_coupling(name, coupling) (None takes a load or a coupling out), or "
+            "jaxclear.Mechanism(mechanism.bodies, mechanism.connections, mechanism.loads, "
+            "couplings=mechanism.couplings, **mechanism.given | {'start': ...})."
+        )
+
+    __setitem__ = __delitem__ = __ior__ = _refused
+    update = setdefault = pop = popitem = clear = _refused
+
+    def __or__(self, other: Any) -> Any:
+        return dict(self) | dict(other) if isinstance(other, Mapping) else NotImplemented
+
+    def __ror__(self, other: Any) -> Any:
+        return dict(other) | dict(self) if isinstance(other, Mapping) else NotImplemented
+
+    def copy(self) -> dict[str, Any]:
+        return dict(self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Parts, (dict(self),)
+
+
+def _unflattened(names: tuple[str, ...], parts: Iterable[Any]) -> Parts:
+    return Parts(zip(names, parts, strict=True))
+
+
+def _flattened(parts: Parts) -> tuple[list[Any], tuple[str, ...]]:
+    return list(parts.values()), tuple(parts)
+
+
+def _flattened_with_names(parts: Parts) -> tuple[list[tuple[Any, Any]], tuple[str, ...]]:
+    return [(jax.tree_util.DictKey(name), part) for name, part in parts.items()], tuple(parts)
+
+
+jax.tree_util.register_pytree_with_keys(Parts, _flattened_with_names, _unflattened, _flattened)
+
+
+AS_NEEDED = "as the integrator needs it: by Projection where its steps open them, else by Baumgarte"
+
+
+def in_words(mechanism: Any) -> str:
+    """What it has in the first line; bodies, connections, loads, start and speeds, a line each."""
+    parts = ((p, getattr(mechanism, p)) for p in ("bodies", "connections", "loads", "couplings"))
+    counts = [_counted(part, names) for part, names in parts if names]
+    lines = [f"Mechanism: {', '.join(counts)}"]
+    for part, entry in (
+        ("bodies", lambda name, body: _numbers(body)),
+        ("connections", lambda name, connection: _connection(mechanism, name)),
+        ("loads", lambda name, load: _load(mechanism, load)),
+        ("couplings", lambda name, coupling: _coupling(mechanism, coupling)),
+        ("start", lambda name, values: _coordinates(mechanism, name, values, "")),
+        ("guess", lambda name, values: _coordinates(mechanism, name, values, "")),
+        ("speeds", lambda name, values: _coordinates(mechanism, name, values, "/s")),
+    ):
+        given = getattr(mechanism, part)
+        if given:
+            width = max(map(len, given))
+            lines += [part, *(f"  {n:<{width}}  {entry(n, x)}".rstrip() for n, x in given.items())]
+    if mechanism.topology.loops and mechanism.stabilisation is not None:
+        held = mechanism.stabilisation
+        by = f"by {public_name(type(held))} {_numbers(held)}".rstrip()
+        lines.append(f"loops held {AS_NEEDED if isinstance(held, AsNeeded) else by}")
+    if mechanism.topology.overconstrained:
+        lines.append(str(mechanism.topology.redundancy))
+    return "\n".join(lines)
+
+
+def _counted(part: str, names: Any) -> str:
+    """How many there are of a part, such as "2 loads"."""
+    one = {"bodies": "body"}.get(part, part.removesuffix("s"))
+    return f"{len(names)} {one if len(names) == 1 else part}"
+
+
+def _load(mechanism: Any, load: Any) -> str:
+    return f"{public_name(type(load))} {_numbers(load, slides(mechanism, acted_on(load)))}"
+
+
+def _coupling(mechanism: Any, coupling: Any) -> str:
+    joints = coupling.joints()
+    along = bool(joints) and slides(mechanism, joints[0])
+    return f"{public_name(type(coupling))} {_numbers(coupling, along)}"
+
+
+def _connection(mechanism: Any, name: str) -> str:
+    connection = mechanism.connections[name]
+    joint = connection.joint
+    ends = f"{in_a_line(connection.parent)} to {in_a_line(connection.child)}"
+    along = slides(mechanism, name)
+    parts = list(fields_in_words(joint, lambda metadata: unit_along(metadata, along)))
+    own = [text for name, text in parts if not isinstance(getattr(joint, name), eqx.Module)]
+    laws = [
+        f"{INDENT}{text}" for name, text in parts if isinstance(getattr(joint, name), eqx.Module)
+    ]
+    first = f"{public_name(type(joint))}, {ends}; {', '.join(own)}".rstrip("; ")
+    return "\n".join([first, *laws])
+
+
+def _numbers(part: Any, along: bool = False) -> str:
+    return numbers_in_words(part, lambda metadata: unit_along(metadata, along))
+
+
+def _coordinates(mechanism: Any, name: str, values: tuple, rate: str) -> str:
+    units = coordinate_units(mechanism, name)
+    if set(units) == {"1"} and len(values) in (1, 3):
+        return f"{number_in_words(values)} rad{rate}"  # a rotation vector in place of a quaternion
+    if len(units) != len(values) or "1" in units:
+        return number_in_words(values)
+    return ", ".join(f"{number_in_words(x)} {u}{rate}" for x, u in zip(values, units, strict=True))
 
 
 def _guess(what: str, value: Any) -> tuple:

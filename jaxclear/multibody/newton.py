@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool
 
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.least_change import Change, least_change, of_rank
+from jaxclear.ground.factorisation import Change, least_change, of_rank
 from jaxclear.multibody.start_equations import (
     GIVEN,
     JOURNAL,

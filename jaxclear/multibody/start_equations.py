@@ -16,12 +16,12 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.shown import shown_in_words
 from jaxclear.multibody import constraints, given, kinematics
+from jaxclear.multibody.given import at_start
 from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, prepare
 from jaxclear.multibody.tree import Motion
-from jaxclear.multibody.turned_round import at_start
 
 LOOP, GIVEN, JOURNAL, GUESS = "loop", "given", "journal", "guess"
 

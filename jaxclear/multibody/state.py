@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from jaxclear.components.clearance import ContactCandidate, ContactLaws
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.grouping import by_form
+from jaxclear.ground.compiling import by_form
 from jaxclear.multibody.contact_point import PointState, memory_template
 from jaxclear.multibody.system import Bearing, System, rubbing_joints
 

@@ -19,13 +19,13 @@ from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, Gravity
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST, Pose
+from jaxclear.multibody.contact_point import fitted_laws
 from jaxclear.multibody.loops import TURN, WAY, Closure, CoordinateSum, SummedCoordinate
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.meshes import markers, mesh
 from jaxclear.multibody.pose_rows import CoordinateOf, closing_rows, reading_of
 from jaxclear.multibody.topology import Topology, coordinate_joint, joint_of
 from jaxclear.multibody.tree import Link
-from jaxclear.multibody.worn_laws import fitted_laws
 
 
 class Bearing(eqx.Module):

@@ -1,33 +1,125 @@
-"""What a mechanism is refused for, in sentences that name the body, joint or load and say what
-would be right.
+"""What a mechanism is refused for, in sentences that name the body, joint, load or coupling and say
+what would be right.
 
 A part checks itself when it is built; here is what needs the other parts: names, what a slot holds,
-numbers that were changed afterwards, drives, loads and starts that fit the tree.
+numbers that were changed afterwards, drives, loads and starts that fit the tree, and what loads and
+drives of a user's own class answer, looked at once by shapes alone.
 """
 
 import dataclasses
+import itertools
 import math
 from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance
-from jaxclear.components.coupling import AbstractCoupling
+from jaxclear.components.coupling import AbstractCoordinateCoupling, AbstractCoupling
+from jaxclear.components.drive import AbstractDrive
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.joint.base import drive_of
-from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, AbstractLoad, Gravity
+from jaxclear.components.load import (
+    AbstractBodyLoad,
+    AbstractCoordinateLoad,
+    AbstractLoad,
+    Action,
+    Effect,
+    Gravity,
+    MarkerMotion,
+)
 from jaxclear.ground.arguments import check_known, expect
-from jaxclear.ground.kinds import check_kinds
-from jaxclear.ground.quantity import check_range, numbers
+from jaxclear.ground.pose import Pose
+from jaxclear.ground.quantity import check_kinds, check_range, is_one_number, is_traced, numbers
+from jaxclear.ground.warning import asked, shape_of, warn
 from jaxclear.ground.wording import listed, meant
 from jaxclear.laws.stiffness import fitted
-from jaxclear.multibody.own_parts import check_own_drive, check_own_load
+from jaxclear.multibody.contact_point import check_followed
+from jaxclear.multibody.meshes import drawn_pose, markers
 from jaxclear.multibody.pose_rows import check_rows
 from jaxclear.multibody.topology import Topology, coordinate_joint
-from jaxclear.multibody.worn_laws import check_followed
+
+NUMBER = jax.ShapeDtypeStruct((), jnp.float64)
+VECTOR = (NUMBER,) * 3
+SEEN = MarkerMotion(Pose((VECTOR,) * 3, VECTOR), VECTOR, VECTOR)
+ON_COORDINATE = ("generalised force", "stored energy", "dissipated power", "external power")
+MOTION = ("position", "speed", "acceleration")
+# Instants [s] at which rates are looked at, which no period divides; and how near they are.
+INSTANTS, CLOSE = (0.0137, 0.113, 0.371), 1e-6
+
+
+def check_own_drive(name: str, drive: AbstractDrive | None) -> None:
+    """Raises `ValueError` with a sentence where the drive of a joint answers something else than
+    its motion."""
+    if drive is not None and is_own(drive):
+        what = f'the drive of joint "{name}", its motion(time),'
+        shape_of(lambda time: _numbers(what, asked(what, drive.motion, time), MOTION), NUMBER)
+        if not is_traced(drive):
+            _check_rates(name, drive)
+
+
+def _check_rates(name: str, drive: AbstractDrive) -> None:
+    """Raises `ValueError` where the speed of a drive is not the rate of its position, or its
+    acceleration not that of its speed, at any of a few instants."""
+    motion = lambda time: tuple(jnp.asarray(own, float) for own in drive.motion(time))
+    looks = [jax.jvp(motion, (time,), (1.0,)) for time in INSTANTS]
+    for below, above in itertools.pairwise(range(3)):
+        rates = [(float(found[above]), float(rate[below])) for found, rate in looks]
+        if all(abs(told - rate) > CLOSE * (abs(told) + abs(rate)) for told, rate in rates):
+            (told, rate), time = rates[0], INSTANTS[0]
+            raise ValueError(
+                f'the drive of joint "{name}", its motion(time), returns the {MOTION[above]} '
+                f"{told:.6g} at {time:g} s, where its {MOTION[below]} changes by {rate:.6g} a "
+                "second; each must be the rate of the one before."
+            )
+
+
+def check_own_load(name: str, load: Any) -> None:
+    """The same of a load and its effect, or force."""
+    if not is_own(load):
+        return
+    if isinstance(load, AbstractCoordinateLoad):
+        what = f'load "{name}", its force(time, position, speed),'
+        told = lambda *at: _numbers(what, asked(what, load.force, *at), ON_COORDINATE)
+        shape_of(told, NUMBER, NUMBER, NUMBER)
+    if isinstance(load, AbstractBodyLoad):
+        what, markers = f'load "{name}", its effect(time, motions),', load.markers()
+        told = lambda *at: _effect(what, asked(what, load.effect, *at), len(markers))
+        shape_of(told, NUMBER, (SEEN,) * len(markers))
+
+
+def is_own(part: Any) -> bool:
+    """Whether a part is of a class from outside this package."""
+    return type(part).__module__.partition(".")[0] != __name__.partition(".")[0]
+
+
+def _effect(what: str, effect: Any, markers: int) -> None:
+    expect(effect, Effect, f"{what} returns what", "a jaxclear.load.Effect")
+    if len(effect.actions) != markers:
+        raise ValueError(
+            f"{what} returns {len(effect.actions)} actions; its {markers} markers need one each, "
+            "in their order, of zeros where nothing acts."
+        )
+    for action in effect.actions:
+        expect(action, Action, f"{what} returns an action that", "a jaxclear.load.Action")
+        _numbers(f"{what} an action's force,", action.force, "xyz")
+        _numbers(f"{what} an action's torque,", action.torque, "xyz")
+    _numbers(what, effect[1:], Effect._fields[1:])
+
+
+def _numbers(what: str, found: Any, names: Any) -> None:
+    """Raises `ValueError` where what was found is not one number for each name."""
+    several = isinstance(found, (tuple, list)) or getattr(found, "ndim", 0) == 1
+    parts = list(found) if several else [found]
+    if len(parts) != len(names) or not all(map(is_one_number, parts)):
+        count = len(parts) if all(map(is_one_number, parts)) else "no"
+        raise ValueError(
+            f"{what} returns {count} number{'s' * (count != 1)}; it must return {len(names)}: "
+            f"{', '.join(names)}."
+        )
 
 
 def check_parts(bodies: dict, connections: dict, loads: dict, couplings: dict) -> None:
@@ -248,3 +340,97 @@ def _with_coordinates(what: str, name: str, bodies: dict, connections: dict) -> 
             f'{what} names "{name}", whose motion is prescribed or fixed; leave it out.'
         )
     return joint
+
+
+# Beside factors of couplings [1].
+ROUNDING = 1e-9
+
+
+def check_couplings(couplings: dict, topology: Topology, bodies: dict, connections: dict) -> None:
+    """Raises `ValueError` for a coupling of joints that there are not, or that do not fit."""
+    _warn_of_locks(couplings)
+    for name, coupling in couplings.items():
+        if name in connections:
+            raise ValueError(f'"{name}" is a coupling and a joint; give one of them another name.')
+        names = coupling.joints()
+        for joint in names:
+            if names.count(joint) > 1:
+                raise ValueError(
+                    f'coupling "{name}" names joint "{joint}" twice; it couples different joints.'
+                )
+            check_known("joint", joint, connections, f' for coupling "{name}"')
+        if isinstance(coupling, AbstractCoordinateCoupling):
+            _check_coordinates(name, coupling, topology, bodies, connections)
+            continue
+        first, second = markers(coupling, connections)
+        if first.body == second.body:
+            raise ValueError(
+                f'coupling "{name}" ties body "{first.body}" to itself; its joints '
+                f"{listed(names)} carry one body."
+            )
+        _check_moves(name, coupling, bodies, connections)
+        if not is_traced((coupling, bodies, connections)):
+            try:
+                coupling.check(drawn_pose(coupling, bodies, connections))
+            except ValueError as error:
+                raise ValueError(f'coupling "{name}" {error}') from None
+
+
+def _warn_of_locks(couplings: dict) -> None:
+    """Warns where sums of coordinates, each of two or more joints, leave a joint one place only."""
+    own = {n: c.terms() for n, c in couplings.items() if isinstance(c, AbstractCoordinateCoupling)}
+    if len(own) < 2 or is_traced(own):
+        return
+    joints = list(dict.fromkeys(term.joint for terms in own.values() for term in terms))
+    rows = np.zeros((len(own), len(joints)))
+    for row, terms in zip(rows, own.values(), strict=True):
+        for joint, factor in terms:
+            row[joints.index(joint)] = float(factor)
+    for place, joint in zip(np.eye(len(joints)), joints, strict=True):
+        shares = np.linalg.lstsq(rows.T, place, rcond=None)[0]
+        tying = [n for n, share in zip(own, shares, strict=True) if abs(share) > ROUNDING]
+        if len(tying) > 1 and np.allclose(rows.T @ shares, place, atol=ROUNDING):
+            warn(
+                f'couplings {listed(tying)} together leave joint "{joint}" one place only: they '
+                "contradict each other in motion, and nothing that they tie can move. Leave one of "
+                "them out."
+            )
+            return
+
+
+def _check_moves(name: str, coupling: Any, bodies: dict, connections: dict) -> None:
+    """That the joints leave free what the coupling ties; a part may be held by a fixed one."""
+    says = {"rad": "turn", "m": "slide"}
+    for joint, needed in zip(coupling.joints(), coupling.moves(), strict=True):
+        ideal = coordinate_joint(joint, bodies, connections)
+        left = [says[unit] for unit in needed if unit not in ideal.units]
+        if left and ideal.units:
+            raise ValueError(
+                f'coupling "{name}", a {type(coupling).__name__}, needs a joint "{joint}" whose '
+                f"parts {' and '.join(says[unit] for unit in needed)}; those of a "
+                f"{type(connections[joint].joint).__name__} do not {' and '.join(left)}."
+            )
+
+
+def _check_coordinates(
+    name: str, coupling: Any, topology: Topology, bodies: dict, connections: dict
+) -> None:
+    """That the joints have one coordinate each, of which one at least is free, and one at most is
+    an angle outside the tree."""
+    driven, uncounted = [], []
+    for place in coupling.joints():
+        joint = one_coordinate(f'coupling "{name}" speaks of', place, bodies, connections)
+        driven += [place] if drive_of(joint) is not None else []
+        outside = topology.branch_of(place) is None
+        uncounted += [place] if outside and joint.units == ("rad",) else []
+    if len(driven) == len(coupling.joints()):
+        raise ValueError(
+            f'coupling "{name}" ties joints {listed(driven)}, all of which are driven; leave one '
+            "of the drives out."
+        )
+    if len(uncounted) > 1:
+        raise ValueError(
+            f'coupling "{name}" ties joints {listed(uncounted)}, whose whole turns are not counted '
+            "because the tree does not carry them (they have clearance or close loops); one at "
+            "most may be such a joint. Couple the bodies in their place (jaxclear.coupling.Gear)."
+        )

@@ -29,27 +29,25 @@ The boundary is nine functions, five that tell of the program, and three for Ctr
 On its way a loop passes through these files:
 
 - `while_loops`: loops as they are written; `loop`: the primitive of JAX that they become, how it
-  batches and is lowered; `differentiation`, `tangent`: its derivative, a loop again; backwards as
-  many such loops as numbers enter it that move.
-- `unasked`: what nobody asks of a loop, and it drops when the program around it is compiled.
-- `rows`: functions as loops of one turn. `one_by_one`: what is no loop, and is left to XLA.
-- `calls`, `control`, `arithmetic`, `elementary`, `shapes`, `indexing`, `reductions`: one rule for
-  each of JAX's primitives, in the registry of `rules`: what it becomes as LLVM code.
-- `turning`: loops as text; `tables`: what a kernel writes.
-- `writer`: the text under construction. An array is a NumPy array of register names, so reshaping
-  costs nothing and a sum of three numbers is two instructions.
-- `functions`: sine, cosine and angle for several samples at once.
-- `kernel`: the loop compiled by LLVM (`machine`); `call_frame`, `dispatch`: how XLA calls it.
-- `check`, with `by_numpy` and `numpy_indexing`: one turn of each new kernel on random numbers
-  against NumPy, operation by operation, before it is used.
+  batches, is lowered and differentiated; `tangent`: its derivative, a loop again; backwards as many
+  such loops as numbers enter it that move. `program`: a loop as two programs.
+- `dead_code`: dead-code elimination of what a loop carries and nobody asks for.
+- `derivative_rules`: functions with derivatives of their own, backwards.
+- `rows`: functions as loops of one turn, and what is no loop, and is left to XLA.
+- `arithmetic`, `elementary`, `indexing`, `control`: one rule for each of JAX's primitives: what it
+  becomes as LLVM code.
+- `writer`: the text under construction, and the registry of rules. An array is a NumPy array of
+  register names, so reshaping costs nothing and a sum of three numbers is two instructions.
+- `kernel`: the loop compiled by LLVM, and what it writes; `dispatch`: how XLA calls it.
+- `check`: one turn of a kernel on random numbers against JAX, operation by operation: a switch.
 - `verdicts`: which loops became kernels, and why others did not.
-- `pieces`: what XLA compiles for an accelerator, cut so that it works little out anew; `replay`: a
-  program gone through equation by equation.
+- `barriers`: what XLA compiles for an accelerator, cut so that it works little out anew.
 
-JAX's own loop is taken instead where a primitive has no rule, where the program is long, where the
-check fails, on an accelerator, for derivatives of the loops of a library and of functions of one
-turn, and with JAXCLEAR_PLAIN_LOOPS=1. Of time loops the first three warn, once for each reason;
-all reasons are in the verdict.
+JAX's own loop is taken instead where a primitive has no rule, where the program is long, on an
+accelerator, for derivatives of the loops of a library and of functions of one turn, and with
+JAXCLEAR_PLAIN_LOOPS=1. Of time loops the first two warn, once for each reason; all reasons are in
+the verdict. With JAXCLEAR_CHECK_KERNELS=1 every new kernel is compared with JAX before it is used
+(`check`), and one that disagrees is left to XLA with a warning: for those who write laws or rules.
 
 What a kernel holds of its arguments: constants and the first state as one packed row of floats for
 each sample (whole numbers and truth values as floats, exact to 2^53); constant arrays of more than
@@ -60,19 +58,17 @@ stands in memory, where turns read and change it by index, and as it was before 
 
 How it is tested (tests/native): every rule by itself on awkward numbers (zeros of both signs,
 infinities, nan, empty arrays, several lanes) against JAX's own evaluation; a rule without such a
-case fails. Then whole loops, batches of batches, derivatives, a wrong kernel that must be caught,
-another interface of XLA that must be refused.
+case fails. Then whole loops, batches of batches, derivatives, the kernels of every joint on every
+rung by the check, a wrong kernel that it must catch, another interface of XLA that must be refused.
 
 To add a rule: write the function in the file of its subject, decorate it with `rule("name")`, and
 give it a case in tests/native/test_rules.py.
 """
 
-from jaxclear.native.columns import by_columns
-from jaxclear.native.differentiation import forwards_only
+from jaxclear.native.derivative_rules import by_columns, forwards_only
 from jaxclear.native.loop import has_kernels
-from jaxclear.native.one_by_one import one_by_one
 from jaxclear.native.program import size_of
-from jaxclear.native.rows import one_row, over_rows, through_rows
+from jaxclear.native.rows import one_by_one, one_row, over_rows, through_rows
 from jaxclear.native.stopping import stop, stoppable, stops
 from jaxclear.native.verdicts import NoKernel, calls_lapack, explain, only_kernels, verdict
 from jaxclear.native.while_loops import Kept, once, scan, while_loop, with_fast_loops

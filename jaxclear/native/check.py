@@ -1,4 +1,8 @@
-"""Is a kernel right? One turn of its loop on random numbers against NumPy, before it is used.
+"""Is a kernel right? One turn of its loop on random numbers against JAX, operation by operation.
+
+For those who write laws or rules: with JAXCLEAR_CHECK_KERNELS=1 every new kernel is compared
+before it is used, and one that disagrees is left to XLA, with a warning. Tests compare the kernels
+of every joint on every rung so (tests/native/test_every_rung_has_a_kernel.py).
 
 Each draw has three samples: one of positive numbers alike in size, on which rounding tells most,
 and the same with the loop's state, of either sign, small beside its constants and large beside
@@ -7,23 +11,29 @@ out either way, so that a touching contact is looked at and a parted one.
 """
 
 import ctypes
-from collections.abc import Callable
-from typing import Any
+import os
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr
 
-from jaxclear.native.by_numpy import evaluator
+from jaxclear.native.control import is_an_error
 from jaxclear.native.program import (
     Program,
     Table,
+    applied,
     avals_of,
     changing,
     floats_in,
     in_memory,
     packed,
     packed_state,
+    replayed,
     row_of,
+    scan_counts,
 )
 from jaxclear.native.writer import Unsupported
 
@@ -36,69 +46,77 @@ AGREEMENT, NUDGE, MARGIN, VAGUE = 1e-9, 4e-16, 1e3, 1e-3
 # What the state of each sample of a draw is multiplied by; the last two by signs as well, which are
 # the same in every draw, and opposite in the two.
 SIZES = (1.0, 1e-3, -10.0)
-# Draws that are asked where the first one disagrees, until two of them tell.
-SECOND_LOOKS = (1, 2, 3, 4)
-# Draws that are asked where none of these tells, their numbers of either sign: a product of several
-# matrices of positive numbers is nearly singular (as of many frames one upon the other), and what
-# is solved with it is rounding. Two of them must tell.
-SIGNED = range(7, 13)
+# Draws that are asked until two of them tell; of the last ones numbers are of either sign: a
+# product of several matrices of positive numbers is nearly singular (as of many frames one upon the
+# other), and what is solved with it is rounding.
+DRAWS, SIGNED = range(13), range(7, 13)
 ABSURD = 1e60
+# Turns after which a loop within the loop is given up.
+LONGEST_LOOP = 1000
+
+
+def is_wanted() -> bool:
+    """Whether kernels are checked in this process."""
+    return os.environ.get("JAXCLEAR_CHECK_KERNELS", "0") not in ("", "0")
 
 
 def check(program: Program, address: int) -> None:
-    """One turn of the kernel at an address on random numbers against NumPy. Raises `Unsupported`
-    where they differ.
+    """One turn of the kernel at an address, which takes but one, on random numbers against JAX.
+    Raises `Unsupported` where they differ.
 
     Where a difference of like numbers is exactly zero in one order of operations and rounding in
-    the other, a choice or a quotient that hangs on it differs wholly. That does not recur: two
-    more draws that tell, and no other that disagrees, outweigh it, and a fault shows there too.
-    States of either sign may be none that the loop was written for: there one draw that agrees
-    outweighs the others.
+    the other, a choice or a quotient that hangs on it differs wholly. That does not recur: one
+    draw may disagree where two tell and agree, and a fault shows in others too. States of either
+    sign may be none that the loop was written for: there one draw that agrees outweighs the others.
     """
-    turn = evaluator(program.body)
-    first, anywhere = _agrees(program, address, turn, 0)
-    if all(first) and anywhere:
-        return
-    looks: list = []
-    for draw in SECOND_LOOKS:
-        if sum(tells for (_, tells), _ in looks) < 2:
-            looks.append(_agrees(program, address, turn, draw))
-    agree = all(close for (close, _), _ in looks)
-    usual = all(first) or (agree and sum(tells for (_, tells), _ in looks) >= 2)
-    if not usual and all(close for (close, _), _ in [(first, anywhere), *looks]):
-        found = [_agrees(program, address, turn, draw)[0] for draw in SIGNED]
-        close, tell = zip(*found, strict=True)
-        usual = all(close) and sum(tell) >= 2
-    if not (usual and (anywhere or any(look[1] for look in looks))):
-        raise Unsupported("a loop whose kernel does not agree with NumPy")
+    looks: list[Look] = []
+    for draw in DRAWS:
+        looks.append(compared(program, address, draw))
+        if sum(not look.usual.agrees for look in looks) > 1:
+            break
+        agreed = sum(look.usual == Judgement(True, True) for look in looks)
+        if agreed >= 2 and any(look.anywhere for look in looks):
+            return
+    raise Unsupported("a loop whose kernel does not agree with JAX")
 
 
-def _agrees(
-    program: Program, address: int, turn: Callable[..., list], draw: int
-) -> tuple[tuple[bool, bool], bool]:
-    """What `judged` says of the first sample of a draw's random numbers, and whether the kernel
-    agrees with NumPy, which goes through a `turn`, on all others."""
+class Judgement(NamedTuple):
+    """Whether a kernel gave what is wanted, as far as that can be told, and whether half of it
+    tells."""
+
+    agrees: bool
+    tells: bool
+
+
+class Look(NamedTuple):
+    """A draw: what its first sample says, and whether the kernel agrees on all others."""
+
+    usual: Judgement
+    anywhere: bool
+
+
+def compared(program: Program, address: int, draw: int) -> Look:
+    """The kernel on a draw's random numbers, beside JAX."""
     constants, state = avals_of(program)
-    samples = random_values(constants, state, draw)
-    samples = [_within_tables(program, own) for own in samples]
+    samples = [_within_tables(program, own) for own in random_values(constants, state, draw)]
     found = _one_turn(program, address, samples)
 
-    def by_numpy(sample):
+    def by_jax(sample):
         given = sample[program.condition_constants :]
-        out = turn(*given)
+        out = evaluated(program.body, given)
         rows = zip(program.tables, out[len(state) :], strict=True)
         return packed([*out, *(_first_row(table, row, given) for table, row in rows)])
 
     def anywhere(sample):
         try:
-            return by_numpy(sample)
-        except (Unsupported, ValueError, OverflowError, IndexError):
-            # A loop that does not end here, a whole number from nan: no evidence.
+            return by_jax(sample)
+        except Unsupported:
+            # A loop that does not end here: no evidence.
             return np.full(found.shape[1], np.nan)
 
-    with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):
+    with jax.ensure_compile_time_eval():
         wanted, changed = (
-            np.array([by_numpy(own[0]), *map(anywhere, own[1:])])
+            np.array([by_jax(own[0]), *map(anywhere, own[1:])])
             for own in (samples, [nudged(sample) for sample in samples])
         )
     first = np.zeros(found.shape)
@@ -110,7 +128,47 @@ def _agrees(
     asked[: len(long)] |= ~long
     parts = [(a[:1, asked], a[1:, asked]) for a in (found, wanted, changed, first)]
     usual, others = (judged(*part) for part in zip(*parts, strict=True))
-    return usual, others[0]
+    return Look(usual, others.agrees)
+
+
+def evaluated(program: ClosedJaxpr, arguments: Sequence[Any]) -> list:
+    """A program's results, one of JAX's operations after the other: nothing of the rules, and no
+    loop without an end."""
+    return replayed(program, arguments, _one)
+
+
+def _one(equation: Any, inputs: list) -> Sequence[Any]:
+    name, p = equation.primitive.name, equation.params
+    if name == "cond":
+        return evaluated(p["branches"][int(inputs[0])], inputs[1:])
+    if name == "scan":
+        return _scan(p, inputs)
+    if name == "while":
+        first, second = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
+        state = inputs[second:]
+        for _ in range(LONGEST_LOOP):
+            if not evaluated(p["cond_jaxpr"], [*inputs[:first], *state])[0]:
+                return state
+            state = evaluated(p["body_jaxpr"], [*inputs[first:second], *state])
+        raise Unsupported("a loop within the loop that does not end on random numbers")
+    if name == "jaxclear_loop" and not p["rank"]:
+        # As in a kernel that is checked: one turn.
+        return evaluated(p["program"].body, inputs[p["program"].condition_constants :])
+    if name == "pure_callback" and is_an_error(p):
+        return [jnp.full(v.aval.shape, jnp.nan) for v in equation.outvars]
+    return applied(equation, inputs, p)
+
+
+def _scan(p: dict, inputs: list) -> list:
+    fixed, carried = scan_counts(p)
+    carry, rows, given = inputs[fixed:][:carried], inputs[fixed + carried :], []
+    turns = range(p["length"])
+    for i in reversed(turns) if p["reverse"] else turns:
+        found = evaluated(p["jaxpr"], [*inputs[:fixed], *carry, *[row[i] for row in rows]])
+        carry = found[:carried]
+        given.append(found[carried:])
+    given = given[::-1] if p["reverse"] else given
+    return [*carry, *[jnp.stack(parts) for parts in zip(*given, strict=True)]]
 
 
 def _size(aval: Any) -> int:
@@ -127,23 +185,19 @@ def _one_turn(program: Program, address: int, samples: list) -> np.ndarray:
     out = np.zeros((len(samples), floats_in(packed_state(program))))
     long = [np.zeros((len(samples), _size(aval))) for aval in changing(program)]
     tables = [
-        np.zeros((len(samples), table.height, floats_in([aval])))
-        for table, aval in _tables(program)
+        np.zeros((len(samples), table.height, _size(aval)))
+        for table, aval in zip(program.tables, row_of(program), strict=True)
     ]
     big += [*long, *tables]
     data = (ctypes.c_void_p * (1 + len(big)))(given.ctypes.data, *[b.ctypes.data for b in big])
-    call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
-    call(address)(ctypes.cast(data, ctypes.c_void_p), out.ctypes.data, len(samples), 1)
+    call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
+    call(address)(ctypes.cast(data, ctypes.c_void_p), out.ctypes.data, len(samples))
     short = np.split(out, np.cumsum(list(map(_size, packed_state(program))))[:-1], axis=1)
     parts = {i: each for each, i in zip(long, sorted(program.long), strict=True)}
     others = (i for i in range(len(avals_of(program)[1])) if i not in program.long)
     parts |= dict(zip(others, short, strict=False))
     last = [parts[i] for i in sorted(parts)]
     return np.hstack([*last, *(rows[:, -1] for rows in tables), *(rows[:, 0] for rows in tables)])
-
-
-def _tables(program: Program) -> list[tuple[Table, Any]]:
-    return list(zip(program.tables, row_of(program), strict=True))
 
 
 def _within_tables(program: Program, sample: list[np.ndarray]) -> list[np.ndarray]:
@@ -158,7 +212,7 @@ def _within_tables(program: Program, sample: list[np.ndarray]) -> list[np.ndarra
     return out
 
 
-def _first_row(table: Table, row: np.ndarray, constants: list[np.ndarray]) -> np.ndarray:
+def _first_row(table: Table, row: Any, constants: list[np.ndarray]) -> Any:
     """What stands in the first row of a table after a turn that leaves this one as the last."""
     if table.height == 1:
         return row
@@ -202,12 +256,9 @@ def nudged(sample: list[np.ndarray]) -> list[np.ndarray]:
 
 def judged(
     found: np.ndarray, wanted: np.ndarray, changed: np.ndarray, first: np.ndarray
-) -> tuple[bool, bool]:
-    """Whether a kernel gave what is wanted, as far as `changed` (for nudged numbers) lets one tell,
-    and whether half of it tells.
-
-    `first` is what the turn began with: a sum that cancels it rounds like it.
-    """
+) -> Judgement:
+    """What a kernel found, beside what is wanted, as far as `changed` (for nudged numbers) lets one
+    tell. `first` is what the turn began with: a sum that cancels it rounds like it."""
     with np.errstate(all="ignore"):
         # Where numbers overflow, inf or nan is a matter of the order of operations.
         finite = np.isfinite(wanted) & np.isfinite(changed)
@@ -217,4 +268,4 @@ def judged(
         absurd = np.abs(found) > ABSURD
         close = ~finite | absurd | (np.abs(found - wanted) <= AGREEMENT * size + doubt)
         telling = finite & ~absurd & (doubt <= VAGUE * size)
-    return bool(close.all()), bool(telling.mean() >= 0.5)
+    return Judgement(bool(close.all()), bool(telling.mean() >= 0.5))

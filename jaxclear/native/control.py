@@ -1,12 +1,191 @@
-"""Rules for choices and loops. Every sample takes its own number of turns."""
+"""Rules for programs that a program calls, for choices and loops, and how a loop of registers is
+written: its turns, when it ends, and what it leaves where it was stopped. Every sample takes its
+own number of turns, or all take the same.
+"""
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from jaxclear.native.arithmetic import compare
-from jaxclear.native.program import scan_counts, size_of
-from jaxclear.native.rules import array_of, each, refuse_memory, rule, write_closed
-from jaxclear.native.turning import loop, phi, phi_of_turns
-from jaxclear.native.writer import TRUTH, WHOLE, Unsupported, kind_of
+from jaxclear.native.program import CALLS, called, scan_counts, size_of
+from jaxclear.native.writer import (
+    FLOAT,
+    STOP_FLAG,
+    TRUTH,
+    WHOLE,
+    InMemory,
+    Unsupported,
+    Writer,
+    array_of,
+    each,
+    kind_of,
+    refuse_memory,
+    rule,
+    write_closed,
+)
+
+# Turns after which a loop within the loop is given up in a kernel that is checked.
+MOST_TURNS = 10_000
+
+
+def phi(writer: Writer, name: str, kind: str, values: tuple, blocks: tuple[str, str]) -> str:
+    """A register that is the first value when coming from the first block, else the second."""
+    (old, new), (before, last) = values, blocks
+    return (
+        f"  {name} = phi {writer.wide(kind)} [ {writer.text(old, kind)}, %{before} ], "
+        f"[ {writer.text(new, kind)}, %{last} ]"
+    )
+
+
+def phi_of_turns(turn: str, following: str, blocks: tuple[str, str]) -> str:
+    """A count of turns: 0 when coming from the first block, else the following one."""
+    return f"  {turn} = phi i64 [ 0, %{blocks[0]} ], [ {following}, %{blocks[1]} ]"
+
+
+def loop(
+    writer: Writer,
+    condition: Callable,
+    body: Callable,
+    carry: Any,
+    kinds: list[str],
+    outermost: bool = False,
+    together: bool = False,
+) -> list:
+    """A while loop over arrays of registers and changing ones in memory: every sample stops by
+    itself, the loop ends with the last one; `together`: all take the same turns, which the state's
+    first number counts.
+
+    The `outermost` one, and a time loop within it, looks at the flag that stops all kernels: the
+    unfinished becomes nan.
+    """
+    # A turn may change them, so that as they were before the loop they can be read no more.
+    long = [writer.renewed(a) if isinstance(a, InMemory) else None for a in carry]
+    head, inside, behind = (writer.fresh(word)[1:] for word in ("head", "inside", "behind"))
+    flat = _numbers(carry, kinds)
+    begun = writer.lane(flat[0][0], WHOLE, 0) if together else "0"
+    before = writer.block
+    writer.say(f"br label %{head}")
+    writer.start(head)
+    registers, places = [writer.fresh("s") for _ in flat], len(writer.lines)
+    turn = writer.fresh("turn")
+    region, outer = writer.enter(), writer.active
+    state = _of_the_turn(writer, registers, turn, begun) if together else registers
+    truth = condition(_shaped(state, carry, long))
+    go, truth, stopped = _bounded(writer, truth, turn, outermost)
+    writer.say(f"br i1 {go}, label %{inside}, label %{behind}")
+    writer.start(inside)
+    writer.active = truth if writer.lanes > 1 and not together else None
+    writer.depth += 1
+    after = body(_shaped(state, carry, long))
+    writer.depth -= 1
+    long = [_same_place(writer, *pair) for pair in zip(long, after, strict=True)]
+    found = _numbers(after, kinds)
+    if writer.active is not None:
+        pairs = zip(found, registers, strict=True)
+        found = [(writer.choose(truth, new, old, kind), kind) for (new, kind), old in pairs]
+    writer.active = outer
+    writer.leave(region)
+    ends, following = (before, writer.block), writer.put(f"add i64 {turn}, 1")
+    values = zip(registers, found, flat, strict=True)
+    phis = [phi(writer, name, k, (old, new), ends) for name, (new, _), (old, k) in values]
+    writer.lines[places:places] = [*phis, phi_of_turns(turn, following, ends)]
+    writer.say(f"br label %{head}")
+    writer.start(behind)
+    return _shaped(_spoilt(writer, stopped, registers, flat), carry, long)
+
+
+def _numbers(arrays: Any, kinds: list[str]) -> list[tuple[Any, str]]:
+    """(value, kind) of all entries of arrays that are no arrays in memory."""
+    pairs = zip(arrays, kinds, strict=True)
+    return [(value, k) for a, k in pairs if not isinstance(a, InMemory) for value in a.flat]
+
+
+def _same_place(writer: Writer, before: Any, after: Any) -> InMemory | None:
+    """An array in memory as a turn leaves it. Raises `Unsupported` for another one."""
+    if before is None:
+        if isinstance(after, InMemory):
+            raise Unsupported("a long array in the place of registers")
+        return None
+    if not isinstance(after, InMemory) or after.places != before.places:
+        raise Unsupported("another long array in the place of one")
+    writer.check_latest(after)
+    return after.reshaped(before.shape)
+
+
+def _of_the_turn(writer, registers, turn, begun):
+    """The state of samples that take the same turns, the first of which has the number `begun`."""
+    writer.turn = writer.put(f"add i64 {begun}, {turn}")
+    return [writer.spread(writer.turn, WHOLE), *registers[1:]]
+
+
+def _shaped(values, like, long):
+    """Single values as arrays of the shapes of others, `long` ones among them."""
+    values, out = iter(values), []
+    for array, own in zip(like, long, strict=True):
+        if own is not None:
+            out.append(own)
+            continue
+        out.append(array_of(None, array.shape))
+        for index in np.ndindex(*array.shape):
+            out[-1][index] = next(values)
+    return out
+
+
+def _bounded(writer, truth, turn, outermost):
+    """Whether to go on, each sample's truth, and (of the outermost loop) whether it was stopped."""
+    if writer.checked and outermost:
+        return writer.put(f"icmp slt i64 {turn}, 1"), writer.text(True, TRUTH), None
+    if writer.active is not None:
+        truth = writer.operate("and {type} {0}, {1}", TRUTH, truth, writer.active)
+    go = writer.any(truth)
+    if writer.checked:
+        allowed = writer.put(f"icmp slt i64 {turn}, {MOST_TURNS}")
+        return writer.put(f"and i1 {go}, {allowed}"), truth, None
+    if not outermost:
+        return go, truth, None
+    flag = writer.put(f"load volatile i64, ptr {STOP_FLAG}")
+    stopped = writer.put(f"icmp ne i64 {flag}, 0")
+    onward = writer.put(f"xor i1 {stopped}, true")
+    return writer.put(f"and i1 {go}, {onward}"), truth, stopped
+
+
+def _spoilt(writer, stopped, registers, flat):
+    """What a loop leaves: nan where it was stopped, which nobody takes for an answer."""
+    if stopped is None:
+        return registers
+    wide, nan = writer.wide(FLOAT), writer.text(float("nan"), FLOAT)
+    return [
+        writer.put(f"select i1 {stopped}, {wide} {nan}, {wide} {register}")
+        if kind == FLOAT
+        else register
+        for register, (_, kind) in zip(registers, flat, strict=True)
+    ]
+
+
+@rule(*CALLS, reads_memory=True)
+def _call(writer, equation, *arguments):
+    return write_closed(writer, called(equation.params), arguments)
+
+
+def is_an_error(parameters: dict) -> bool:
+    """Whether a call of the host by these parameters is Equinox's way to raise an error."""
+    function = getattr(parameters["callback"], "callback_func", None)
+    return getattr(function, "__module__", "") == "equinox._errors"
+
+
+@rule("pure_callback")
+def _raise(writer, equation, *arguments):
+    """A kernel cannot raise. What an error guards becomes nan, as Equinox has it where it may not
+    raise either."""
+    if not is_an_error(equation.params):
+        raise Unsupported("a call of the host")
+    avals = [atom.aval for atom in equation.outvars]
+    if any(kind_of(aval.dtype) != FLOAT for aval in avals):
+        raise Unsupported("an error about whole numbers")
+    return [array_of(float("nan"), aval.shape) for aval in avals]
+
 
 # Loops of known length are written out up to this many turns, and while they have at most so many
 # equations.
@@ -112,20 +291,8 @@ def _while(writer, equation, *arguments):
     if writer.leaves_rows and writer.depth < 2:
         # One of a library's, with tangents: no check sees through it to its end.
         raise Unsupported("a loop within turns that leave rows")
-    first, second = p["cond_nconsts"], p["body_nconsts"]
-    fixed_cond, fixed_body, carry = (
-        arguments[:first],
-        arguments[first : first + second],
-        arguments[first + second :],
-    )
-    kinds = [kind_of(atom.aval.dtype) for atom in equation.outvars]
-    return loop(
-        writer,
-        lambda state: write_closed(writer, p["cond_jaxpr"], [*fixed_cond, *state])[0].item(),
-        lambda state: write_closed(writer, p["body_jaxpr"], [*fixed_body, *state]),
-        carry,
-        kinds,
-    )
+    counts = p["cond_nconsts"], p["body_nconsts"]
+    return _inner_loop(writer, equation, (p["cond_jaxpr"], p["body_jaxpr"]), counts, arguments)
 
 
 @rule("jaxclear_loop", reads_memory=True)
@@ -134,20 +301,22 @@ def _time_loop(writer, equation, *arguments):
     program, rank = equation.params["program"], equation.params["rank"]
     if rank or program.length:
         raise Unsupported("a batch of loops within a loop")
-    first, second = program.condition_constants, program.body_constants
-    fixed_cond, fixed_body, carry = (
-        arguments[:first],
-        arguments[first : first + second],
-        arguments[first + second :],
-    )
     if program.once:
-        return write_closed(writer, program.body, [*fixed_body, *carry])
-    kinds = [kind_of(atom.aval.dtype) for atom in equation.outvars]
+        return write_closed(writer, program.body, arguments[program.condition_constants :])
+    counts = program.condition_constants, program.body_constants
+    programs = program.condition, program.body
+    return _inner_loop(writer, equation, programs, counts, arguments, outermost=True)
+
+
+def _inner_loop(writer, equation, programs, counts, arguments, outermost=False):
+    """A loop by its programs (condition, body), of whose arguments so many are constants."""
+    (condition, body), (first, second) = programs, counts
+    fixed_condition, fixed_body = arguments[:first], arguments[first : first + second]
     return loop(
         writer,
-        lambda state: write_closed(writer, program.condition, [*fixed_cond, *state])[0].item(),
-        lambda state: write_closed(writer, program.body, [*fixed_body, *state]),
-        carry,
-        kinds,
-        outermost=True,
+        lambda state: write_closed(writer, condition, [*fixed_condition, *state])[0].item(),
+        lambda state: write_closed(writer, body, [*fixed_body, *state]),
+        arguments[first + second :],
+        [kind_of(atom.aval.dtype) for atom in equation.outvars],
+        outermost=outermost,
     )

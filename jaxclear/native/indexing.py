@@ -1,4 +1,5 @@
-"""Rules for reading and writing arrays by index, where indices may be known only at run time.
+"""Rules for primitives that move numbers about, and for reading and writing arrays by index, where
+indices may be known only at run time.
 
 An entry of an array in registers is then chosen among all of them; one of an array in memory is
 loaded from its place.
@@ -10,17 +11,154 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.native.arithmetic import compare
-from jaxclear.native.reductions import combine
-from jaxclear.native.rules import known, refuse_memory, rule
+from jaxclear.native.arithmetic import combine, compare
 from jaxclear.native.writer import (
+    FLOAT,
     LONGEST_IN_REGISTERS,
     TRUTH,
     WHOLE,
     InMemory,
     Unsupported,
+    array_of,
     kind_of,
+    known,
+    refuse_memory,
+    rule,
 )
+
+
+@rule(
+    "copy",
+    "copy_p",
+    "stop_gradient",
+    "optimization_barrier",
+    "reduce_precision",
+    reads_memory=True,
+)
+def _same(writer, equation, *arrays):
+    return list(arrays)
+
+
+@rule("broadcast_in_dim")
+def _broadcast(writer, equation, a):
+    shape, places = equation.params["shape"], equation.params["broadcast_dimensions"]
+    wide = [1] * len(shape)
+    for place, size in zip(places, a.shape, strict=True):
+        wide[place] = size
+    return np.broadcast_to(a.reshape(wide), shape)
+
+
+@rule("reshape", reads_memory=True)
+def _reshape(writer, equation, a):
+    new = equation.params["new_sizes"]
+    return a.reshaped(tuple(new)) if isinstance(a, InMemory) else a.reshape(new)
+
+
+@rule("squeeze", reads_memory=True)
+def _squeeze(writer, equation, a):
+    shape = equation.outvars[0].aval.shape
+    return a.reshaped(shape) if isinstance(a, InMemory) else a.reshape(shape)
+
+
+@rule("expand_dims")
+def _expand(writer, equation, a):
+    return a.reshape(equation.outvars[0].aval.shape)
+
+
+@rule("transpose", reads_memory=True)
+def _transpose(writer, equation, a):
+    if isinstance(a, InMemory):
+        # A table of coefficients that all of it is made of: the instructions are counted anyway.
+        entries = [writer.read(a, i) for i in range(math.prod(a.shape))]
+        a = array_of(entries, (len(entries),)).reshape(a.shape)
+    return a.transpose(equation.params["permutation"])
+
+
+@rule("rev")
+def _reverse(writer, equation, a):
+    return np.flip(a, equation.params["dimensions"])
+
+
+@rule("slice", reads_memory=True)
+def _slice(writer, equation, a):
+    p = equation.params
+    strides = p["strides"] or (1,) * len(p["start_indices"])
+    spans = tuple(
+        slice(*s) for s in zip(p["start_indices"], p["limit_indices"], strides, strict=True)
+    )
+    if isinstance(a, InMemory):
+        wanted = np.arange(math.prod(a.shape)).reshape(a.shape)[spans]
+        if wanted.size > LONGEST_IN_REGISTERS:
+            raise Unsupported("a long slice of an array in memory")
+        return array_of([writer.read(a, int(i)) for i in wanted.flat], (wanted.size,)).reshape(
+            wanted.shape
+        )
+    return a[spans]
+
+
+@rule("concatenate")
+def _concatenate(writer, equation, *arrays):
+    return np.concatenate(arrays, equation.params["dimension"])
+
+
+@rule("pad")
+def _pad(writer, equation, a, value):
+    """Entries put around and between those of an array; at an edge a negative count cuts off."""
+    config = equation.params["padding_config"]
+    spread = array_of(
+        value[()], tuple(n + max(n - 1, 0) * c[2] for n, c in zip(a.shape, config, strict=True))
+    )
+    spread[tuple(slice(None, None, c[2] + 1) for c in config)] = a
+    widths = [(max(low, 0), max(high, 0)) for low, high, _ in config]
+    wide = array_of(value[()], tuple(n + sum(w) for n, w in zip(spread.shape, widths, strict=True)))
+    inner = tuple(slice(w[0], w[0] + n) for n, w in zip(spread.shape, widths, strict=True))
+    wide[inner] = spread
+    cut = [
+        (max(-low, 0), n - max(-high, 0))
+        for n, (low, high, _) in zip(wide.shape, config, strict=True)
+    ]
+    return wide[tuple(slice(*c) for c in cut)]
+
+
+@rule("stack")
+def _stack(writer, equation, *arrays):
+    return np.stack(arrays, equation.params["axis"])
+
+
+@rule("unstack")
+def _unstack(writer, equation, a):
+    rows = np.split(a, len(equation.outvars), equation.params["axis"])
+    return [row.reshape(atom.aval.shape) for row, atom in zip(rows, equation.outvars, strict=True)]
+
+
+@rule("split")
+def _split(writer, equation, a):
+    return np.split(a, np.cumsum(equation.params["sizes"])[:-1], equation.params["axis"])
+
+
+@rule("iota")
+def _iota(writer, equation):
+    shape, axis = equation.params["shape"], equation.params["dimension"]
+    make = float if kind_of(equation.params["dtype"]) == FLOAT else int
+    row = np.arange(shape[axis]).reshape([-1 if i == axis else 1 for i in range(len(shape))])
+    out = np.empty(shape, object)
+    for index in np.ndindex(*shape):
+        out[index] = make(np.broadcast_to(row, shape)[index])
+    return out
+
+
+@rule("unvmap_any", "unvmap_all", "nonbatchable")
+def _own_sample(writer, equation, a):
+    """Equinox: whether one sample of a batch (all of them) wants it; in a kernel every sample goes
+    its own way.
+    """
+    return a
+
+
+@rule("select_if_vmap")
+def _select_if(writer, equation, which, yes, no):
+    """Equinox: guards samples of a batch that have ended, which the loop does here."""
+    return yes
 
 
 def _within(writer, index, largest):
@@ -170,47 +308,40 @@ def _gather(writer, equation, a, indices):
 def _scatter(writer, equation, a, indices, update):
     numbers, add = equation.params["dimension_numbers"], equation.primitive.name != "scatter"
     clips = "CLIP" in str(equation.params["mode"])
-    if clips and not (add or numbers.operand_batching_dims):
-        places = _windows(writer, numbers, a.shape, indices, update)
-        return _changed(writer, a, update, places, kind_of(equation.invars[0].aval.dtype))
-    refuse_memory(a, indices, update)
-    if numbers.operand_batching_dims or clips:
+    kind = kind_of(equation.invars[0].aval.dtype)
+    if not clips or add:
+        refuse_memory(a, indices, update)
+    if numbers.operand_batching_dims or (clips and add):
         raise Unsupported("this kind of scatter")
-    kind, out = kind_of(equation.invars[0].aval.dtype), a.copy()
-    window = [i for i in range(a.ndim) if i not in numbers.inserted_window_dims]
-    for index in np.ndindex(*update.shape):
-        batch = tuple(x for i, x in enumerate(index) if i not in numbers.update_window_dims)
-        inside = [x for i, x in enumerate(index) if i in numbers.update_window_dims]
-        place: list[Any] = [0] * a.ndim
-        for where, axis in enumerate(numbers.scatter_dims_to_operand_dims):
-            place[axis] = indices[(*batch, where)]
-        for axis, offset in zip(window, inside, strict=True):
-            place[axis] = _plus(writer, place[axis], offset)
+    places = _places(writer, numbers, a.shape, indices, update.shape, clips)
+    if clips:
+        return _changed(writer, a, update, places, kind)
+    out = a.copy()
+    for index, place in places.items():
         if not add:
-            _put_entry(writer, out, tuple(place), update[index], kind)
+            _put_entry(writer, out, place, update[index], kind)
         elif known(*place) and all(0 <= i < n for i, n in zip(place, a.shape, strict=True)):
-            out[tuple(place)] = combine(writer, "sum", kind, out[tuple(place)], update[index])
+            out[place] = combine(writer, "sum", kind, out[place], update[index])
         else:
             raise Unsupported("an addition at a place known only at run time")
     return out
 
 
-def _windows(writer, numbers, shape, indices, update):
-    """Where the entries of an update go in an array of this shape, whose windows are moved within
-    it as a whole: what the update of a slice becomes where several arrays are updated at the same
-    place."""
+def _places(writer, numbers, shape, indices, updated, clips):
+    """Where the entries of an update go in an array of this shape; `clips`: windows are moved
+    within it as a whole, what the update of a slice becomes where several arrays are updated at the
+    same place."""
     window = [i for i in range(len(shape)) if i not in numbers.inserted_window_dims]
     sizes = dict.fromkeys(range(len(shape)), 1)
-    sizes |= {i: update.shape[d] for i, d in zip(window, numbers.update_window_dims, strict=True)}
+    sizes |= {i: updated[d] for i, d in zip(window, numbers.update_window_dims, strict=True)}
     places = {}
-    for index in np.ndindex(*update.shape):
+    for index in np.ndindex(*updated):
         batch = tuple(x for i, x in enumerate(index) if i not in numbers.update_window_dims)
-        inside = [index[d] for d in numbers.update_window_dims]
         place: list[Any] = [0] * len(shape)
         for where, axis in enumerate(numbers.scatter_dims_to_operand_dims):
-            largest = shape[axis] - sizes[axis]
-            place[axis] = _within(writer, indices[(*batch, where)], largest)
-        for axis, offset in zip(window, inside, strict=True):
-            place[axis] = _plus(writer, place[axis], offset)
+            start = indices[(*batch, where)]
+            place[axis] = _within(writer, start, shape[axis] - sizes[axis]) if clips else start
+        for axis, d in zip(window, numbers.update_window_dims, strict=True):
+            place[axis] = _plus(writer, place[axis], index[d])
         places[index] = tuple(place)
     return places

@@ -1,32 +1,26 @@
 """Machine code of a whole while loop, called from compiled JAX programs.
 
-The loop is written by the rules, compiled by LLVM, checked on random numbers, and entered in the
-table of `dispatch` under a number that its text decides. Samples run `lanes` at a time.
+The loop is written by the rules, compiled by LLVM, and entered in the table of `dispatch` under a
+number that its text decides. Samples run `lanes` at a time. A kernel writes the last state as a
+packed row, its long arrays where they stand, and the tables that turns of a scan leave: each is an
+array of its own in memory, in which every sample has its rows. Samples of a scan go through the
+same turns, so that a turn's place in a table is one for all.
 """
 
 import collections
 import contextlib
 import hashlib
+import math
 import threading
 import weakref
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxclear.native import (  # noqa: F401  (rules register themselves when imported)
-    call_frame,
-    calls,
-    control,
-    dispatch,
-    elementary,
-    functions,
-    indexing,
-    machine,
-    shapes,
-    stopping,
-)
-from jaxclear.native.by_numpy import LONGEST_LOOP
-from jaxclear.native.check import check
+from jaxclear.native import check, dispatch, elementary, stopping
+from jaxclear.native import indexing as _indexing  # noqa: F401  (its rules register themselves)
+from jaxclear.native.control import loop
 from jaxclear.native.program import (
     Program,
     avals_of,
@@ -34,28 +28,25 @@ from jaxclear.native.program import (
     floats_in,
     in_memory,
     packed_state,
+    row_of,
 )
-from jaxclear.native.rules import array_of, write_closed
-from jaxclear.native.tables import SPOIL, Tables, array_starts, handed_over, sizes_of_tables, store
-from jaxclear.native.turning import loop
 from jaxclear.native.writer import (
-    ENDLESS,
     FLOAT,
     STOP_FLAG,
     TRUTH,
     WHOLE,
     InMemory,
     Writer,
+    array_of,
     kind_of,
+    write_closed,
 )
 
-# Turns after which a loop within the loop is given up while a kernel is checked.
-MOST_TURNS = 10 * LONGEST_LOOP
 
-
-def text_of(program: Program, lanes: int) -> str:
-    """The loop as LLVM code, function `NAME.loop(in, out, big, most)`, and what it calls."""
-    writer = Writer(lanes, bool(program.length))
+def text_of(program: Program, lanes: int, checked: bool = False) -> str:
+    """The loop as LLVM code, function `NAME.loop(in, out, big)`, and what it calls; `checked`: it
+    takes one turn."""
+    writer = Writer(lanes, bool(program.length), checked)
     values = _arguments(writer, program)
     c, b = program.condition_constants, program.body_constants
     fixed_condition, fixed_body, first = values[:c], values[c : c + b], values[c + b :]
@@ -68,9 +59,6 @@ def text_of(program: Program, lanes: int) -> str:
         tables.leave(found[len(state) :])
         return found[: len(state)]
 
-    checked = writer.put("icmp sgt i64 %most, 0")
-    writer.most = writer.put(f"select i1 {checked}, i64 %most, i64 {ENDLESS}")
-    writer.most_inside = writer.put(f"select i1 {checked}, i64 {MOST_TURNS}, i64 {ENDLESS}")
     tables.begin()
     last = loop(
         writer,
@@ -81,8 +69,8 @@ def text_of(program: Program, lanes: int) -> str:
         outermost=True,
         together=bool(program.length),
     )
-    if program.tables:
-        tables.spoil_unless_whole(last[0].item(), checked, first)
+    if program.tables and not checked:
+        tables.spoil_unless_whole(last[0].item(), first)
     numbers = [
         (value, kind)
         for array, kind in zip(last, kinds, strict=True)
@@ -93,7 +81,7 @@ def text_of(program: Program, lanes: int) -> str:
         store(writer, position, value, kind)
     parts = [_head(lanes), *writer.lines, "  ret void\n}"]
     needs = set(writer.needs)
-    for name, make in functions.OWN.items():
+    for name, make in elementary.OWN.items():
         if name in needs:
             lines, further = make(lanes)
             parts, needs = [*lines, *parts], (needs - {name}) | further
@@ -107,8 +95,8 @@ def _head(lanes: int) -> str:
     # the cache a step took 4 % longer, or not, as a change anywhere in the loop moved them.
     aligned = f"alignstack({8 * lanes}) " if lanes > 1 else ""
     return (
-        "define internal void @NAME.loop(ptr noalias %in, ptr noalias %out, ptr noalias %big, "
-        f"i64 %most) {aligned}{{\nentry:"
+        "define internal void @NAME.loop(ptr noalias %in, ptr noalias %out, ptr noalias %big) "
+        f"{aligned}{{\nentry:"
     )
 
 
@@ -142,15 +130,14 @@ def _load(writer: Writer, position: int, kind: str) -> str:
 
 
 class Kernel:
-    """Compiled code: the number by which a program calls it, and its address for a direct call.
+    """Compiled code, and the number by which a program calls it.
 
     It goes with the last program that keeps it: its number then leaves the table, and its machine
     code the memory, as soon as no call of it is under way.
     """
 
     def __init__(self, number: int, name: str, engine: Any):
-        self.number, self.address = number, engine.get_function_address(f"{name}.samples")
-        self._entry = engine.get_function_address(name)
+        self.number, self._entry = number, engine.get_function_address(name)
         weakref.finalize(self, _dropped, number, self._entry, engine).atexit = False
 
     def publish(self) -> None:
@@ -187,11 +174,16 @@ _BUILDING = threading.RLock()
 _KERNELS: "weakref.WeakValueDictionary[int, Kernel]" = weakref.WeakValueDictionary()
 
 
-def build(program: Program, lanes: int) -> Kernel:
-    """Compile, check, and make known. Raises `Unsupported`."""
-    dispatch.known_to_xla()
-    free_the_unused()
-    text = text_of(program, lanes)
+class _Assembled(NamedTuple):
+    """The whole text of a kernel, and the name and number that it decides."""
+
+    name: str
+    number: int
+    text: str
+
+
+def _assembled(program: Program, lanes: int, checked: bool = False) -> _Assembled:
+    text = text_of(program, lanes, checked)
     constants, state = avals_of(program)
     kept = list(zip([*constants, *state], in_memory(program), strict=True))
     long = [aval for aval, is_long in kept if is_long]
@@ -199,9 +191,8 @@ def build(program: Program, lanes: int) -> Kernel:
     form = f"{lanes}{[a.shape for a in long]}{ways}{program.tables}{program.length}{program.long}"
     changed = [floats_in([aval]) for aval in changing(program)]
     mark = hashlib.sha256(f"{text}{form}".encode()).hexdigest()
-    number = max(int(mark[:16], 16) >> 1, 1)
     name = f"jaxclear_{mark[:24]}"
-    frame = call_frame.text(
+    frame = dispatch.frame(
         name,
         lanes,
         width=floats_in([aval for aval, is_long in kept if not is_long]),
@@ -210,14 +201,30 @@ def build(program: Program, lanes: int) -> Kernel:
         tables=[*changed, *sizes_of_tables(program)],
     )
     whole = text.replace("@NAME", f"@{name}").replace(STOP_FLAG, stopping.flag_in_llvm()) + frame
+    return _Assembled(name, max(int(mark[:16], 16) >> 1, 1), whole)
+
+
+def build(program: Program, lanes: int) -> Kernel:
+    """Compile and make known, and check where that is asked for. Raises `Unsupported`."""
+    dispatch.known_to_xla()
+    free_the_unused()
+    name, number, text = _assembled(program, lanes)
     with _BUILDING:
         kernel = _KERNELS.get(number)
         if kernel is None:
-            kernel = Kernel(number, name, machine.compiled(whole))
-            check(program, kernel.address)
+            if check.is_wanted():
+                _checked(program, lanes)
+            kernel = Kernel(number, name, dispatch.compiled(text))
             kernel.publish()
             _KERNELS[number] = kernel
         return kernel
+
+
+def _checked(program: Program, lanes: int) -> None:
+    """Raises `Unsupported` where one turn of the loop is not what JAX makes of it."""
+    name, _, text = _assembled(program, lanes, checked=True)
+    engine = dispatch.compiled(text)
+    check.check(program, engine.get_function_address(f"{name}.samples"))
 
 
 def keep(kernel: Kernel, module: Any) -> None:
@@ -225,3 +232,138 @@ def keep(kernel: Kernel, module: Any) -> None:
     module.add_keepalive(kernel)
     if not any(module.keepalives is each for each in _LATEST):
         _LATEST.append(module.keepalives)
+
+
+# Fills an array with nan, which nobody takes for an answer.
+SPOIL = """define internal void @NAME.spoil(ptr %array, i64 %numbers) {
+entry:
+  br label %more
+more:
+  %k = phi i64 [ 0, %entry ], [ %next, %one ]
+  %going = icmp slt i64 %k, %numbers
+  br i1 %going, label %one, label %done
+one:
+  %place = getelementptr double, ptr %array, i64 %k
+  store double 0x7FF8000000000000, ptr %place
+  %next = add i64 %k, 1
+  br label %more
+done:
+  ret void
+}"""
+
+
+def array_starts(writer: Writer, slot: int) -> list[str]:
+    """Registers with the place of each sample's part of the array that is so far behind the packed
+    row."""
+    first = slot * writer.lanes
+    places = [
+        writer.put(f"getelementptr ptr, ptr %big, i64 {first + lane}")
+        for lane in range(writer.lanes)
+    ]
+    return [writer.put(f"load ptr, ptr {place}") for place in places]
+
+
+def sizes_of_tables(program: Program) -> list[int]:
+    """Numbers in each of the tables of a sample."""
+    pairs = zip(program.tables, row_of(program), strict=True)
+    return [table.height * floats_in([aval]) for table, aval in pairs]
+
+
+class Tables:
+    """The tables of a program whose kernel is being written; `constants` are its body's."""
+
+    def __init__(self, writer: Writer, program: Program, constants: Sequence[Any]):
+        self.writer, self.program, self.constants = writer, program, constants
+        ahead = sum(in_memory(program)) + len(program.long)
+        self.starts = [array_starts(writer, ahead + k) for k in range(len(program.tables))]
+        self.avals = row_of(program)
+
+    def begin(self) -> None:
+        """Their first rows as they stand from the start: zeros where no constant says otherwise,
+        for a turn to write over."""
+        for k, (table, aval) in enumerate(zip(self.program.tables, self.avals, strict=True)):
+            given = 0 if table.begins is None else self.constants[table.begins]
+            long = isinstance(given, InMemory)
+            self._put(k, given if long else array_of(given, aval.shape), "0")
+
+    def leave(self, row: Sequence[np.ndarray]) -> None:
+        """A turn's row, each of its arrays at its place, where it has one."""
+        turn, writer = self.writer.turn, self.writer
+        kinds = {(table.places, table.height) for table in self.program.tables}
+        for places, height in sorted(kinds):
+            start = self.constants[places].places[0]
+            where = writer.put(f"getelementptr double, ptr {start}, i64 {turn}")
+            said = writer.put(f"load double, ptr {where}, !invariant.load !0")
+            place = writer.put(f"fptosi double {said} to i64")
+            wanted = writer.put(f"icmp slt i64 {place}, {height}")
+            left, passed = writer.fresh("left")[1:], writer.fresh("passed")[1:]
+            writer.say(f"br i1 {wanted}, label %{left}, label %{passed}")
+            writer.start(left)
+            for k, table in enumerate(self.program.tables):
+                if (table.places, table.height) == (places, height):
+                    self._put(k, row[k], place)
+            writer.say(f"br label %{passed}")
+            writer.start(passed)
+
+    def _put(self, k: int, array: Any, place: str) -> None:
+        """Every sample's numbers of an array into a row of its table."""
+        writer, kind = self.writer, kind_of(self.avals[k].dtype)
+        count = floats_in([self.avals[k]])
+        ahead = writer.put(f"mul i64 {place}, {count}")
+        rows = [
+            writer.put(f"getelementptr double, ptr {start}, i64 {ahead}")
+            for start in self.starts[k]
+        ]
+        if isinstance(array, InMemory):
+            writer.copy(array, rows, count)
+            return
+        words = [as_float(writer, value, kind) for value in array.flat]
+        for lane, own in enumerate(rows):
+            for j, word in enumerate(words):
+                number = word
+                if writer.lanes > 1:
+                    wide = writer.wide(FLOAT)
+                    number = writer.put(f"extractelement {wide} {word}, i64 {lane}")
+                target = writer.put(f"getelementptr double, ptr {own}, i64 {j}")
+                writer.say(f"store double {number}, ptr {target}")
+
+    def spoil_unless_whole(self, turns: Any, state: Sequence[Any]) -> None:
+        """All rows, and long arrays of the state, become nan where the loop was stopped before it
+        had taken all its `turns`."""
+        writer = self.writer
+        taken = writer.lane(turns, WHOLE, 0)
+        whole = writer.put(f"icmp eq i64 {taken}, {self.program.length}")
+        spoil, done = writer.fresh("spoil")[1:], writer.fresh("whole")[1:]
+        writer.say(f"br i1 {whole}, label %{done}, label %{spoil}")
+        writer.start(spoil)
+        arrays = list(zip(self.starts, sizes_of_tables(self.program), strict=True))
+        arrays += [(a.places, math.prod(a.shape)) for a in state if isinstance(a, InMemory)]
+        for start, size in [(start, size) for own, size in arrays for start in own]:
+            writer.say(f"call void @NAME.spoil(ptr {start}, i64 {size})")
+        writer.say(f"br label %{done}")
+        writer.start(done)
+
+
+def handed_over(writer: Writer, program: Program, state: Sequence[Any]) -> list[Any]:
+    """The first state, its long arrays where the kernel leaves them: what it is given stays."""
+    out, ahead = list(state), sum(in_memory(program))
+    for k, i in enumerate(sorted(program.long)):
+        places = array_starts(writer, ahead + k)
+        writer.copy(state[i], places, math.prod(state[i].shape))
+        out[i] = InMemory(places, state[i].shape, version=0)
+    return out
+
+
+def store(writer: Writer, position: int, value: Any, kind: str) -> None:
+    """A number of the packed row."""
+    place = writer.put(f"getelementptr double, ptr %out, i64 {position * writer.lanes}")
+    writer.say(f"store {writer.wide(FLOAT)} {as_float(writer, value, kind)}, ptr {place}")
+
+
+def as_float(writer: Writer, value: Any, kind: str) -> str:
+    """A number of any kind as the float that stands for it in memory."""
+    word = writer.text(value, kind)
+    if kind == FLOAT:
+        return word
+    convert = "sitofp" if kind == WHOLE else "uitofp"
+    return writer.put(f"{convert} {writer.wide(kind)} {word} to {writer.wide(FLOAT)}")

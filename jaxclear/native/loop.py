@@ -1,12 +1,16 @@
-"""A while loop over a few numbers as a primitive of JAX: how it batches and what it becomes.
+"""A while loop over a few numbers as a primitive of JAX: how it batches, what it becomes, and its
+derivative.
 
 On a CPU the loop becomes one kernel of machine code (`kernel`), several samples of a batch side by
 side, each ending by itself. Elsewhere and where a part of the program has no rule it is JAX's own
-loop. JAXCLEAR_PLAIN_LOOPS=1 switches the kernel off.
+loop. JAXCLEAR_PLAIN_LOOPS=1 switches the kernel off. Forwards its derivative is a loop with
+tangents (`tangent`), which becomes a kernel as others do; backwards as many of these as numbers
+enter the loop that move.
 """
 
 import functools
 import logging
+import math
 import os
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -15,25 +19,37 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Primitive, jaxpr_as_fun
-from jax.interpreters import batching, mlir
+from jax.interpreters import ad, batching, mlir
+from jax.interpreters import partial_eval as pe
 
 from jaxclear.ground.warning import warn
 from jaxclear.native import dispatch
 from jaxclear.native import kernel as kernels
-from jaxclear.native.machine import widest
-from jaxclear.native.pieces import in_pieces
+from jaxclear.native.barriers import in_pieces
+from jaxclear.native.dispatch import widest
 from jaxclear.native.program import (
     Program,
     Table,
     avals_of,
     changing,
     floats_in,
+    heard,
     in_memory,
     loops_marked,
+    of_moving,
     packed_state,
     row_of,
+    samples_in,
+    still,
 )
-from jaxclear.native.tangent import bundled, by_portions, side_by_side
+from jaxclear.native.tangent import (
+    bundled,
+    by_portions,
+    motion_in,
+    moving_state,
+    side_by_side,
+    tangent_program,
+)
 from jaxclear.native.verdicts import NOT_A_CPU, SWITCHED_OFF, left_to_xla, tell
 from jaxclear.native.writer import Unsupported
 
@@ -141,7 +157,7 @@ def _batch(values, dims, *, program, rank):
         return loop_p.bind(*bundle.values, program=bundle.program, rank=rank), bundle.axes
     # The new axis stands behind those before it: what a function asks for within itself, such as
     # runs in other steps, takes more or fewer turns, and lanes wait for each other.
-    size = next(v.shape[d] for v, d in zip(values, dims, strict=True) if d is not None)
+    size = samples_in(values, dims)
     # A long array that is the same for all samples is read where it is.
     fixed = len(values) - len(avals_of(program)[1])
     alike = {i for i, long in enumerate(in_memory(program)[:fixed]) if long and dims[i] is None}
@@ -279,3 +295,114 @@ def _warn_once(reason: str) -> None:
 
 mlir.register_lowering(loop_p, _lower_elsewhere)
 mlir.register_lowering(loop_p, _lower_on_cpu, platform="cpu")
+
+
+# Tangents that go through a loop side by side, where it is differentiated backwards: they share the
+# motion, and more of them gain little beside the memory that their rows take.
+TOGETHER = 16
+
+
+def _differentiate(values, tangents, *, program, rank):
+    if program.once:
+        return _differentiate_once(values, tangents, program, rank)
+    c, b = program.condition_constants, program.condition_constants + program.body_constants
+    moving = [not isinstance(t, ad.Zero) for t in tangents]
+    constants = moving[c:b]
+    results = moving_state(program, constants, moving[b:])
+    parts = len(values) - b
+    wanted = [i for i, moves in enumerate([*constants, *results[:parts]], c) if moves]
+    lead = jnp.shape(values[-1])[:rank]
+
+    def tangent(i):
+        shape = jnp.shape(values[i])
+        # What is the same for all samples has tangents of its own for each.
+        shape = (*lead, *shape) if i in program.shared else shape
+        if isinstance(tangents[i], ad.Zero):
+            return jnp.zeros(shape, jnp.result_type(values[i]))
+        return jnp.broadcast_to(tangents[i], shape)
+
+    given = {i: tangent(i) for i in wanted}
+    with_tangents = tangent_program(program, constants, results)
+    out = loop_p.bind(
+        *values[:b],
+        *(given[i] for i in wanted if i < b),
+        *values[b:],
+        *(given[i] for i in wanted if i >= b),
+        program=with_tangents,
+        rank=rank,
+    )
+    places = motion_in(with_tangents)
+    own = [out[i] for i in places]
+    found = iter(each for i, each in enumerate(out) if i not in places)
+    return own, [
+        next(found) if moves else still(value) for moves, value in zip(results, own, strict=True)
+    ]
+
+
+def _differentiate_once(values, tangents, program, rank):
+    moving = [i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero)]
+    function = functools.partial(reference_of_batch, program=program, rank=rank)
+    along = [values[i] for i in moving], [tangents[i] for i in moving]
+    return jax.jvp(of_moving(function, values, moving), *along)
+
+
+def _known_first(trace, *tracers, program, rank):
+    """What is linearised about a known motion: the motion by itself, its tangents as a loop that
+    goes through it again."""
+    out = trace.default_process_primitive(loop_p, tracers, {"program": program, "rank": rank})
+    if program.motion is None:
+        return out
+    c, b = program.condition_constants, program.motion.body_constants
+    parts = len(avals_of(program.motion)[1])
+    places = motion_in(program)
+    state = c + program.body_constants
+    known = [*tracers[: c + b], *tracers[state : state + parts]]
+    if not all(tracer.pval.is_known() for tracer in known):
+        return out
+    alone = program.motion._replace(shared=program.shared)
+    motion = loop_p.bind(*(t.pval.get_known() for t in known), program=alone, rank=rank)
+    for place, value in zip(places, motion, strict=True):
+        out[place] = trace.new_const(value)
+    return out
+
+
+def _backwards(cotangents, *values, program, rank):
+    """What the results' cotangents make of the inputs': a loop with tangents is linear in these, so
+    each column of its matrix is a run with one tangent. How many turns there are is known when they
+    have ended, and runs forwards need not keep them."""
+    unknown = [i for i, value in enumerate(values) if ad.is_undefined_primal(value)]
+    heeded = [i for i, each in enumerate(cotangents) if not isinstance(each, ad.Zero)]
+    shapes = [values[i].aval.shape for i in unknown]
+    lead, sizes = shapes[0][:rank], [math.prod(shape[rank:]) for shape in shapes]
+    splits = np.cumsum(sizes)[:-1]
+
+    def entry(one):
+        """What the results say to one entry of the inputs, for each sample of a batch."""
+        given = list(values)
+        for i, shape, own in zip(unknown, shapes, jnp.split(one, splits), strict=True):
+            given[i] = jnp.broadcast_to(own.reshape(shape[rank:]), shape)
+        out = loop_p.bind(*given, program=program, rank=rank)
+        axes = lambda each: tuple(range(rank, jnp.ndim(each)))
+        parts = [jnp.sum(heard(out[i], cotangents[i]), axes(out[i])) for i in heeded]
+        return sum(parts, jnp.zeros(lead))
+
+    count = sum(sizes)
+    together = max(1, min(count, TOGETHER))  # there is none where only empty arrays move
+    portions = -(-count // together)
+
+    def portion(first):
+        """The same of some entries, side by side."""
+        ways = (first + jnp.arange(together))[:, None] == jnp.arange(count)
+        return jax.vmap(entry)(ways.astype(float))
+
+    firsts = together * jnp.arange(portions)
+    found = jax.lax.map(portion, firsts).reshape(-1, *lead)[:count]
+    parts = (jnp.moveaxis(each, 0, -1) for each in jnp.split(found, splits))
+    answers = [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
+    given = dict(zip(unknown, answers, strict=True))
+    return [given.get(i) for i in range(len(values))]
+
+
+ad.primitive_jvps[loop_p] = _differentiate
+ad.primitive_transposes[loop_p] = _backwards
+pe.custom_partial_eval_rules[loop_p] = _known_first

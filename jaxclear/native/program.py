@@ -1,4 +1,5 @@
-"""A while loop as two programs, and how its numbers reach a kernel.
+"""A while loop as two programs, how its numbers reach a kernel, and how a program is gone through
+equation by equation.
 
 A kernel takes one packed row of floats for each sample (constants, then the first state; whole
 numbers and truth values as floats, which is exact to 2^53), and long arrays of constants, which it
@@ -6,13 +7,35 @@ reads by index; it gives one packed row, the last state, those long arrays of th
 changes in memory, and of a loop of known length a table of each array that a turn leaves.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.interpreters import ad
 
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
+
+# What calls a program.
+CALLS = (
+    "jit",
+    "pjit",
+    "closed_call",
+    "core_call",
+    "eval_jaxpr",
+    "remat",
+    "checkpoint",
+    "remat2",
+    "custom_jvp_call",
+    "custom_vjp_call",
+)
+
+
+def called(parameters: dict) -> Any:
+    """The program that one of the `CALLS` calls."""
+    return next(parameters[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in parameters)
 
 
 class Table(NamedTuple):
@@ -144,3 +167,82 @@ def size_of(program: Any) -> int:
         inner = [v for v in equation.params.values() if isinstance(v, (Jaxpr, ClosedJaxpr))]
         total += sum(map(size_of, inner)) if inner else 1
     return total
+
+
+def known_first(program: ClosedJaxpr, arguments: Sequence[Any]) -> dict[Any, Any]:
+    """Values of a program's variables as it begins."""
+    jaxpr = program.jaxpr
+    names = [*jaxpr.constvars, *jaxpr.invars]
+    return dict(zip(names, [*program.consts, *arguments], strict=True))
+
+
+def read(atoms: Sequence[Any], values: dict[Any, Any]) -> list:
+    """What variables and numbers of a program stand for."""
+    number = lambda literal: jnp.asarray(literal.val, literal.aval.dtype)
+    return [number(atom) if isinstance(atom, Literal) else values[atom] for atom in atoms]
+
+
+def applied(equation: Any, inputs: Sequence[Any], parameters: dict[str, Any]) -> Sequence[Any]:
+    """What the operation of an equation gives, with these parameters."""
+    found = equation.primitive.bind(*inputs, **parameters)
+    return found if equation.primitive.multiple_results else [found]
+
+
+def replayed(
+    program: ClosedJaxpr,
+    arguments: Sequence[Any],
+    one: Callable[[Any, list], Sequence[Any]] = lambda e, inputs: applied(e, inputs, e.params),
+) -> list:
+    """The program's results, the functions that it calls written out; `one`: what an equation gives
+    of its inputs."""
+    values = known_first(program, arguments)
+    for equation in program.jaxpr.eqns:
+        inputs = read(equation.invars, values)
+        if equation.primitive.name in CALLS:
+            inner = called(equation.params)
+            inner = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, [])
+            found: Sequence[Any] = replayed(inner, inputs, one)
+        else:
+            found = one(equation, inputs)
+        values |= dict(zip(equation.outvars, found, strict=True))
+    return read(program.jaxpr.outvars, values)
+
+
+def traced(function: Callable, avals: Sequence[Any]) -> ClosedJaxpr:
+    """The program of a function over arrays of these shapes and types."""
+    return jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals))
+
+
+def constants_first(program: ClosedJaxpr) -> ClosedJaxpr:
+    """The program, its constants as leading arguments."""
+    jaxpr = program.jaxpr
+    invars = [*jaxpr.constvars, *jaxpr.invars]
+    return ClosedJaxpr(jaxpr.replace(constvars=[], invars=invars), [])
+
+
+def of_moving(function: Callable, values: Sequence[Any], moving: Sequence[int]) -> Callable:
+    """The function of those of its arguments that move, the others being these values."""
+
+    def of_some(*some):
+        given = list(values)
+        for place, value in zip(moving, some, strict=True):
+            given[place] = value
+        return function(*given)
+
+    return of_some
+
+
+def still(value: Any) -> ad.Zero:
+    """The tangent of what does not move."""
+    return ad.Zero(jax.core.ShapedArray(value.shape, value.dtype).to_tangent_aval())
+
+
+def samples_in(values: Sequence[Any], dims: Sequence[int | None]) -> int:
+    """How many samples `jax.vmap` maps over, along these axes."""
+    return next(np.shape(v)[d] for v, d in zip(values, dims, strict=True) if d is not None)
+
+
+def heard(said: Any, asked: Any) -> Any:
+    """Their product, where what is not asked for may have overflowed: inf * 0 is 0 here. A finite
+    one stays, for its product has a slope where what is asked passes through 0."""
+    return jnp.where((asked == 0) & ~jnp.isfinite(said), 0.0, said) * asked

@@ -1,5 +1,5 @@
-"""A function of few numbers over many rows of them, such as the states of a run at its saving
-times.
+"""Functions of few numbers over many rows, such as the states of a run at its saving times, and
+functions through whose batches XLA goes sample by sample.
 
 XLA fuses what a function works out into every place that reads it. Of an unrolled factorisation,
 mapped over rows, it makes so much code that a mechanism with two spatial loops did not compile in
@@ -12,9 +12,12 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr
+from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive, jaxpr_as_fun
+from jax.interpreters import ad, batching, mlir
 
+from jaxclear.native.program import constants_first, of_moving, still, traced
 from jaxclear.native.while_loops import once, scan
 
 # Operations up to which a function is short: a body's place has some 100, the reactions of a
@@ -67,3 +70,95 @@ def _operations(program: Jaxpr) -> int:
         called = [p for p in inner if isinstance(p, Jaxpr)]
         found += sum(map(_operations, called)) if called else 1
     return found
+
+
+# Derivatives that are kept.
+LATEST = 16
+in_turn_p = Primitive("jaxclear_one_by_one")
+in_turn_p.multiple_results = True
+
+
+def one_by_one(function: Callable) -> Callable:
+    """The function, whose samples in a batch are gone through one after the other. Differentiable
+    forwards."""
+
+    def wrapped(*given: Any) -> Any:
+        program, shape = jax.make_jaxpr(function, return_shape=True)(*given)
+        values = [*program.consts, *map(jnp.asarray, jax.tree.leaves(given))]
+        found = in_turn_p.bind(*values, program=constants_first(program), motion=None)
+        return jax.tree.unflatten(jax.tree.structure(shape), found)
+
+    return wrapped
+
+
+def _run(*values: Any, program: ClosedJaxpr, motion: tuple[int, int] | None) -> list:
+    return list(jaxpr_as_fun(program)(*values))
+
+
+def _differentiate(primals, tangents, *, program, motion):
+    floats = [jnp.issubdtype(aval.dtype, jnp.floating) for aval in program.out_avals]
+    moving = tuple(i for i, tangent in enumerate(tangents) if not isinstance(tangent, ad.Zero))
+    counts = len(primals), len(floats)
+    given = [*primals, *(tangents[i] for i in moving)]
+    found = in_turn_p.bind(*given, program=_with_tangents(program, moving), motion=counts)
+    out, moved = found[: counts[1]], iter(found[counts[1] :])
+    pairs = zip(floats, out, strict=True)
+    return out, [next(moved) if is_float else still(each) for is_float, each in pairs]
+
+
+# JAX asks for the derivative of a loop's turn several times.
+@functools.lru_cache(maxsize=LATEST)
+def _with_tangents(program: ClosedJaxpr, moving: tuple[int, ...]) -> ClosedJaxpr:
+    """The program over its inputs and tangents of those that move, to its results and the tangents
+    of those that are floats."""
+    count = len(program.in_avals)
+
+    def pushed(*given):
+        values, ways = given[:count], given[count:]
+        function = of_moving(jaxpr_as_fun(program), values, moving)
+        out, moved = jax.jvp(function, [values[i] for i in moving], list(ways))
+        pairs = zip(moved, program.out_avals, strict=True)
+        return [*out, *(m for m, aval in pairs if jnp.issubdtype(aval.dtype, jnp.floating))]
+
+    avals = [*program.in_avals, *(program.in_avals[i] for i in moving)]
+    return constants_first(traced(pushed, avals))
+
+
+def _in_turn() -> bool:
+    return jax.default_backend() == "cpu"
+
+
+def _batch(values, dims, *, program, motion):
+    batched = [dim is not None for dim in dims]
+    if motion is not None and not any(batched[: motion[0]]):
+        # Several tangents of one motion.
+        ways = jax.vmap(
+            jaxpr_as_fun(program),
+            in_axes=tuple(dims),
+            out_axes=[None if i < motion[1] else 0 for i in range(len(program.out_avals))],
+        )
+        found = in_turn_p.bind(
+            *values, program=constants_first(jax.make_jaxpr(ways)(*values)), motion=motion
+        )
+        return found, [None if i < motion[1] else 0 for i in range(len(found))]
+
+    if not _in_turn():
+        out = jax.vmap(jaxpr_as_fun(program), in_axes=tuple(dims))(*values)
+        return list(out), [0] * len(out)
+
+    def sample(own):
+        own = iter(own)
+        pairs = zip(values, batched, strict=True)
+        given = [next(own) if has_axis else value for value, has_axis in pairs]
+        return in_turn_p.bind(*given, program=program, motion=motion)
+
+    pairs = zip(values, dims, strict=True)
+    found = jax.lax.map(sample, [jnp.moveaxis(v, dim, 0) for v, dim in pairs if dim is not None])
+    return found, [0] * len(found)
+
+
+in_turn_p.def_impl(lambda *values, **params: jax.jit(lambda *v: _run(*v, **params))(*values))
+in_turn_p.def_abstract_eval(lambda *_, program, motion: program.out_avals)
+batching.primitive_batchers[in_turn_p] = _batch
+ad.primitive_jvps[in_turn_p] = _differentiate
+mlir.register_lowering(in_turn_p, mlir.lower_fun(_run, multiple_results=True))

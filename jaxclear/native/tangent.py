@@ -14,8 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 
-from jaxclear.native.calls import CALLS, called
-from jaxclear.native.program import Narrow, Program, avals_of, row_of, scan_counts
+from jaxclear.native.program import (
+    CALLS,
+    Narrow,
+    Program,
+    avals_of,
+    called,
+    row_of,
+    samples_in,
+    scan_counts,
+    traced,
+)
 
 # Tangents in one body at the most: more of them gain little, and outgrow the registers.
 SIDE_BY_SIDE = 4
@@ -119,8 +128,8 @@ def tangent_program(
         return [*out[:n], *tangents[:count], *out[n:], *tangents[count:]]
 
     behind = [first[i] for i in of_state]
-    body = _traced(turn, [*fixed, *(fixed[i] for i in of_constants), *first, *behind])
-    condition = _traced(
+    body = traced(turn, [*fixed, *(fixed[i] for i in of_constants), *first, *behind])
+    condition = traced(
         lambda *numbers: tests(*numbers[: c + n]), [*program.condition.in_avals, *behind]
     )
     # A table of tangents begins with the tangent of what the motion's begins with.
@@ -170,7 +179,7 @@ def bundled(
     moving = moving_state(program, batched[c : c + b], batched[c + b :])
     state = len(values) - c - b
     batched = [*batched[: c + b], *moving[:state]]
-    count = next(np.shape(v)[d] for v, d in zip(values, dims, strict=True) if d is not None)
+    count = samples_in(values, dims)
     narrow = Narrow(program, tuple(batched), moving, count)
 
     def arranged(value, dim, differs):
@@ -242,7 +251,7 @@ def widened(narrow: Narrow, count: int) -> Program:
             aval.shape if axis is None else (count, *aval.shape), aval.dtype
         )
 
-    body = _traced(
+    body = traced(
         lambda *numbers: jax.vmap(lambda *own: turns(*own), axes, out_axes)(*numbers),
         list(map(wide, program.body.in_avals, axes)),
     )
@@ -256,8 +265,4 @@ def widened(narrow: Narrow, count: int) -> Program:
         return tests(*(n if a is None else any_of(n) for n, a in zip(numbers, places, strict=True)))
 
     whole = narrow if count == narrow.tangents else None
-    return program._replace(condition=_traced(test, asked), body=body, motion=None, narrow=whole)
-
-
-def _traced(function, avals) -> ClosedJaxpr:
-    return jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals))
+    return program._replace(condition=traced(test, asked), body=body, motion=None, narrow=whole)

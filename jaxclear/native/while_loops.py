@@ -9,10 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
-from jaxclear.native import differentiation  # noqa: F401  (its rules)
 from jaxclear.native.loop import loop_p
-from jaxclear.native.program import Program, Table, loops_marked
-from jaxclear.native.replay import applied, replayed
+from jaxclear.native.program import Program, Table, applied, constants_first, loops_marked, replayed
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
 
@@ -173,10 +171,7 @@ def with_fast_loops(function: Callable) -> Callable:
             return out
 
         found = jax.make_jaxpr(flat)(*leaves)
-        program = ClosedJaxpr(
-            found.jaxpr.replace(constvars=[], invars=[*found.jaxpr.constvars, *found.jaxpr.invars]),
-            [],
-        )
+        program = constants_first(found)
         fast = jax.custom_jvp(lambda *values: replayed(program, values, _loops_bound))
         fast.defjvp(lambda values, tangents: jax.jvp(jaxpr_as_fun(program), values, tangents))
         return jax.tree.unflatten(kept["structure"], fast(*found.consts, *leaves))

@@ -1,15 +1,21 @@
 """A small JAX program written as LLVM code: every number of every (small) array becomes one virtual
 register.
 
-`Writer` keeps the text; `rules` says what each JAX primitive becomes. Registers hold one sample, or
-a vector of `lanes` samples side by side. Numbers known while writing stay Python numbers. What has
-no rule raises `Unsupported`: the caller then leaves the program to XLA.
+`Writer` keeps the text; a `rule` says what one of JAX's primitives becomes: `(writer, equation,
+*inputs)` to the outputs, on NumPy object arrays of registers and known numbers. Registers hold one
+sample, or a vector of `lanes` samples side by side. Shapes are NumPy's business (reshape,
+broadcast, transpose move names about and cost nothing); arithmetic writes one instruction for each
+number. What has no rule raises `Unsupported`: the caller then leaves the program to XLA. The rules
+stand in `arithmetic`, `elementary`, `indexing` and `control`.
 """
 
+import math
 import struct
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 FLOAT, WHOLE, TRUTH = "double", "i64", "i1"
 # Stands in the text for the place of the flag that stops all kernels, which each process has
@@ -21,8 +27,6 @@ PURE = "nounwind willreturn memory(none)"
 # Beyond this many instructions XLA's loops over arrays are the better program. Of 190 000, for the
 # derivative by all numbers of a ball, LLVM made a kernel in 30 s of CPU time; XLA took over 280 s.
 MOST_INSTRUCTIONS = 250_000
-# More turns than any loop takes.
-ENDLESS = 2**62
 # An array longer than this stays in memory and is read by index; shorter ones live in registers.
 LONGEST_IN_REGISTERS = 64
 
@@ -58,19 +62,18 @@ class InMemory:
 
 class Writer:
     """LLVM text under construction. A value is a register's name or a Python number; arrays are
-    NumPy object arrays of them.
+    NumPy object arrays of them. `leaves_rows`: its turns do; `checked`: its outermost loop takes
+    one turn, whatever its condition says, to be compared (`check`).
     """
 
-    def __init__(self, lanes: int, leaves_rows: bool = False):
-        self.lanes, self.leaves_rows = lanes, leaves_rows
+    def __init__(self, lanes: int, leaves_rows: bool = False, checked: bool = False):
+        self.lanes, self.leaves_rows, self.checked = lanes, leaves_rows, checked
         # Loops within one another, at the place that is being written.
         self.depth = 0
         self.lines: list[str] = []
         self.needs: set[str] = set()
         self.block = "entry"
         self.active: str | None = None
-        # Registers with the largest number of turns of the outermost loop, and of loops within it.
-        self.most, self.most_inside = str(ENDLESS), str(ENDLESS)
         # Register with the turn of a scan, the same for all samples.
         self.turn = ""
         self._count = 0
@@ -262,3 +265,109 @@ class Writer:
             f"select {self.wide(TRUTH)} {truth}, {wide} {self.text(yes, kind)}, {wide} "
             f"{self.text(no, kind)}"
         )
+
+
+Rule = Callable[..., Any]
+RULES: dict[str, Rule] = {}
+# Names of the rules that take arrays in memory as well.
+READ_MEMORY: set[str] = set()
+
+
+def rule(*names: str, reads_memory: bool = False) -> Callable[[Rule], Rule]:
+    """Registers the rule of some primitives; `reads_memory`: it takes arrays in memory as well."""
+
+    def keep(function: Rule) -> Rule:
+        RULES.update(dict.fromkeys(names, function))
+        READ_MEMORY.update(names if reads_memory else ())
+        return function
+
+    return keep
+
+
+def array_of(values: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """An object array filled with registers or numbers."""
+    out = np.empty(shape, object)
+    out[...] = values
+    return out
+
+
+def number_of(value: Any) -> Any:
+    """A NumPy scalar as a Python number."""
+    return value.item() if isinstance(value, (np.generic, np.ndarray)) else value
+
+
+def write(writer: Writer, jaxpr: Jaxpr, constants: Any, arguments: Any) -> list:
+    """The outputs of a program for given constants and arguments, all as object arrays (or
+    `InMemory`).
+    """
+    values: dict[Any, Any] = dict(zip(jaxpr.constvars, constants, strict=True))
+    values |= dict(zip(jaxpr.invars, arguments, strict=True))
+
+    def get(atom):
+        if isinstance(atom, Literal):
+            if atom.aval.dtype == np.uint64 and np.ndim(atom.val) == 0:
+                return array_of(int(np.asarray(atom.val, np.uint64).view(np.int64)), ())
+            kind_of(atom.aval.dtype)
+            return (
+                array_of(number_of(atom.val), ())
+                if np.ndim(atom.val) == 0
+                else np.asarray(atom.val).astype(object)
+            )
+        return values[atom]
+
+    for equation in jaxpr.eqns:
+        name = equation.primitive.name
+        if name not in RULES:
+            raise Unsupported(f"the primitive {name}")
+        inputs = [get(atom) for atom in equation.invars]
+        if name not in READ_MEMORY and any(isinstance(value, InMemory) for value in inputs):
+            raise Unsupported(f"{name} of a long array")
+        found = RULES[name](writer, equation, *inputs)
+        values |= dict(
+            zip(equation.outvars, found if isinstance(found, list) else [found], strict=True)
+        )
+    return [get(atom) for atom in jaxpr.outvars]
+
+
+def write_closed(writer: Writer, program: Any, arguments: Any) -> list:
+    """The outputs of a program whose constants are known."""
+    if isinstance(program, ClosedJaxpr):
+        return write(writer, program.jaxpr, [known_array(c) for c in program.consts], arguments)
+    return write(writer, program, [], arguments)
+
+
+def known_array(value: Any) -> np.ndarray:
+    """A NumPy array of numbers as an object array of Python numbers."""
+    plain = np.asarray(value)
+    kind_of(plain.dtype)
+    return plain.astype(object)
+
+
+def refuse_memory(*arrays: Any) -> None:
+    """Raises `Unsupported` where one of them is kept in memory."""
+    if any(isinstance(a, InMemory) for a in arrays):
+        raise Unsupported("a long array that changes")
+
+
+def kinds_of(equation: Any) -> list[str]:
+    """The LLVM types of an equation's inputs."""
+    return [kind_of(atom.aval.dtype) for atom in equation.invars]
+
+
+def each(function: Callable, *arrays: np.ndarray) -> np.ndarray:
+    """A function of single numbers over arrays of one shape (or scalars)."""
+    shape = arrays[0].shape
+    if any(a.shape != shape for a in arrays):
+        shape = np.broadcast_shapes(*[a.shape for a in arrays])
+        arrays = tuple(np.broadcast_to(a, shape) for a in arrays)
+    if shape == ():
+        return array_of(function(*[a.item() for a in arrays]), ())
+    out = np.empty(math.prod(shape), object)
+    for k, numbers in enumerate(zip(*[a.ravel().tolist() for a in arrays], strict=True)):
+        out[k] = function(*numbers)
+    return out.reshape(shape)
+
+
+def known(*values: Any) -> bool:
+    """Whether all are numbers known while writing."""
+    return not any(isinstance(v, str) for v in values)

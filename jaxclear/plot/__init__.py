@@ -5,27 +5,33 @@ a page of a run that moves.
 
 from jaxclear.ground.answering import nothing_else
 from jaxclear.plot.animation import animate
-from jaxclear.plot.cycles import settled, wear_lives
-from jaxclear.plot.design import design, design_front
-from jaxclear.plot.joints import hysteresis, journal_orbit
-from jaxclear.plot.life import wear_life
-from jaxclear.plot.modes import modes
-from jaxclear.plot.motion import angular_velocity, displacement, end_centres, journal_ends
+from jaxclear.plot.life import design, design_front, settled, wear_life, wear_lives
+from jaxclear.plot.motion import (
+    angular_velocity,
+    displacement,
+    end_centres,
+    hysteresis,
+    journal_ends,
+    journal_orbit,
+    modes,
+    pointing_budget,
+)
 from jaxclear.plot.overview import overview, positions, result
-from jaxclear.plot.pointing import pointing_budget
-from jaxclear.plot.portraits import bifurcation, phase_portrait, poincare_section
-from jaxclear.plot.shares import (
+from jaxclear.plot.signal import bifurcation, phase_portrait, poincare_section, spectrum
+from jaxclear.plot.studies import (
     corrected,
     error_budget,
+    monte_carlo,
     multi_fidelity,
     reliability,
+    sensitivity,
     shapley_effects,
     sobol_indices,
     surface,
+    sweep,
+    work_precision,
     worst_case,
 )
-from jaxclear.plot.spectrum import spectrum
-from jaxclear.plot.studies import monte_carlo, sensitivity, sweep, work_precision
 from jaxclear.plot.wear import wear_surface, wear_unrolled
 
 __all__ = [

@@ -1,15 +1,67 @@
-"""Figures of a life: depth, volume and responses over cycles."""
+"""Figures of lives and designs: how a machine settles, depth, volume and responses over cycles, how
+lives differ; what a design chose, how the limits stand, how the search went; and a front.
+"""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import expect
-from jaxclear.plot.canvas import panels, readable, volume
-from jaxclear.plot.fitting import key
+from jaxclear.plot.canvas import Roomy, key, panels, readable, volume
+from jaxclear.studies.design.result import Design
+from jaxclear.studies.life.lives import WearLives
 from jaxclear.studies.life.result import CONFIDENCE, DEPTH, VOLUME, WearLife
+from jaxclear.studies.life.settled import Settled
 
-__all__ = ["wear_life"]
+
+@answering
+def settled(found: Settled, *, ax: Any = None) -> Any:
+    """How far the ends of each cycle are apart, with the tolerance, and the responses of each, full
+    where they are taken as the motion. `ax`: axes for the ends and for each response."""
+    expect(found, Settled, "the cycle", "what jaxclear.settled returns")
+    table, units = found.table(), found.problem.units()
+    names = list(found.problem.response_names)
+    sheet = panels("settled", ax, 1, 1 + len(names), (4.2 * (1 + len(names)), 3.4))
+    first, *others = sheet.axes.flat
+    taken = table["taken"].to_numpy(bool)
+    first.semilogy(table["cycle"], table["apart"], "o-", ms=4, mfc="none", lw=1.0)
+    first.axhline(found.tolerance, color="C3", ls="--", lw=1.0, label="tolerance")
+    first.set_ylabel("distance of its ends [1]")
+    key(first)
+    for axis, name in zip(others, names, strict=True):
+        label = name if units[name] == "1" else f"{name} [{units[name]}]"
+        values = table[label].to_numpy(float)
+        factor, unit = readable(values[np.isfinite(values)], units[name])
+        axis.plot(table["cycle"], factor * values, "o-", ms=4, mfc="none", color="C2", lw=0.8)
+        axis.plot(table["cycle"][taken], factor * values[taken], "o", ms=4, color="C2")
+        axis.set_ylabel(f"{name} [{unit}]")
+    for axis in sheet.axes.flat:
+        axis.set_xlabel("cycle [1]")
+        axis.xaxis.set_major_locator(Roomy(whole=True))
+    sheet.title(found.sentence().partition(": ")[0] + ".")
+    return sheet.done([f"Warning: {one}" for one in found.warnings])
+
+
+@answering
+def wear_lives(found: WearLives, *, ax: Any = None) -> Any:
+    """Largest depth and volume lost of every life over its cycles. `ax`: two axes."""
+    expect(found, WearLives, "the lives", "what jaxclear.wear_lives returns")
+    sheet = panels("wear_lives", ax, 1, 2, (9.0, 3.8))
+    lives = [life for life in found.lives if life]
+    for axis, kind in zip(sheet.axes.flat, (DEPTH, VOLUME), strict=True):
+        curves = [life.over_life(kind) for life in lives]
+        every = np.concatenate(curves) if curves else np.zeros(0)
+        factor, unit = readable(every, "m") if kind == DEPTH else volume(every)
+        for life, curve in zip(lives, curves, strict=True):
+            early = bool(life.ended)
+            axis.plot(life.cycles, factor * curve, lw=0.8, alpha=0.7, color="C3" if early else "C0")
+        axis.set_xlabel("cycles [1]")
+        axis.set_ylabel(f"{'largest depth' if kind == DEPTH else 'volume lost'} [{unit}]")
+    sheet.title(found.sentence())
+    return sheet.done()
+
 
 # Points of a curve.
 POINTS = 200
@@ -82,3 +134,92 @@ def _response(axis: Any, life: WearLife, name: str) -> None:
     axis.set_ylabel(name if unit == "1" else f"{name} [{unit}]")
     if life.concerned(name):
         axis.set_title("in doubt: a warning concerns it", fontsize=8, color="C3")
+
+
+def design(found: Design, *, ax: Any = None) -> Any:
+    """Nominal values with their tolerances, before and after; how much of each limit is used up,
+    with 95 % errors, by the last verification; cost over the rounds. `ax`: three axes to draw
+    in."""
+    expect(found, Design, "the design", "what jaxclear.design returns")
+    names = found.question.freedom.names
+    height = 2.2 + 0.34 * max(len(names), len(found.limits))
+    sheet = panels("design", ax, 1, 3, (13.0, height), width_ratios=(1.2, 1.2, 0.9))
+    for draw, axis in zip((_widths, _limits, _history), sheet.axes.flat, strict=True):
+        draw(axis, found)
+    sheet.title(found.sentence().partition(". ")[0] + ".")
+    return sheet.done([] if found.holds else [found.sentence()])
+
+
+def _widths(axis: Any, found: Design) -> None:
+    freedom = found.question.freedom
+    units = dict(zip(freedom.names, found.problem.variable_units, strict=True))
+    places = np.arange(len(freedom.names))
+    after = np.array([found.tolerances[name] for name in freedom.names])
+    factor, unit = readable(after, units[freedom.names[0]])
+    if len(set(units.values())) > 1:
+        factor, unit = 1.0, "own unit"
+    axis.barh(places + 0.19, factor * freedom.usual, 0.36, color="0.75", label="as given")
+    axis.barh(places - 0.19, factor * after, 0.36, color="C0", label="designed")
+    labels = [
+        f"{name}\nat {1e3 * found.nominal[name]:.5g} mm" if units[name] == "m" else name
+        for name in freedom.names
+    ]
+    axis.set_yticks(places, labels, fontsize=8)
+    axis.invert_yaxis()
+    axis.set_xlabel(f"tolerance ± [{unit}]")
+    key(axis)
+
+
+def _limits(axis: Any, found: Design) -> None:
+    places = np.arange(len(found.limits))
+    used = 100 * (1.0 + found.excess)
+    last = found.rounds[-1].check
+    errors = np.zeros(len(used)) if last is None else 100 * last.excess_errors
+    colours = ["C3" if not one <= found.allowed_excess else "C2" for one in found.excess]
+    axis.barh(places, np.maximum(used, 0.0), 0.5, color=colours, alpha=0.7)
+    axis.errorbar(used, places, xerr=errors, fmt="none", ecolor="k", capsize=3)
+    axis.axvline(100.0, color="k", lw=1.0)
+    axis.set_yticks(places, [limit.words() for limit in found.limits], fontsize=7)
+    axis.invert_yaxis()
+    axis.set_xlim(0.0, max(110.0, 1.1 * float(np.nanmax(used, initial=100.0))))
+    axis.set_xlabel("limit used up [%]")
+
+
+def _history(axis: Any, found: Design) -> None:
+    history = found.history()
+    axis.plot(history["runs"], history["cost"], "o-", color="C0", ms=4, lw=1.2)
+    kept = history["largest excess"] <= found.allowed_excess
+    axis.plot(
+        history["runs"][kept],
+        history["cost"][kept],
+        "o",
+        ms=9,
+        mfc="none",
+        mec="C2",
+        label="limits kept",
+    )
+    axis.set_xlabel("runs")
+    axis.set_ylabel("cost")
+    if kept.any():
+        key(axis)
+
+
+def design_front(found: Sequence[Design], limit: int = 0, *, ax: Any = None) -> Any:
+    """Cost against the bound of one limit, its designs that hold full and the others hollow.
+    `ax`: axes to draw in."""
+    for one in found:
+        expect(one, Design, "a design of the front", "one that jaxclear.design_front returns")
+    bounds = np.array([float(one.limits[limit].bound()) for one in found])
+    factor, unit = readable(bounds, found[0].unit(limit))
+    costs, held = np.array([one.cost for one in found]), np.array([one.holds for one in found])
+    sheet = panels("design_front", ax, size=(5.6, 3.8))
+    axis = sheet.one
+    axis.plot(factor * bounds, costs, "-", color="C0", lw=1.2)
+    axis.plot(factor * bounds[held], costs[held], "o", color="C0", label="holds")
+    if not held.all():
+        lost = ~held
+        axis.plot(factor * bounds[lost], costs[lost], "o", mfc="none", color="C3", label="does not")
+    axis.set_xlabel(f"{found[0].limits[limit].words()} [{unit}]", fontsize=8)
+    axis.set_ylabel("cost")
+    key(axis)
+    return sheet.done()

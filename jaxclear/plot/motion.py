@@ -1,16 +1,31 @@
-"""Figures of one run's motion beside the ideal mechanism's, and of a journal in its bearing."""
+"""Figures of one run: its motion beside the ideal mechanism's, a journal in its bearing and how it
+moves there, friction over the motion, and the error of a tip shared out among the joints.
+"""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from matplotlib.patches import Patch
 
-from jaxclear.ground.arguments import expect
-from jaxclear.plot.canvas import MILLI, check_run, panels, readable, setting, shades, warned
-from jaxclear.plot.fitting import key
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.plot.canvas import (
+    MILLI,
+    check_run,
+    key,
+    over_time,
+    panels,
+    readable,
+    setting,
+    shades,
+    warned,
+)
+from jaxclear.plot.signal import reached
+from jaxclear.results.modes import Mode
+from jaxclear.results.pointing_error import PointingError, shift, turn
+from jaxclear.results.relative_motion import relative_motion
 from jaxclear.results.trajectory import Trajectory
-
-__all__ = ["angular_velocity", "displacement", "end_centres", "journal_ends"]
 
 
 def displacement(
@@ -118,3 +133,179 @@ def end_centres(run: Trajectory, joint: str) -> np.ndarray:
         )
     ends = ends_of(tuple(np.asarray(history.offset).T), (tuple(np.asarray(history.axis).T),))
     return np.stack([np.stack(end[:2], axis=-1) for end in ends])
+
+
+PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+
+
+@answering
+def journal_orbit(
+    run: Trajectory, joint: str, *, plane: str = "xy", since: float = 0.0, ax: Any = None
+) -> Any:
+    """Path of a journal's (or ball's) centre in its bearing, coloured by time, with the circle of
+    the clearance. `plane` of the bearing's axes: "xy", "xz" or "yz"; `since` [s]: from when on.
+    `ax`: axes to draw in. Of both ends of a journal that tilts: `plot.journal_ends`. Raises
+    `ValueError` for a joint without radial clearance.
+    """
+    check_run(run)
+    check_known("plane of journal_orbit", plane, PLANES)
+    check_number("since of journal_orbit", since, "s")
+    history = run.contact(joint)
+    gap: Any = run.mechanism.connections[joint].joint
+    gap = getattr(gap, "gap", gap)
+    if not {"x", "y"} <= set(getattr(gap, "ideal_rows", ())):
+        raise ValueError(
+            f'the joint "{joint}" is a {type(gap).__name__}, which has no radial clearance; take '
+            "plot.phase_portrait."
+        )
+    factor, unit = readable([float(gap.clearance)], "m")
+    clearance, kept = factor * float(gap.clearance), reached(run, since)
+    path = factor * np.asarray(history.offset)[kept][:, PLANES[plane]]
+    sheet = panels("journal_orbit", ax, size=(5.8, 5.0))
+    axis, turn = sheet.one, np.linspace(0, 2 * np.pi, 400)
+    axis.plot(clearance * np.cos(turn), clearance * np.sin(turn), "r-", lw=0.8,
+              label="clearance")  # fmt: skip
+    lines = over_time(axis, path[:, 0], path[:, 1], np.asarray(run.time)[kept])
+    axis.set_aspect("equal")
+    axis.set_xlim(-1.15 * clearance, 1.15 * clearance)
+    axis.set_ylim(-1.15 * clearance, 1.15 * clearance)
+    sheet.whole.colorbar(lines, ax=axis, label="time [s]")
+    axis.set_xlabel(f"{plane[0]} of the centre [{unit}]")
+    axis.set_ylabel(f"{plane[1]} of the centre [{unit}]")
+    key(axis, loc="upper right")
+    sheet.title(f"Orbit in {joint}{setting(run, joint)}")
+    return warned(sheet, {"": run})
+
+
+@answering
+def hysteresis(run: Trajectory, joint: str, *, since: float = 0.0, ax: Any = None) -> Any:
+    """Friction of a joint over the displacement and over the speed with which it slides, coloured
+    by time: of a joint that slides its force along z [N], of one that turns its torque about z
+    [N m], as they act on the child. `since` [s]: from when on. `ax`: two axes to draw in. Raises
+    `ValueError` for a joint that does not rub.
+    """
+    check_run(run)
+    check_number("since of hysteresis", since, "s")
+    history, motion = run.contact(joint), relative_motion(run, joint)
+    own: Any = run.mechanism.connections[joint].joint
+    gap = getattr(own, "gap", own)
+    stated: Any = getattr(gap, "rows", None) or getattr(gap, "ideal_rows", ())
+    rows = set(stated)
+    if rows == {"x", "y", "z"}:
+        raise ValueError(
+            f'the joint "{joint}" is a {type(gap).__name__}, which slides in more than one '
+            "direction; its friction has no single displacement."
+        )
+    slides = "z" not in rows and "x.z" in rows
+    unit, rub = ("m", "N") if slides else ("rad", "N m")
+    way = motion.offset[:, 2] if slides else motion.turn
+    speed = motion.rate[:, 2] if slides else motion.spin
+    friction = np.asarray(history.force if slides else history.torque)[:, 2]
+    if gap is own and joint not in run.mechanism.topology.clearances:
+        friction = _of_ideal(own, history, speed, slides)
+    kept = reached(run, since)
+    scale, rub = readable(friction[kept], rub)
+    rubbed, time = scale * friction[kept], np.asarray(run.time)[kept]
+    sheet = panels("hysteresis", ax, 1, 2, (9.5, 4.2), sharey=True)
+    labels = ("displacement", "sliding speed") if slides else ("turn", "angular velocity")
+    for axis, values, label, per in zip(
+        sheet.axes.flat, (way[kept], speed[kept]), labels, ("", "/s"), strict=True
+    ):
+        factor, shown = readable(values, unit)
+        lines = over_time(axis, factor * values, rubbed, time)
+        axis.axhline(0.0, color="0.7", lw=0.6, zorder=0)
+        axis.set_xlabel(f"{label} in {joint} [{shown}{per}]")
+    what = "force" if slides else "torque"
+    sheet.one.set_ylabel(f"friction {what} on the child [{rub}]")
+    sheet.whole.colorbar(lines, ax=sheet.axes.flat[-1], label="time [s]")
+    sheet.title(f"Friction of {joint}")
+    return warned(sheet, {"": run})
+
+
+def _of_ideal(joint: Any, history: Any, speed: np.ndarray, slides: bool) -> np.ndarray:
+    """Friction of an ideal joint that rubs, which is told without its sign: against the sliding;
+    nan where the joint sticks and it may have either."""
+    force, torque = joint.friction_wrench(np.asarray(history.traction).sum(axis=1))
+    size = (force if slides else torque)[2]
+    return np.where(speed == 0.0, np.nan, -np.sign(speed) * size)
+
+
+# Free flight is the paper's white; an impact is drawn at least so wide, as a share of the chart.
+COLOURS = {Mode.FREE_FLIGHT: "#e8edf2", Mode.IMPACT: "#c23b22", Mode.CONTACT: "#4a7fb0"}
+LEAST_WIDTH = 1e-3
+BAR = 0.8
+
+
+def modes(run: Trajectory, *joints: str, ax: Any = None) -> Any:
+    """Free flight, impact and contact over time, a strip for each joint (all with clearance by
+    default). Impacts are drawn on top, and never too thin to be seen. `ax`: axes to draw in.
+    """
+    check_run(run)
+    names = joints or tuple(run.formulation.contact_joints(run.mechanism))
+    colours = {mode.label: colour for mode, colour in COLOURS.items()}
+    span = MILLI * float(run.time[-1] - run.time[0])
+    sheet = panels("modes", ax, size=(9.0, 1.3 + 0.45 * len(names)))
+    axes = sheet.one
+    for row, name in enumerate(names):
+        for label, phases in run.modes(name).groupby("mode"):
+            start = MILLI * phases["from [s]"].to_numpy()
+            width = MILLI * phases["to [s]"].to_numpy() - start
+            thin = LEAST_WIDTH * span if label == Mode.IMPACT.label else 0.0
+            axes.broken_barh(
+                list(zip(start, width.clip(thin), strict=True)),
+                (row - 0.5 * BAR, BAR),
+                color=colours[label],
+                zorder=3 if label == Mode.IMPACT.label else 2,
+            )
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set_xlim(MILLI * float(run.time[0]), MILLI * float(run.time[-1]))
+    axes.set_xlabel("time [ms]")
+    sheet.title("Modes of motion of the journals")
+    patches = [Patch(color=colour) for colour in COLOURS.values()]
+    sheet.legend(patches, [mode.label for mode in COLOURS])
+    return warned(sheet, {"": run})
+
+
+def pointing_budget(error: PointingError, *, ax: Any = None) -> Any:
+    """Pointing and position error of a tip over time, exact beside the adjoint model, with what
+    each joint contributes; beside it the root mean squares, each with its share of the mean
+    square. `ax`: four axes to draw in, over time and beside it, row by row."""
+    expect(error, PointingError, "the error", "what jaxclear.pointing_error returns")
+    sheet = panels("pointing_budget", ax, 2, 2, (10.0, 6.4), width_ratios=(2.4, 1.0))
+    axes = sheet.axes
+    table = error.budget()
+    quantities = (
+        ("pointing", error.pointing_angle, turn, "rad"),
+        ("position", error.position_error, shift, "m"),
+    )
+    for (along_time, beside), (what, exact, size, base_unit) in zip(axes, quantities, strict=True):
+        factor, unit = readable(exact, base_unit)
+        shades = dict(zip(error.names, (f"C{k}" for k in range(len(error.names))), strict=True))
+        for name, shade in shades.items():
+            values = factor * size(error.contributions[name])
+            along_time.plot(
+                error.time, values, color=shade, lw=0.9, alpha=0.85, label=f"{name} alone"
+            )
+        along_time.plot(error.time, factor * exact, color="0.55", lw=3.0, label="exact", zorder=2.5)
+        along_time.plot(
+            error.time, factor * size(error.model), "k--", lw=1.0, label="adjoint model", zorder=3
+        )
+        along_time.set_ylabel(f"{what} error [{unit}]")
+        along_time.set_ylim(bottom=0)
+        column = factor * table[f"rms {what} [{base_unit}]"]
+        colours = [shades.get(name, "k" if name == "model" else "0.55") for name in table.index]
+        beside.barh(range(len(table)), column, color=colours)
+        for row, (value, share) in enumerate(
+            zip(column, table[f"share of {what} [1]"], strict=True)
+        ):
+            text = "" if np.isnan(share) or row >= len(error.names) else f"{100 * share:.3g} %"
+            beside.text(value, row, f" {text}", va="center", fontsize=8)
+        beside.set_yticks(range(len(table)), table.index)
+        beside.set_xlim(0.0, 1.25 * max(column.max(), np.finfo(float).tiny))
+        beside.invert_yaxis()
+        beside.set_xlabel(f"rms [{unit}]; %: share of its square")
+    axes[1][0].set_xlabel("time [s]")
+    sheet.legend()
+    sheet.title(f'Error of the tip on "{error.tip}" seen from "{error.base}"')
+    return sheet.done([f"Warning: {sentence}" for sentence in error.warnings])

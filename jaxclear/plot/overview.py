@@ -8,23 +8,23 @@ import numpy as np
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import described, listed
-from jaxclear.plot.canvas import check_run, panels, readable, warned
-from jaxclear.plot.cycles import settled, wear_lives
-from jaxclear.plot.design import design
-from jaxclear.plot.fitting import key
-from jaxclear.plot.life import wear_life
-from jaxclear.plot.pointing import pointing_budget
-from jaxclear.plot.shares import (
+from jaxclear.plot.canvas import check_run, key, panels, readable, warned
+from jaxclear.plot.life import design, settled, wear_life, wear_lives
+from jaxclear.plot.motion import pointing_budget
+from jaxclear.plot.signal import reached
+from jaxclear.plot.studies import (
     corrected,
+    monte_carlo,
     multi_fidelity,
     reliability,
+    sensitivity,
     shapley_effects,
     sobol_indices,
     surface,
+    sweep,
+    work_precision,
     worst_case,
 )
-from jaxclear.plot.signal import reached
-from jaxclear.plot.studies import monte_carlo, sensitivity, sweep, work_precision
 from jaxclear.results.pointing_error import PointingError
 from jaxclear.results.response import PeakContactForce
 from jaxclear.results.trajectory import Trajectory
@@ -45,8 +45,6 @@ from jaxclear.studies.surface.correction import Corrected
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.sweep import Sweep
 from jaxclear.studies.worst_case import WorstCase
-
-__all__ = ["overview", "positions", "result"]
 
 
 @answering

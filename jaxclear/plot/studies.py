@@ -1,21 +1,31 @@
-"""Figures of studies: spread of responses, derivatives with errors, work against precision."""
+"""Figures of studies: spread of responses, derivatives with errors, work against precision.
+
+Figures of what tolerances do to responses: extremes, shares of the variance, means by surfaces
+and by models of two kinds, probabilities of failing.
+"""
 
 import re
 import textwrap
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from jaxclear.ground.arguments import expect
-from jaxclear.ground.in_words import as_typed
-from jaxclear.plot.canvas import panels, readable
-from jaxclear.plot.fitting import Roomy, key
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.shown import as_typed
+from jaxclear.plot.canvas import Roomy, key, panels, readable
 from jaxclear.studies.advice import PRESENT, Advice
+from jaxclear.studies.fidelity.result import MultiFidelity
 from jaxclear.studies.monte_carlo import MonteCarlo
+from jaxclear.studies.reliability.result import Reliability
 from jaxclear.studies.sensitivity.derivative import Sensitivity
+from jaxclear.studies.statistics.shapley import ShapleyEffects
+from jaxclear.studies.statistics.sobol_indices import SobolIndices
+from jaxclear.studies.surface.correction import Corrected
+from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.sweep import Sweep
-
-__all__ = ["monte_carlo", "sensitivity", "sweep", "work_precision"]
+from jaxclear.studies.worst_case import WorstCase
 
 # An error as large as the response is drawn no higher, a hundredth of the accuracy no lower.
 LARGEST_ERROR, LEAST_ERROR = 1.0, 0.01
@@ -190,3 +200,194 @@ def work_precision(advice: Advice, *, ax: Any = None) -> Any:
     sheet.title(f"Recommended: {as_typed(advice.recommended)}")
     sheet.legend()
     return sheet.done(advice.warnings())
+
+
+WIDE = 4.4
+
+
+def _rows(axis: Any, names: Sequence[str]) -> None:
+    """A row for each name, the first on top."""
+    axis.set_yticks(range(len(names)), names, fontsize=8)
+    axis.set_ylim(len(names) - 0.5, -0.5)
+
+
+def _interval(axis: Any, row: float, value: float, low: float, high: float, **how: Any) -> None:
+    """A value with the interval in which it lies; one that is not bounded has none."""
+    ends = np.nan_to_num([value - low, high - value], nan=0.0, posinf=0.0, neginf=0.0)
+    axis.errorbar(value, row, xerr=ends.clip(0.0)[:, None], fmt="o", capsize=3, ms=4, **how)
+
+
+@answering
+def worst_case(study: WorstCase, *, ax: Any = None) -> Any:
+    """Nominal value and the ends of each response: found by runs, and of first order. `ax`: axes
+    for each response."""
+    expect(study, WorstCase, "the study", "what jaxclear.worst_case returns")
+    names = list(study.nominal)
+    sheet = panels("worst_case", ax, 1, len(names), (WIDE * len(names), 2.6))
+    for axis, name in zip(sheet.axes.flat, names, strict=True):
+        ends = [study.least[name], study.largest[name]]
+        values = np.array([one.value for one in ends])
+        factor, unit = readable(values, study.problem.units()[name])
+        axis.plot(factor * values, [0, 0], "|-", color="C3", ms=16, lw=2, label="found by runs")
+        first = [factor * one.first_order for one in ends]
+        axis.plot(first, [1, 1], "|-", color="0.5", ms=16, lw=2, label="first order")
+        axis.axvline(factor * study.nominal[name], color="k", lw=0.8, label="nominal")
+        _rows(axis, ["found", "first order"])
+        axis.set_xlabel(f"{name} [{unit}]")
+    sheet.legend()
+    sheet.title(f"Worst case, {study.runs} runs")
+    return sheet.done()
+
+
+@answering
+def error_budget(study: MonteCarlo, *responses: str, ax: Any = None) -> Any:
+    """What each variable contributes to the variance of responses (all by default), as shares of it
+    with 95 % intervals. `ax`: axes for each response."""
+    expect(study, MonteCarlo, "the study", "what jaxclear.monte_carlo returns")
+    names = responses or tuple(study.responses)
+    for name in names:
+        check_known("response", name, study.responses, " in this study")
+    rows = len(study.problem.names) + 1
+    size = (WIDE * len(names), 1.4 + 0.35 * rows)
+    sheet = panels("error_budget", ax, 1, len(names), size, sharey=True)
+    for axis, name in zip(sheet.axes.flat, names, strict=True):
+        parts = study.error_budget(name)
+        whole = sum(part.value for part in parts.values()) or 1.0
+        for row, part in enumerate(parts.values()):
+            share, low, high = (100 * x / whole for x in part)
+            axis.barh(row, share, 0.6, color="C0", alpha=0.5)
+            _interval(axis, row, share, low, high, color="k")
+        _rows(axis, list(parts))
+        axis.axvline(0.0, color="k", lw=0.6)
+        axis.set_xlabel(f"share of the variance of {name} [%]")
+    sheet.title("Error budget")
+    return sheet.done()
+
+
+def _by_variable(kind: str, told: Mapping[tuple[str, str], Any], ax: Any) -> Any:
+    """A panel for each response with a row for each variable, and the names of both."""
+    names = list(dict.fromkeys(response for response, _ in told))
+    variables = list(dict.fromkeys(variable for _, variable in told))
+    size = (WIDE * len(names), 1.4 + 0.4 * len(variables))
+    return panels(kind, ax, 1, len(names), size, sharey=True), names, variables
+
+
+@answering
+def sobol_indices(study: SobolIndices, *, ax: Any = None) -> Any:
+    """First-order and total index of each variable, with 95 % intervals. `ax`: axes for each
+    response."""
+    expect(study, SobolIndices, "the study", "what jaxclear.sobol_indices returns")
+    sheet, names, variables = _by_variable("sobol_indices", study.first, ax)
+    for axis, name in zip(sheet.axes.flat, names, strict=True):
+        for own, off, colour, label in (
+            (study.first, -0.15, "C0", "first order"),
+            (study.total, 0.15, "C1", "total"),
+        ):
+            for row, variable in enumerate(variables):
+                named = label if row == 0 else None
+                _interval(axis, row + off, *own[name, variable], color=colour, label=named)
+        _rows(axis, variables)
+        axis.axvline(0.0, color="0.7", lw=0.8)
+        axis.set_xlabel(f"index of {name} [1]")
+    sheet.legend()
+    sheet.title(f"Sobol' indices, {study.runs} runs")
+    return sheet.done()
+
+
+@answering
+def shapley_effects(study: ShapleyEffects, *, ax: Any = None) -> Any:
+    """Effect of each variable, with 95 % intervals. `ax`: axes for each response."""
+    expect(study, ShapleyEffects, "the study", "what jaxclear.shapley_effects returns")
+    sheet, names, variables = _by_variable("shapley_effects", study.effects, ax)
+    for axis, name in zip(sheet.axes.flat, names, strict=True):
+        for row, variable in enumerate(variables):
+            _interval(axis, row, *study.effects[name, variable], color="C0")
+        _rows(axis, variables)
+        axis.axvline(0.0, color="0.7", lw=0.8)
+        axis.set_xlabel(f"Shapley effect on {name} [1]")
+    sheet.title(f"Shapley effects, {study.runs} runs")
+    return sheet.done([study.remark] if study.remark else [])
+
+
+@answering
+def surface(found: ResponseSurface, *, ax: Any = None) -> Any:
+    """What a surface says of each run that it has not seen, over what the run says. `ax`: axes for
+    each response."""
+    expect(found, ResponseSurface, "the surface", "what jaxclear.surface returns")
+    names = list(found.problem.response_names)
+    sheet = panels("surface", ax, 1, len(names), (WIDE * len(names), 4.0))
+    for axis, name in zip(sheet.axes.flat, names, strict=True):
+        own, said = found.responses[name], found.predictions[name]
+        factor, unit = readable(own, found.problem.units()[name])
+        ends = factor * np.array([own.min(), own.max()])
+        axis.plot(ends, ends, color="0.6", lw=1.0, zorder=0)
+        axis.plot(factor * own, factor * said, "o", ms=3, alpha=0.6)
+        axis.set_xlabel(f"{name} by runs [{unit}]")
+        axis.set_ylabel(f"by the surface without the run [{unit}]")
+        quality = f"degree {found.degrees[name]}, leave-one-out R² {found.quality[name]:.4f}"
+        trusted = found.trusted(name)
+        text = quality if trusted else f"{quality}: does not stand for runs"
+        axis.set_title(text, fontsize=8, color="k" if trusted else "C3")
+    return sheet.done()
+
+
+def _means(what: str, means: dict, deviations: dict, problem: Any, ax: Any, title: str) -> Any:
+    """Mean and mean ± standard deviation of responses, each with its 95 % error."""
+    sheet = panels(what, ax, 1, len(means), (WIDE * len(means), 2.4))
+    for axis, (name, own) in zip(sheet.axes.flat, means.items(), strict=True):
+        factor, unit = readable([own.value], problem.units()[name])
+        mean, error = factor * own.value, factor * own.error
+        spread, off = factor * deviations[name].value, factor * deviations[name].error
+        axis.barh(1, 2 * spread, 0.5, left=mean - spread, color="C1", alpha=0.4)
+        _interval(axis, 0, mean, mean - error, mean + error, color="k")
+        for side in (-1, 1):
+            end = mean + side * spread
+            _interval(axis, 1, end, end - off, end + off, color="C1")
+        _rows(axis, ["mean", "mean ± deviation"])
+        axis.set_xlabel(f"{name} [{unit}]")
+    sheet.title(title)
+    return sheet.done()
+
+
+@answering
+def corrected(study: Corrected, *, ax: Any = None) -> Any:
+    """Mean and standard deviation of each response with their 95 % errors. `ax`: axes for each
+    response."""
+    expect(study, Corrected, "the study", "what jaxclear.corrected returns")
+    title = f"Surface corrected by {study.runs} runs"
+    problem = study.surface.problem
+    return _means("corrected", study.means, study.deviations, problem, ax, title)
+
+
+@answering
+def multi_fidelity(study: MultiFidelity, *, ax: Any = None) -> Any:
+    """Mean and standard deviation of each response with their 95 % errors. `ax`: axes for each
+    response."""
+    expect(study, MultiFidelity, "the study", "what jaxclear.multi_fidelity returns")
+    spread = study.standard_deviations
+    title = f"{study.runs[0]} runs of the problem and {sum(study.runs[1:])} of cheaper ones"
+    return _means("multi_fidelity", study.means, spread, study.problem, ax, title)
+
+
+@answering
+def reliability(study: Reliability, *, ax: Any = None) -> Any:
+    """Probability of failing by each method, with 95 % intervals, the answer that stands in black;
+    importance of the variables. `ax`: two axes."""
+    expect(study, Reliability, "the study", "what jaxclear.reliability returns")
+    found = {name: own for name, own in study.estimates.items() if np.isfinite(own.value)}
+    shares = study.importance()
+    tall = 1.6 + 0.34 * max(len(found), len(shares), 2)
+    sheet = panels("reliability", ax, 1, 2, (10.0, tall))
+    left, right = sheet.axes.flat
+    for row, (name, own) in enumerate(found.items()):
+        colour = "k" if name == study.method else "C0"
+        _interval(left, row, own.value, *own.interval, color=colour)
+    _rows(left, list(found))
+    if any(own.value > 0 for own in found.values()):
+        left.set_xscale("log")
+    left.set_xlabel("probability of failing [1]")
+    right.barh(range(len(shares)), [100 * x for x in shares.values()], 0.6, color="C0")
+    _rows(right, list(shares))
+    right.set_xlabel("importance at the likeliest design point [%]")
+    sheet.title(f"P({study.limit.words()}), {study.runs} runs")
+    return sheet.done(study.notes)

@@ -6,11 +6,8 @@ from typing import Any, NamedTuple
 import matplotlib
 import numpy as np
 
-from jaxclear.plot.canvas import MILLI, check_run, length, panels, readable, setting, warned
-from jaxclear.plot.fitting import key
+from jaxclear.plot.canvas import MILLI, check_run, key, length, panels, readable, setting, warned
 from jaxclear.results.trajectory import Trajectory
-
-__all__ = ["wear_surface", "wear_unrolled"]
 
 # A hollow of a sphere is looked at from somewhat above it, and rather from the side [deg].
 ABOVE, STEEPEST = 12.0, 40.0

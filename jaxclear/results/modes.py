@@ -1,28 +1,229 @@
-"""How the journal of a clearance joint moves: free flight, impact, contact; and from when to when.
+"""How the journal of a clearance joint moves: free flight, impact, contact, and from when to when;
+and touches and releases as a table.
 
 A joint touches where one of its indentations is above 0. Touching begins as an impact, and lasts as
 one until the bodies have come back from it: the indentation's rate, the approach speed at first,
 falls to 0 and turns, and the impact ends where it turns again or where they part; or, where they do
 not come back, as soon as the rate has fallen to 0. What lasts beyond is contact. 0 is `SHARE` of
-the approach speed. Where and when contacts touch and part is told by the run's events where it kept
-them, otherwise by its saving times (`contact_paths`).
+the approach speed. Source: the three modes of Ravn 1998, Multibody Syst. Dyn. 2, 1,
+doi:10.1023/A:1009759826529.
 
-Source: the three modes of Ravn 1998, Multibody Syst. Dyn. 2, 1, doi:10.1023/A:1009759826529.
+Depths and rates are known at the saving times; where the run kept its events (located within its
+steps) also there, with depth 0. In between, indentation follows Hermite's cubic. Without events a
+touch is found within a fraction of a saving interval; with events a contact opens and closes at
+these and nowhere else. Where some of an interval were not kept, the rest of it is as without.
 """
 
 import enum
 import itertools
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import numpy as np
 import scipy
 
+from jaxclear.formulations.model import Instant
+from jaxclear.ground import sparse as sp
 from jaxclear.ground.shown import shown_in_words
 from jaxclear.ground.table import as_table
+from jaxclear.ground.warning import warn
 from jaxclear.integrators.events import Events
-from jaxclear.results.contact_paths import SAVES, START, contact_path
+from jaxclear.multibody import contact_point, kinematics
 from jaxclear.results.histories import check_contact_joint, contact
-from jaxclear.results.state_history import StateHistory
+from jaxclear.results.state_history import StateHistory, over_time
+
+COLUMNS = ["time [s]", "joint", "contact", "event", "speed [m/s]"]
+
+
+def events(history: StateHistory, noted: Events | None, names: tuple[str, ...]) -> Any:
+    """The events of joints in the order of time. Raises `ValueError` for a run that kept none, or
+    an unknown joint; warns where some were not kept."""
+    if noted is None:
+        raise ValueError(
+            "this run kept no touches and releases; simulate(..., save=Saving(events=10)) keeps 10 "
+            "of each contact between two saving times."
+        )
+    for name in names:
+        check_contact_joint(history, name)
+    rows, lost = [], 0
+    for own in of_contacts(history, noted):
+        if names and own.joint not in names:
+            continue
+        lost += own.lost
+        for time, rate in zip(own.times[own.kept], own.rates[own.kept], strict=True):
+            event = "touch" if rate > 0 else "release"
+            rows.append((time, own.joint, own.contact, event, abs(rate)))
+    warn_of_lost(lost, noted)
+    return as_table(sorted(rows), columns=COLUMNS)
+
+
+class ContactEvents(NamedTuple):
+    """Events of one contact: `times` [s] and `rates` [m/s] (intervals, most) and how many there
+    were in each interval (`counts`), kept or not."""
+
+    joint: str
+    contact: str
+    times: np.ndarray
+    rates: np.ndarray
+    counts: np.ndarray
+
+    @property
+    def kept(self) -> np.ndarray:
+        """Which places of `times` hold an event."""
+        return np.arange(self.times.shape[1]) < self.counts[:, None]
+
+    @property
+    def lost(self) -> int:
+        """How many were not kept."""
+        return int(self.counts.sum()) - int(self.kept.sum())
+
+
+def of_contacts(history: StateHistory, noted: Events) -> Iterator[ContactEvents]:
+    """The events of every contact of a run, in the order of its joints."""
+    times, rates, counts = (np.asarray(part) for part in noted)
+    bearings = history.model().system.bearings.items()
+    places = [(name, each) for name, own in bearings for each in own.joint.contact_names()]
+    for k, (joint, name) in enumerate(places):
+        yield ContactEvents(joint, name, times[:, k], rates[:, k], counts[:, k])
+
+
+def warn_of_lost(lost: int, noted: Events) -> None:
+    """Warns where some events were not kept."""
+    if lost:
+        warn(
+            f"{lost} touches and releases were not kept: more than {noted.times.shape[2]} of a "
+            "contact fell between two saving times. Give Saving more events, or save more often.",
+        )
+
+
+# What tells of an instant.
+EVENT, SAVES, START = "event", "saving times", "start of the run"
+
+
+class Spell(NamedTuple):
+    """From `start` to `stop` [s] a joint is `touching` or not; what tells of the start."""
+
+    start: float
+    stop: float
+    touching: bool
+    known_by: str
+
+
+class Change(NamedTuple):
+    """A contact closes or opens at a `time` [s]."""
+
+    time: float
+    closes: bool
+    known_by: str
+
+
+def contact_path(history: StateHistory, name: str, noted: Events | None) -> tuple[Any, list[Spell]]:
+    """(largest indentation [m] of a joint over time, when it touches and when not)."""
+    time = np.asarray(history.time)
+    depths, rates = (np.asarray(each) for each in _indentations(history, name))
+    if noted is None:
+        path = _deepest(time, depths, rates)
+        changes = _changes_between(path, time[0], time[-1])
+        first = changes[0].time if changes else time[-1]
+        return path, _spells_of(time, changes, bool(path(0.5 * (time[0] + first)) > 0))
+    own = [each for each in of_contacts(history, noted) if each.joint == name]
+    warn_of_lost(sum(each.lost for each in own), noted)
+    paths = [_with_events(time, depths[:, k], rates[:, k], each) for k, each in enumerate(own)]
+    knots = np.unique(np.concatenate([path.x for path in paths]))
+    at = lambda order: np.stack([path(knots, order) for path in paths], axis=1)
+    found = [
+        _contact(path, time, depths[:, k], each)
+        for k, (path, each) in enumerate(zip(paths, own, strict=True))
+    ]
+    return _deepest(knots, at(0), at(1)), _joined(time, found)
+
+
+@eqx.filter_jit
+def _indentations(history, name):
+    """Indentation [m] of each contact of a joint and its rate [m/s], (time, contacts)."""
+
+    def one(now: Instant):
+        bearing = now.model.system.bearings[name]
+        relative = kinematics.relative_motion(bearing.closure, now.motions)[2]
+        worn = now.model.worn.get(name, {})
+        found = contact_point.indentation_rates(bearing.joint, relative, worn)
+        return tuple(sp.stack([point[i] for point in found]) for i in (0, 1))
+
+    return over_time(history, one)
+
+
+def _deepest(time: np.ndarray, depths: np.ndarray, rates: np.ndarray) -> Any:
+    """Through the deepest of all contacts at each time."""
+    which = np.argmax(depths, axis=1)[:, None]
+    own = (np.take_along_axis(each, which, axis=1)[:, 0] for each in (depths, rates))
+    return scipy.interpolate.CubicHermiteSpline(time, *own)
+
+
+def _with_events(time: Any, depth: Any, rate: Any, own: ContactEvents) -> Any:
+    """The indentation of a contact through its saving times and its events."""
+    times = np.concatenate([time, own.times[own.kept]])
+    depth = np.concatenate([depth, np.zeros(len(times) - len(time))])
+    rate = np.concatenate([rate, own.rates[own.kept]])
+    # Of an event at a saving time the saved numbers are taken.
+    times, first = np.unique(times, return_index=True)
+    return scipy.interpolate.CubicHermiteSpline(times, depth[first], rate[first])
+
+
+def _changes_between(path: Any, start: float, stop: float) -> list[Change]:
+    """Where a curve passes 0, as far as saving times tell."""
+    roots = np.unique(path.roots(discontinuity=False, extrapolate=False))
+    roots = roots[np.isfinite(roots) & (roots > start) & (roots < stop)]
+    after = np.append(roots, stop)[1:]
+    return [
+        Change(float(root), bool(path(0.5 * (root + end)) > 0), SAVES)
+        for root, end in zip(roots, after, strict=True)
+    ]
+
+
+def _contact(
+    path: Any, time: np.ndarray, depth: np.ndarray, own: ContactEvents
+) -> tuple[bool, list[Change]]:
+    """(whether a contact is closed at first, when it closes and opens)."""
+    ends = depth[1:] >= 0
+    # A surface that loses depth at a saving time may part there: an interval begins as its end
+    # and the number of its events say.
+    begins = ends ^ (own.counts.astype(int) % 2 == 1)
+    closed, found = bool(begins[0]), []
+    for i, (start, stop) in enumerate(itertools.pairwise(time)):
+        if begins[i] != closed:
+            closed = bool(begins[i])
+            found.append(Change(start, closed, SAVES))
+        for at in own.times[i][own.kept[i]]:
+            closed = not closed
+            found.append(Change(float(at), closed, EVENT))
+            start = float(at)
+        if own.counts[i] > own.kept[i].sum():
+            found += _changes_between(path, start, stop)
+            closed = bool(ends[i])
+    return bool(begins[0]), found
+
+
+def _joined(time: np.ndarray, contacts: list[tuple[bool, list[Change]]]) -> list[Spell]:
+    """When any of a joint's contacts is closed."""
+    closed = [first for first, _ in contacts]
+    touching, found = any(closed), []
+    all_changes = [(change, k) for k, (_, own) in enumerate(contacts) for change in own]
+    for change, k in sorted(all_changes, key=lambda each: each[0].time):
+        closed[k] = change.closes
+        if any(closed) != touching:
+            touching = any(closed)
+            found.append(Change(change.time, touching, change.known_by))
+    return _spells_of(time, found, any(first for first, _ in contacts))
+
+
+def _spells_of(time: np.ndarray, changes: list[Change], touching: bool) -> list[Spell]:
+    """The spells between changes, from the first saving time to the last."""
+    marks = [Change(float(time[0]), touching, START), *changes]
+    stops = [*(change.time for change in changes), float(time[-1])]
+    pairs = zip(marks, stops, strict=True)
+    return [Spell(m.time, stop, bool(m.closes), m.known_by) for m, stop in pairs if stop > m.time]
+
 
 # Share of the approach speed below which a journal counts as stopped.
 SHARE = 0.05

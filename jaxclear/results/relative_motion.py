@@ -12,8 +12,6 @@ import numpy as np
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.arguments import check_known
 
-__all__ = ["RelativeMotion", "marker_frame", "relative_motion", "seen"]
-
 
 class RelativeMotion(NamedTuple):
     """The child's marker as seen by the parent's, in its axes: `offset` (time, 3) [m] and its

@@ -1,11 +1,12 @@
-"""From a trajectory to a number: what a study asks of a mechanism. Any function of a trajectory is
-a response; `FromFunction` says its unit.
+"""From a trajectory to a number: what a study asks of a mechanism, with its unit and what of the
+run it needs to be right. Any function of a trajectory is a response; `FromFunction` says its unit.
 
 Those here are modules, so that a reference path or a threshold is a number that can change without
 compiling again.
 """
 
 import itertools
+from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
@@ -18,13 +19,11 @@ from jaxtyping import Array, Float
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.arguments import check_known
-from jaxclear.ground.kinds import as_given
 from jaxclear.ground.numerics import safe_sqrt
-from jaxclear.ground.quantity import Scalar, count
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_given, count
 from jaxclear.ground.wording import described
-from jaxclear.multibody.own_numbers import coordinate_units
-from jaxclear.results.abstract_response import REACHES, AbstractResponse, concerned, unit_of
-from jaxclear.results.tip import checked_through, checked_tip, tip_errors
+from jaxclear.multibody.topology import coordinate_units
+from jaxclear.results.pointing_error import checked_through, checked_tip, tip_errors
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = [
@@ -41,6 +40,58 @@ __all__ = [
     "concerned",
     "unit_of",
 ]
+
+# What is off in a run where one part of it is: forces follow the motion, wear follows forces.
+REACHES = {
+    "motion": ("motion", "forces", "peak forces", "wear", "worn depth", "places in gaps"),
+    "places": ("motion", "places in gaps"),
+    "forces": ("forces", "peak forces", "wear", "worn depth"),
+    "peak forces": ("peak forces",),
+    "swinging forces": ("peak forces", "wear", "worn depth"),
+    "wear": ("wear", "worn depth"),
+    "worn depth": ("worn depth",),
+    "places in gaps": ("places in gaps", "wear", "worn depth"),
+}
+
+
+class AbstractResponse(AbstractQuantified):
+    """A number drawn from a run; `unit` is that of the number."""
+
+    unit: eqx.AbstractVar[str]
+
+    def unit_in(self, mechanism: Any) -> str:
+        """The unit, of a number drawn from runs of this mechanism."""
+        return self.unit
+
+    def drawn_from(self) -> str:
+        """What of a run it needs to be right: its "motion", "forces", "peak forces", "wear",
+        "worn depth", "places in gaps" (at an instant) or "anything". A warning that concerns
+        something else does not concern it."""
+        return "anything"
+
+    @abstractmethod
+    def __call__(self, run: Trajectory) -> Scalar:
+        """The response of a run."""
+
+
+def needs_of(response: Any) -> str:
+    """What of a run a response needs to be right, as `drawn_from` says; a plain function may need
+    "anything"."""
+    return response.drawn_from() if isinstance(response, AbstractResponse) else "anything"
+
+
+def concerned(response: Any, concerns: str) -> bool:
+    """Whether a warning that `concerns` a part of a run concerns a response; any does that of a
+    plain function."""
+    needs = needs_of(response)
+    return needs == "anything" or needs in REACHES.get(concerns, (needs,))
+
+
+def unit_of(response: Any, mechanism: Any) -> str:
+    """Unit of a response of a mechanism; "1" for a plain function."""
+    return response.unit_in(mechanism) if isinstance(response, AbstractResponse) else "1"
+
+
 __getattr__, __dir__ = nothing_else("jaxclear.response", __all__)
 
 # What a response may need of a run.

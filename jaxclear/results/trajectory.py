@@ -1,4 +1,8 @@
-"""What a simulation returns: states over time, and by name everything that follows from them.
+"""What a run tells of a singular position: where rows of closed loops depend on each other, a
+linkage stretched flat, say. There drives do not say which way the linkage goes on, and reactions
+are not determined.
+
+What a simulation returns: states over time, and by name everything that follows from them.
 
 Poses, contacts, reactions and energies are computed from the saved states when asked for, so a run
 pays for none of them. The methods here are fronts of the functions that do it.
@@ -16,15 +20,14 @@ from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground.arguments import check_count, check_flags, check_known
 from jaxclear.ground.quantity import is_traced
-from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.shown import AbstractShown, shown_in_words
 from jaxclear.ground.table import as_table
+from jaxclear.integrators.checks import Checks, Outcome
 from jaxclear.integrators.events import Events
-from jaxclear.integrators.figures import Checks
-from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import state
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import explain
-from jaxclear.results import carrying, dataset, events, histories, modes, vtk
+from jaxclear.results import export, histories, modes
 from jaxclear.results.histories import (
     BodyHistory,
     ContactHistory,
@@ -32,15 +35,63 @@ from jaxclear.results.histories import (
     MarkerHistory,
     ReactionHistory,
 )
-from jaxclear.results.saved_state import SavedMotion, State
-from jaxclear.results.singular_position import SingularPosition, in_sentences
-from jaxclear.results.state_history import StateHistory, one_of
-from jaxclear.results.verification import (
-    AbstractVerification,
-    Estimate,
-    Unverified,
-    checked,
-)
+from jaxclear.results.state_history import SavedMotion, State, StateHistory, one_of
+from jaxclear.results.verification import AbstractVerification, Estimate, Unverified, checked
+
+
+@shown_in_words
+class SingularPosition(eqx.Module):
+    """A singular position of a run, at the `time` [s]: the loop is the one that `joint` closes.
+
+    `free`: the joint of which drives do not say how it goes on there, with its `speeds` before and
+    after [rad/s, m/s]; `turned`: whether the run left by another way than that by which its inertia
+    leads on (None: not known). `drives`: joints whose drives hold the loop. A run that ended there
+    tells `joint` and `time` alone.
+    """
+
+    joint: str = eqx.field(static=True)
+    time: float = eqx.field(static=True)
+    free: str = eqx.field(static=True, default="")
+    drives: tuple[str, ...] = eqx.field(static=True, default=())
+    turned: bool | None = eqx.field(static=True, default=None)
+    speeds: tuple[float, float] = eqx.field(static=True, default=(0.0, 0.0))
+
+    @property
+    def passed(self) -> bool:
+        """Whether the run went on as its inertia has it."""
+        return self.turned is False
+
+    def __str__(self) -> str:
+        if not self.free:
+            return f'The loop is that through joint "{self.joint}", at about {self.time:.4g} s.'
+        drives = " and ".join(f'"{name}"' for name in self.drives)
+        plural = "drives" if len(self.drives) > 1 else "drive"
+        verb = "do" if len(self.drives) > 1 else "does"
+        first = (
+            f'At {self.time:.4g} s the loop through joint "{self.joint}" is at a singular position '
+            f'(a dead centre): {plural} {drives} {verb} not say which way joint "{self.free}" goes '
+            "on there."
+        )
+        before, after = (f"{speed:.3g}" for speed in self.speeds)
+        if self.turned is None:
+            return f"{first} Saved states do not tell which way it went: save more often."
+        if self.turned:
+            turned = f"The run turned it round, its speed from {before} to {after}"
+            return f"{first} {turned}; nothing pushed it."
+        return f"{first} It went on as its inertia has it."
+
+
+def in_sentences(found: tuple[SingularPosition, ...]) -> tuple[str, ...]:
+    """A sentence for the first of each loop and kind, and how many more there are."""
+    kinds: dict[tuple, list[SingularPosition]] = {}
+    for one in found:
+        kinds.setdefault((one.joint, one.free, one.turned), []).append(one)
+    told = []
+    for alike in kinds.values():
+        more = len(alike) - 1
+        again = f" So it did {more} more {'time' if more == 1 else 'times'}." if more else ""
+        told.append(f"{alike[0]}{again}")
+    return tuple(told)
 
 
 class RunStats(AbstractShown):
@@ -263,7 +314,7 @@ class Trajectory(AbstractShown):
         pandas table (time [s], joint, contact, event, speed [m/s]): instants of the run, located
         within its steps, whatever the saving times. Needs `save=Saving(events=...)`; warns where
         there were more than that many of a contact between two saving times."""
-        return events.table(self.history, self.noted, names)
+        return modes.events(self.history, self.noted, names)
 
     def combined_modes(self, *names: str) -> Any:
         """The modes of several joints (all with clearance by default) side by side, as a pandas
@@ -275,13 +326,13 @@ class Trajectory(AbstractShown):
         """How a joint that always touches carries: 0 not at all, 1 at one point, 2 at two points on
         opposite sides, 3 along a line (two points on one side). Needs a run by
         integrator.NonColliding."""
-        return carrying.situations(self.history, name)
+        return histories.situations(self.history, name)
 
     def switchings(self, name: str) -> Any:
         """Instants at which such a joint begins to carry in another way, as a pandas table (time
         [s], from, to).
         """
-        return carrying.switchings(self.history, name)
+        return histories.switchings(self.history, name)
 
     def reaction(self, name: str) -> ReactionHistory:
         """Force and torque in a connection, ideal or with clearance; friction that is no function
@@ -344,7 +395,7 @@ class Trajectory(AbstractShown):
         said = {"result": self.result, "warnings": " ".join(self.warnings)}
         attributes = {**said, "accepted_steps": int(self.accepted_steps)}
         attributes.update(self.invariants.attributes() | self.verification.attributes())
-        return dataset.of_run(self.history, self.worn, attributes, flat)
+        return export.of_run(self.history, self.worn, attributes, flat)
 
     def to_vtk(self, folder: Any, *, frames: int = 200, meshes: Any = None) -> Path:
         """Writes a time series for ParaView into a folder: `run.pvd` names a file for each of at
@@ -353,4 +404,4 @@ class Trajectory(AbstractShown):
         `velocity` [m/s] of points, the `body` of cells (0 the ground, then in the order of
         `mechanism.bodies`) and the `worn depth` [m] at the end of the run. Needs
         `pip install "jaxclear[mesh]"`."""
-        return vtk.write(self, folder, frames, meshes)
+        return export.write_vtk(self, folder, frames, meshes)

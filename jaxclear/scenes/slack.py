@@ -4,8 +4,6 @@ from collections.abc import Mapping, Sequence
 
 from jaxclear.ground.arguments import check_known, expect
 
-__all__ = ["slack_joints"]
-
 
 def slack_joints(
     scene: str,

@@ -5,9 +5,9 @@ with a number, and the derivative of one finished run scatters about that of the
 after one bounce, by a multiple after a few (-3.0 for 0.24 after three lossless ones in steps of 20
 us), and nothing tells by how much. So it is refused while it is being traced, unless the derivative
 of the discrete run is what was asked for. Steps that end at touches know it (`saltation`), those by
-rk4 whose derivatives are taken apart there (`mid_step`), those through rigid contact
-(`mid_impact`), and implicit ones and explicit ones of lower order, beside which the motion goes in
-finer parts where it is differentiated (`fine_motion`). Where nothing opens (ideal joints, permanent
+rk4 whose derivatives are taken apart there (`saltation`), those through rigid contact
+(`moreau_jean`), and implicit ones and explicit ones of lower order, beside which the motion goes in
+finer parts where it is differentiated (`variational`). Where nothing opens (ideal joints, permanent
 contact) the derivative of the discrete run converges to that of the motion, and passes: forwards
 through the steps, backwards as so many of these as numbers move.
 """
@@ -25,12 +25,11 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, is_traced
 from jaxclear.ground.tangents import pushed
-from jaxclear.ground.unknown import Unknown
 from jaxclear.ground.wording import public_name
-from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.stepping import SLIVER
+from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import by_columns
 from jaxclear.results.trajectory import Trajectory

@@ -13,7 +13,7 @@ from jaxclear.ground.wording import listed
 from jaxclear.multibody.assembly import Start, ready, ready_from
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import names
-from jaxclear.results.saved_state import State
+from jaxclear.results.state_history import State
 from jaxclear.simulation.wear import Worn, worn_as_given
 
 

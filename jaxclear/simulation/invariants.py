@@ -35,10 +35,10 @@ from jaxclear.integrators.checks import (
     UNHELD,
     WHOLE,
     Check,
+    Checks,
+    Outcome,
 )
-from jaxclear.integrators.figures import Checks
-from jaxclear.integrators.outcome import Outcome
-from jaxclear.multibody import constraints, energy, kinematics, loops, state
+from jaxclear.multibody import constraints, dynamics, kinematics, loops, state
 from jaxclear.multibody.contact_point import depths
 from jaxclear.multibody.reach import rooms, shortest_part
 from jaxclear.multibody.system import System, longest_arm, wear_maps
@@ -299,7 +299,7 @@ def _energies(now: Instant, formulation: AbstractFormulation) -> dict[str, Float
     forces = formulation.forces(now)
     if not sp.is_zero(forces.external_power):
         return {}
-    kinetic, potential = energy.mechanical_energy(now.model.system, forces)
+    kinetic, potential = dynamics.mechanical_energy(now.model.system, forces)
     points = [point for report in forces.reports.values() for point in report.points]
     stored = sp.total(point.normal_force * positive_part(point.indentation) for point in points)
     return {"energies": sp.stack([kinetic, potential, stored])}

@@ -21,10 +21,8 @@ from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.joint.base import drive_of
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import concrete, is_traced
-from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.checks import Check
-from jaxclear.integrators.figures import Checks, Figure
-from jaxclear.integrators.stepping import SLIVER
+from jaxclear.integrators.base import SLIVER, AbstractIntegrator
+from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.trajectory import Trajectory
 

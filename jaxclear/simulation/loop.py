@@ -21,9 +21,8 @@ from jaxtyping import Array, Float, Int
 from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.formulations.model import Model, State
 from jaxclear.integrators.base import AbstractIntegrator, Interval
-from jaxclear.integrators.events import Events, together
-from jaxclear.integrators.outcome import Outcome
-from jaxclear.integrators.peaks import Peaks, newest
+from jaxclear.integrators.checks import Outcome
+from jaxclear.integrators.events import Events, Peaks, newest, together
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
 from jaxclear.multibody.system import readings, rubbing_joints

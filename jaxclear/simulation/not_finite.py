@@ -12,11 +12,11 @@ import numpy as np
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.wording import public_name
-from jaxclear.integrators.outcome import Outcome
+from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody.forces import effect_of
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.own_parts import is_own
 from jaxclear.multibody.system import body_loads, coordinate_loads
+from jaxclear.multibody.validation import is_own
 from jaxclear.results.state_history import StateHistory, over_time
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.error_weights import settling_length

@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_count
-from jaxclear.ground.quantity import concrete, public_name
+from jaxclear.ground.quantity import concrete
 from jaxclear.ground.warning import warn
-from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.stepping import MOST_STEPS
+from jaxclear.ground.wording import described, public_name
+from jaxclear.integrators.base import MOST_STEPS, AbstractIntegrator
 
 
 @dataclass(frozen=True)

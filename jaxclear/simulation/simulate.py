@@ -23,7 +23,7 @@ from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
 from jaxclear.native import forwards_only, has_kernels, stoppable
-from jaxclear.results.saved_state import State
+from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.by_kernels import compiled_for_kernels

@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.quantity import constant, is_traced
-from jaxclear.integrators.outcome import Outcome
+from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody import constraints
 from jaxclear.multibody.constraints import HeldLoop, held_loops
 from jaxclear.multibody.mechanism import Mechanism
@@ -40,9 +40,8 @@ from jaxclear.multibody.start_equations import (
     speed_scales,
     stacked,
 )
-from jaxclear.results.singular_position import SingularPosition
 from jaxclear.results.state_history import StateHistory
-from jaxclear.results.trajectory import Trajectory
+from jaxclear.results.trajectory import SingularPosition, Trajectory
 
 # Instants of the saving intervals around which the run ended; steps to close the loops at each,
 # and to follow them.

@@ -71,29 +71,50 @@ def _depths(name: str, depths: Any, cells: tuple[int, ...]) -> Array:
     return depths
 
 
-def worn_by_some(
-    system: System, layout: Layout, worn: Worn, states: Float[Array, "time n"], every: int
-) -> Worn:
-    """Depth maps at the end of a run that began with `worn` and had these states at its saving
-    times, if surfaces had been updated at some of these times alone: one of so many. No
-    derivatives."""
+def lost_between(
+    layout: Layout, states: Float[Array, "time n"], every: int = 1
+) -> dict[tuple[str, str], tuple[Array, ...]]:
+    """What each surface lost from one saving time to the next, in a run that had these states then
+    (`every`: at one of so many of them alone): as `Losses`, with an axis of time in front."""
     count = len(states)
     some = states[np.unique([*range(0, count, every), count - 1])]
-    system, worn, some = constant((system, worn, some))
+    return jax.vmap(lambda before, after: losses(layout, before, after))(some[:-1], some[1:])
+
+
+def worn_by(system: System, worn: Worn, lost: Losses) -> Worn:
+    """Depth maps after losses one after the other, whose arrays have an axis of time in front. No
+    derivatives."""
+    if not lost:
+        return worn
+    system, worn, lost = constant((system, worn, lost))
+    maps = wear_maps(system)
     if has_kernels():
         # No gap reads these surfaces.
-        unread = {name: dict.fromkeys(surfaces) for name, surfaces in worn.items()}
-        begun = worn, unread, pending_wear(system, layout, some[0])
-        turn = lambda now, state: (worn_so_far(system, layout, now, state), ())
-        return scan(turn, begun, some[1:], long=True)[0][0]
+        spare = {
+            (joint, surface): tuple(
+                jnp.zeros(maps[joint][surface][0].cells) for _ in range(volumes.shape[1])
+            )
+            for (joint, surface), (volumes, _) in lost.items()
+        }
+
+        def turn(now, lost):
+            worn, pressures = now
+            worn, pressures = {name: dict(own) for name, own in worn.items()}, dict(pressures)
+            for (joint, surface), event in lost.items():
+                given = worn[joint][surface], None, pressures[joint, surface]
+                found = maps[joint][surface][0].deposit_in_turn(*given, *event)
+                worn[joint][surface], _, pressures[joint, surface] = found
+            return (worn, pressures), ()
+
+        return scan(turn, (worn, spare), lost, long=True)[0][0]
     numbers, rest = eqx.partition(system, eqx.is_array)
 
-    def through(numbers, worn, some):
+    def through(numbers, worn, lost):
         system = eqx.combine(numbers, rest)
-        one = lambda worn, ends: (deposited(system, worn, losses(layout, *ends)), None)
-        return jax.lax.scan(one, worn, (some[:-1], some[1:]))[0]
+        one = lambda worn, events: (deposited(system, worn, events), None)
+        return jax.lax.scan(one, worn, lost)[0]
 
-    return one_by_one(through)(numbers, worn, some)
+    return one_by_one(through)(numbers, worn, lost)
 
 
 def lost_at(slot: WearSlot, before: Array, after: Array) -> tuple[Array, Array]:

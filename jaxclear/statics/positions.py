@@ -30,8 +30,6 @@ from jaxclear.statics.quasi_static import Posed, standing
 # Share of a free motion from which on a freedom takes part in it [1].
 LOOSE = 1e-3
 
-__all__ = ["Positions"]
-
 
 class BodyPoses(AbstractHistory):
     """Bodies in the ground frame at each position: `com` place [m] of the centre of mass,

@@ -33,6 +33,7 @@ from jaxclear.ground.warning import warn
 from jaxclear.integrators import NonColliding
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.assembly import ready, ready_from
+from jaxclear.multibody.contact_point import laws_now
 from jaxclear.multibody.magnitudes import UnusualMagnitude
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.newton import blocks_of, closed
@@ -49,8 +50,7 @@ from jaxclear.multibody.start_equations import (
 )
 from jaxclear.multibody.state import names
 from jaxclear.multibody.system import System, prepare, readings
-from jaxclear.multibody.worn_laws import laws_now
-from jaxclear.results.saved_state import SavedMotion, State
+from jaxclear.results.state_history import SavedMotion, State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.simulate import simulate
 from jaxclear.simulation.wear import worn_as_given

@@ -31,19 +31,17 @@ from jaxclear.errors.choice import (
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_known, check_number, expect
 from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
-from jaxclear.ground.in_words import as_typed
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, count, inside, numbers
-from jaxclear.ground.shown import AbstractShown
-from jaxclear.ground.table import as_table
+from jaxclear.ground.shown import as_typed
 from jaxclear.ground.wording import described
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.simulation.initial_state import beginning
 from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.simulate import How, check_run, repeated
-from jaxclear.studies.datasets import of_rows
+from jaxclear.studies.answer import AbstractAnswer, Column, Stated
+from jaxclear.studies.mechanism_problem import answer
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.responses import answer
 from jaxclear.studies.sampling import draw
 from jaxclear.studies.statistics.scrambled import student
 
@@ -200,7 +198,7 @@ class Trial(NamedTuple):
         return name, total.get(name, math.nan)
 
 
-class Advice(AbstractShown):
+class Advice(AbstractAnswer):
     """What to take for the problem that was `asked` about. `recommended` is the integrator,
     `problem` the problem with it, `sentence()` the answer in words, `why_not()` what is wrong with
     the others, `table()` every trial; `jaxclear.plot.work_precision` draws it.
@@ -339,25 +337,27 @@ class Advice(AbstractShown):
             return f"too near: {text}, at {ratio}, leaves too little to samples not seen."
         return f"too inaccurate: {text}, at {ratio}."
 
-    def table(self) -> Any:
-        """All trials as a pandas table: work in evaluations of forces in a run, errors as shares of
-        the size of a response."""
-        return as_table([self._row(trial) for trial in self.trials])
-
-    def _row(self, trial: Trial) -> dict[str, Any]:
-        which, error = trial.worst
-        names = self.asked.response_names
-        row: dict[str, Any] = {"method": trial.method, "setting": as_typed(trial.integrator)}
-        row |= {"work": trial.work, "worst response": which, "error": error}
-        row |= {f"error in {name}": trial.errors.get(name, math.nan) for name in names}
-        left_out = max(trial.left_out.values(), default=math.nan)
-        recommended = trial is self.chosen
-        row |= {"left out by the model": left_out, "meets": trial.meets}
-        return row | {"recommended": recommended, "remark": trial.remark}
-
-    def to_dataset(self) -> Any:
-        """The table as an xarray Dataset over the trials, with provenance."""
-        return of_rows("advice", "trial", self.table(), self.asked, result=self.sentence())
+    def _stated(self):
+        responses, every = self.asked.response_names, self.trials
+        over = lambda read: [read(trial) for trial in every]
+        told = {
+            "method": over(lambda own: own.method),
+            "setting": over(lambda own: as_typed(own.integrator)),
+            "work": over(lambda own: own.work),
+            "worst response": over(lambda own: own.worst[0]),
+            "error": over(lambda own: own.worst[1]),
+        }
+        for name in responses:
+            told[f"error in {name}"] = over(lambda own, name=name: own.errors.get(name, math.nan))
+        left_out = lambda own: max(own.left_out.values(), default=math.nan)
+        told |= {
+            "left out by the model": over(left_out),
+            "meets": over(lambda own: own.meets),
+            "recommended": over(lambda own: own is self.chosen),
+            "remark": over(lambda own: own.remark),
+        }
+        columns = {name: Column(("trial",), own) for name, own in told.items()}
+        return Stated("advice", columns, self.asked)
 
 
 class _Rungs(NamedTuple):

@@ -7,16 +7,18 @@ A study asks an `AbstractProblem` and never what lies behind it: a mechanism tha
 """
 
 from abc import abstractmethod
+from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.ground.in_words import in_a_line, number_in_words
 from jaxclear.ground.quantity import AbstractQuantified
+from jaxclear.ground.shown import in_a_line, number_in_words
 from jaxclear.ground.wording import described, listed, public_name
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators import Outcome
+from jaxclear.integrators.checks import Checks
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
 from jaxclear.studies.inputs import Inputs, joint
 
@@ -205,6 +207,18 @@ class AbstractProblem(AbstractQuantified):
     def parts(self) -> dict[str, Any]:
         """All that tells this problem from another of its kind, by name, but for the
         distributions."""
+
+
+def check_names_differ(responses: Iterable[str], variables: Iterable[str]) -> None:
+    """Raises `ValueError` where one name stands for a variable and a response."""
+    for name in set(responses) & set(variables):
+        raise ValueError(f'"{name}" names a variable and a response; give them different names.')
+
+
+def how_it_ended(outcome: Any) -> str:
+    """The sentence of an outcome, as the rest of a sentence."""
+    said = Outcome(int(outcome)).sentence
+    return f"{said[0].lower()}{said[1:]}"
 
 
 def stacked(numbers: list[Any]) -> Float[Array, " numbers"]:

@@ -16,7 +16,7 @@ from jaxclear.integrators import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.simulate import How, chosen_for
-from jaxclear.studies.responses import answer
+from jaxclear.studies.mechanism_problem import answer
 from jaxclear.studies.usual_integrator import usual_integrator
 
 # Steps of a guess beyond which runs choose in its place, and the accuracy for which they do: a

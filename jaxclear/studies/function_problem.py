@@ -16,21 +16,22 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_known, check_number, expect
-from jaxclear.ground.given_functions import asked, shape_of
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, is_one_number, quantity
+from jaxclear.ground.warning import asked, shape_of
 from jaxclear.ground.wording import described, listed
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import (
     AbstractProblem,
     AbstractVariable,
     SampleResult,
+    check_names_differ,
     one_distribution,
     stacked,
 )
-from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.distribution import AbstractDistribution
 from jaxclear.studies.inputs import correlation_matrix
+from jaxclear.studies.ledger.batch import sample_of_chunk
 
 __all__ = ["Dimension", "FunctionProblem"]
 
@@ -115,11 +116,7 @@ class FunctionProblem(AbstractProblem):
         at = {name: variable.nominal for name, variable in variables.items()}
         found = _traced(function, at)
         self.response_names = tuple(found)
-        for name in self.response_names:
-            if name in self.variables:
-                raise ValueError(
-                    f'"{name}" names a variable and a response; give them different names.'
-                )
+        check_names_differ(self.response_names, self.variables)
         self.response_units = _units(units, self.response_names, self.variable_units)
         self.memory = _memory(function, at)
         self.undifferentiated = _undifferentiated(function, at)
@@ -133,7 +130,7 @@ class FunctionProblem(AbstractProblem):
     def evaluate(self, values, *, discrete_derivatives=False):
         check_double_precision()
         self.check_values(values)
-        found = _by_name(self.function(**dict(zip(self.names, values, strict=True))))
+        found = self._answers(values)
         finite = jnp.all(jnp.isfinite(jnp.stack(list(found.values()))))
         outcome = jnp.where(finite, Outcome.REACHED, Outcome.NOT_FINITE)
         return SampleResult(found, outcome, jnp.zeros(()))
@@ -149,7 +146,11 @@ class FunctionProblem(AbstractProblem):
 
     def rerun(self, values, index, chunk) -> dict[str, Array]:
         """What the function gives for one sample, by name."""
-        return sample_of_chunk(_chunk, self, values, index, chunk)
+        return sample_of_chunk(self._answers, values, index, chunk)
+
+    def _answers(self, values: Float[Array, " variables"]) -> dict[str, Array]:
+        """What the function gives for one set of values, by name; pure."""
+        return _by_name(self.function(**dict(zip(self.names, values, strict=True))))
 
     def ending(self, outcome, ended):
         if outcome == Outcome.REACHED:
@@ -165,12 +166,6 @@ class FunctionProblem(AbstractProblem):
     def parts(self):
         variables = {f'"{name}"': (v.nominal, v.unit) for name, v in self.variables.items()}
         return {"function": self.function, "units": self.response_units} | variables
-
-
-@eqx.filter_jit
-def _chunk(problem: FunctionProblem, values: Array) -> dict[str, Array]:
-    """What the function of a problem gives for a chunk of samples."""
-    return jax.vmap(lambda own: problem.evaluate(own).responses)(values)
 
 
 def _check_names(function: Callable[..., Any], names: tuple[str, ...]) -> None:

@@ -11,16 +11,23 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_known, check_number
-from jaxclear.ground.shown import AbstractShown
 from jaxclear.integrators import Outcome
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
+from jaxclear.studies.answer import (
+    DATASET,
+    RESPONSE,
+    TABLE,
+    VARIABLE,
+    AbstractAnswer,
+    Column,
+    Stated,
+)
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.batch import chunk_size, evaluate_all
-from jaxclear.studies.datasets import of_samples
 from jaxclear.studies.endless import answered, check_told, endless_sentences, refuse_endless
-from jaxclear.studies.growing import FIRST_SAMPLES, Grown, first_of, responses_of, until_accurate
+from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
 from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
+from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, responses_of, until_accurate
 from jaxclear.studies.statistics.accuracy import asked_of
 from jaxclear.studies.statistics.error_budget import error_budget
 from jaxclear.studies.statistics.limits import Limits, check_limits, yield_of
@@ -33,11 +40,13 @@ from jaxclear.studies.statistics.scrambled import (
     quantile,
 )
 from jaxclear.studies.statistics.summary import (
+    doubtful_of,
+    ends_of,
     failure,
     spread_of,
     summary_of,
     summary_row,
-    table_of,
+    warnings_of,
 )
 from jaxclear.studies.statistics.tolerance_interval import (
     SIDES,
@@ -47,8 +56,16 @@ from jaxclear.studies.statistics.tolerance_interval import (
 )
 from jaxclear.studies.warned import any_warning, counted, in_words, warned_of
 
+# What responses of replicas are, which are those of the first samples.
+FINER = "of a finer run of the same sample"
 
-class MonteCarlo(AbstractShown):
+
+def finer_name(response: str) -> str:
+    """What the responses of replicas are called."""
+    return f"finer {response}"
+
+
+class MonteCarlo(AbstractAnswer):
     """Samples and their responses. Failed samples keep their row, with `nan` and a sentence; those
     that reached their end with warnings are counted beside them.
 
@@ -148,15 +165,34 @@ class MonteCarlo(AbstractShown):
         lost = [f"The first that failed: {failure(self, int(i))}" for i in self.failed[:1]]
         return self.sentence(), *lost, *spread_of(self.summary())
 
-    def table(self) -> Any:
-        """All samples as a pandas table: variables, responses, result, warnings and the responses
-        that these concern."""
-        return table_of(self)
-
-    def to_dataset(self) -> Any:
-        """All samples as an xarray Dataset: variables and responses by name with units, how each
-        ended, its checks; what was asked and by what it was computed as attributes."""
-        return of_samples(self)
+    def _stated(self):
+        problem, over = self.problem, ("sample",)
+        units = problem.units()
+        columns = {
+            name: Column(over, self.values[:, i], problem.variable_units[i], kind=VARIABLE)
+            for i, name in enumerate(problem.names)
+        }
+        columns |= {n: Column(over, r, units[n], kind=RESPONSE) for n, r in self.responses.items()}
+        columns |= {
+            "result": Column(over, lambda: ends_of(self), only=TABLE),
+            "warnings": Column(over, lambda: warnings_of(self), only=TABLE),
+            "in doubt": Column(over, lambda: doubtful_of(self), only=TABLE),
+        }
+        data = {
+            "outcome": Column(over, self.outcome, "1", "how a sample ended; 0 is success"),
+            "ended": Column(over, self.ended, "s", "when it ended"),
+            "scrambling": Column(over, self.scrambling, "1", "independent part of the sample"),
+        }
+        for check, figure in self.checks.figures.items():
+            worst = np.asarray(figure.worst).reshape(self.count, -1).max(axis=1)
+            meaning = f"worst figure of this check, whose limit is {check.limit:g}"
+            data[f"check {check.name.lower()}"] = Column(over, worst, "1", meaning)
+        columns |= {name: own._replace(only=DATASET) for name, own in data.items()}
+        if self.replicas is not None:
+            for n, values in self.replicas.responses.items():
+                columns[finer_name(n)] = Column(("replica",), values, units[n], FINER)
+        numbers = {"seed": self.seed, "chunk": self.chunk}
+        return Stated("Monte Carlo", columns, problem, (), numbers)
 
     def good(self, response: str) -> tuple[np.ndarray, np.ndarray]:
         """A response of the samples that did not fail, and their scramblings."""

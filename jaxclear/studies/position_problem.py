@@ -9,31 +9,29 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.ground.arguments import check_flags, expect
+from jaxclear.ground.arguments import check_flags
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import inside, numbers
 from jaxclear.ground.wording import listed
 from jaxclear.integrators import Outcome
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.results.response import unit_of
 from jaxclear.statics.least_energy import ByEnergy, Rest
 from jaxclear.statics.position_path import both, checked_positions, sought
 from jaxclear.statics.positions import Positions
 from jaxclear.statics.quasi_static import Posed, Spot, Way
-from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
-from jaxclear.studies.batch import sample_of_chunk
-from jaxclear.studies.inputs import correlation_matrix
-from jaxclear.studies.responses import answer, by_name, check_answers, check_responses
+from jaxclear.studies.base import SampleResult, how_it_ended
+from jaxclear.studies.ledger.batch import sample_of_chunk
+from jaxclear.studies.mechanism_problem import (
+    AbstractMechanismProblem,
+    check_answers,
+    in_range,
+    responses_of,
+    wanted_of,
+)
 from jaxclear.studies.variable import (
     AbstractMechanismVariable,
-    check_variables,
-    places_of,
-    units_of_variables,
-    with_values,
 )
 
 __all__ = ["PositionProblem"]
@@ -45,7 +43,7 @@ LARGEST_CHUNK = 256
 NUMBERS = 400
 
 
-class PositionProblem(AbstractProblem):
+class PositionProblem(AbstractMechanismProblem):
     """A mechanism over positions of its drives, the numbers in it that vary, and the responses
     wanted.
 
@@ -82,51 +80,34 @@ class PositionProblem(AbstractProblem):
         correlation: Any = None,
     ):
         check_double_precision()
-        expect(mechanism, Mechanism, "the mechanism of a PositionProblem", "a jaxclear.Mechanism")
+        of = "a mechanism over positions"
+        wanted = wanted_of(mechanism, response, variables, correlation, "PositionProblem", of)
         check_flags("PositionProblem", both_ways=both_ways)
         self.mechanism, self.both_ways = mechanism, both_ways
-        self.response, self.variables = (
-            by_name("response", response),
-            by_name("variables", variables),
-        )
+        self.response, self.variables, self.variable_units, self.correlation = wanted
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
-        check_responses(self.response, self.variables, "a mechanism over positions")
-        check_variables(self.variables, mechanism)
-        self.variable_units = units_of_variables(mechanism, self.variables.values())
-        self.correlation = correlation_matrix(correlation, self.names)
         self.held, places = checked_positions(positions)
         self.position = jnp.asarray(places)
         self.scene, self.way, self.starts = sought(mechanism, self.held, places)
         nominal = self.nominal()
         check_answers(self.response, lambda: self.positions(nominal))
 
-    def nominal(self):
-        return stacked([self.variables[n].nominal_in(self.mechanism) for n in self.names])
-
-    def units(self):
-        return {n: unit_of(self.response[n], self.mechanism) for n in self.response_names}
-
     def positions(self, values: Float[Array, " variables"]) -> Positions:
         """The mechanism of one set of values at all positions; pure."""
-        variables = [self.variables[name] for name in self.names]
-        scene = self.scene.of(with_values(self.mechanism, variables, values))
+        scene = self.scene.of(self._varied(values))
         return both(scene, self.position, self.starts, self.way, self.both_ways)
 
     def evaluate(self, values, *, discrete_derivatives=False):
         check_double_precision()
         self.check_values(values)
         found = self.positions(values)
-        responses = {n: answer(n, self.response[n], found) for n in self.response_names}
-        mechanism = found.scene.mechanism, found.scene.gaps
-        known = [
-            inside(leaf, metadata) for part in mechanism for _, leaf, metadata in numbers(part)
-        ]
         ok = jnp.all(found.found)
         if found.other is not None:
             ok &= jnp.all(found.other.found)
         outcome = jnp.where(ok, Outcome.REACHED, Outcome.UNASSEMBLED)
-        outcome = jnp.where(jnp.all(jnp.stack(known)), outcome, Outcome.OUT_OF_RANGE)
-        return SampleResult(responses, outcome, jnp.zeros(()))
+        possible = in_range(found.scene.mechanism, found.scene.gaps)
+        outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)
+        return SampleResult(responses_of(self, found), outcome, jnp.zeros(()))
 
     def sample_memory(self):
         return 8 * NUMBERS * len(self.position)
@@ -139,7 +120,7 @@ class PositionProblem(AbstractProblem):
 
     def rerun(self, values, index, chunk) -> Positions:
         """The mechanism of one sample at all positions."""
-        return sample_of_chunk(_chunk, self, values, index, chunk)
+        return sample_of_chunk(self.positions, values, index, chunk)
 
     def ending(self, outcome, ended):
         if outcome == Outcome.REACHED:
@@ -149,20 +130,11 @@ class PositionProblem(AbstractProblem):
                 "the mechanism cannot be assembled at every position, or only on another way than "
                 "the nominal one."
             )
-        said = Outcome(outcome).sentence
-        return f"{said[0].lower()}{said[1:]}"
+        return how_it_ended(outcome)
 
     def asked_how(self):
         many = len(self.position)
         return f"at {many} position{'s' if many > 1 else ''} of {listed(self.held)}"
 
     def parts(self):
-        told = ("mechanism", "response", "position", "held", "both_ways")
-        found = {what: getattr(self, what) for what in told}
-        return found | places_of(self.mechanism, self.variables)
-
-
-@eqx.filter_jit
-def _chunk(problem: PositionProblem, values: Float[Array, "samples variables"]) -> Positions:
-    """A chunk of samples at all positions."""
-    return jax.vmap(problem.positions)(values)
+        return self._told("mechanism", "response", "position", "held", "both_ways")

@@ -18,18 +18,18 @@ from jaxtyping import Array, Float
 from jaxclear.errors.estimates import remedy_of_depths
 from jaxclear.errors.observables import GAPS
 from jaxclear.errors.verification import between, replica
-from jaxclear.ground.arguments import expect
-from jaxclear.ground.in_words import part_in_words
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.shown import part_in_words
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
-from jaxclear.integrators.figures import Checks
-from jaxclear.integrators.promise import PART_OF, STUDIES, Promise
+from jaxclear.integrators.base import PART_OF, STUDIES, Promise
+from jaxclear.integrators.checks import Checks
 from jaxclear.multibody.assembly import (
     Sampled,
     Start,
     assemble_arrays,
     carried_on,
     guess,
+    is_sound,
     sampled,
 )
 from jaxclear.multibody.assembly_modes import Nominal
@@ -38,11 +38,19 @@ from jaxclear.multibody.reach import narrowest_gap, rooms
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import longest_arm, prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
-from jaxclear.results.abstract_response import needs_of
-from jaxclear.results.response import concerned, unit_of
-from jaxclear.results.saved_state import State
+from jaxclear.results.response import concerned, needs_of, unit_of
+from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.derivatives import refusal
+from jaxclear.simulation.derivatives import (
+    backwards,
+    compared,
+    guarded,
+    in_other_steps,
+    is_compared,
+    order_of,
+    refusal,
+    where_alike,
+)
 from jaxclear.simulation.initial_state import Past, past_of, state_of
 from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
 from jaxclear.simulation.loop import Extras, sketched
@@ -55,24 +63,20 @@ from jaxclear.simulation.simulate import (
     run,
     saving_times,
 )
-from jaxclear.simulation.singular_positions import diagnosed
-from jaxclear.studies.answers import answers
-from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
-from jaxclear.studies.batch import sample_of_chunk
-from jaxclear.studies.chosen_integrator import (
-    allowed,
-    checked_asked,
-    chosen_integrator,
-    unasked,
+from jaxclear.simulation.singular_positions import diagnosed, diagnosed_outcome
+from jaxclear.studies.base import SampleResult, how_it_ended
+from jaxclear.studies.chosen_integrator import allowed, checked_asked, chosen_integrator, unasked
+from jaxclear.studies.ledger.batch import sample_of_chunk
+from jaxclear.studies.mechanism_problem import (
+    AbstractMechanismProblem,
+    Thinned,
+    check_answers,
+    in_range,
+    responses_of,
+    wanted_of,
 )
-from jaxclear.studies.inputs import correlation_matrix
-from jaxclear.studies.responses import Thinned, by_name, check_answers, check_responses
 from jaxclear.studies.variable import (
     AbstractMechanismVariable,
-    check_variables,
-    places_of,
-    units_of_variables,
-    with_values,
 )
 
 # Histories that a response may build from the saved states, in multiples of these.
@@ -83,7 +87,7 @@ LARGEST_CHUNK = {"cpu": 64}
 LARGEST_ELSEWHERE = 4096
 
 
-class Problem(AbstractProblem):
+class Problem(AbstractMechanismProblem):
     """A mechanism, the numbers in it that vary, how it is run, and the responses wanted of a run.
 
     `response`: a function of a trajectory returning a number, or several by name; those of
@@ -143,25 +147,21 @@ class Problem(AbstractProblem):
         correlation: Any = None,
     ):
         check_double_precision()
+        wanted = wanted_of(mechanism, response, variables, correlation, "Problem", "a trajectory")
         self.mechanism = mechanism
-        expect(mechanism, Mechanism, "the mechanism of a Problem", "a jaxclear.Mechanism")
-        self.response = by_name("response", response)
-        self.variables = by_name("variables", variables)
+        self.response, self.variables, self.variable_units, self.correlation = wanted
+        self.names, self.response_names = tuple(self.variables), tuple(self.response)
         asked = as_saving(save)
         times = saving_times(check_duration(duration), asked.at)
-        check_responses(self.response, self.variables, "a trajectory")
-        check_variables(self.variables, mechanism)
-        self.names, self.response_names = tuple(self.variables), tuple(self.response)
-        self.correlation = correlation_matrix(correlation, self.names)
         self.state = state_of(state)
         self._check_answers(integrator, times, asked.events)
         given = mechanism, self.response, times[-1]
         chosen: Any = (integrator, "", None)
         if accuracy is not None:
             check_one_of_two("a Problem", integrator)
-            wanted = checked_asked(accuracy, self.response)
-            found = chosen_integrator(*given, wanted, How(asked, state))
-            chosen = found.integrator, found.why, wanted
+            share = checked_asked(accuracy, self.response)
+            found = chosen_integrator(*given, share, How(asked, state))
+            chosen = found.integrator, found.why, share
         elif integrator is None:
             chosen = unasked(*given, How(asked, state))
         self.integrator, self.why_integrator, self.accuracy = chosen
@@ -180,7 +180,6 @@ class Problem(AbstractProblem):
         else:
             known = Sampled((), motion.redundancy, None)
         self.determined, self.redundancy, self.mode = known
-        self.variable_units = units_of_variables(mechanism, self.variables.values())
 
     def _check_answers(
         self, integrator: AbstractIntegrator | None, times: Array, events: int
@@ -213,20 +212,10 @@ class Problem(AbstractProblem):
         # Times given, as they are: their shares times the duration may be off by rounding.
         return eqx.tree_at(lambda problem: problem.shares, found, self.shares)
 
-    def nominal(self) -> Float[Array, " variables"]:
-        """Nominal value of each variable."""
-        return stacked([self.variables[n].nominal_in(self.mechanism) for n in self.names])
-
-    def units(self) -> dict[str, str]:
-        """Unit of each response."""
-        return {n: unit_of(self.response[n], self.mechanism) for n in self.response_names}
-
     def with_values(self, values: Float[Array, " variables"]) -> Mechanism:
         """The mechanism with its variables set. Leaves that vary together move by the same
         amount. Coordinates of the start that the loops determine become guesses."""
-        variables = [self.variables[name] for name in self.names]
-        mechanism = with_values(self.mechanism, variables, values)
-        return loosened(mechanism, self.determined)
+        return loosened(self._varied(values), self.determined)
 
     def seen(self, values: Float[Array, " variables"]) -> Mechanism:
         """The mechanism of one set of values as it is simulated."""
@@ -277,7 +266,7 @@ class Problem(AbstractProblem):
         """
         check_double_precision()
         self.check_values(values)
-        return answers(self, values, discrete_derivatives)
+        return _answers(self, values, discrete_derivatives)
 
     def sample_memory(self) -> int:
         """Saved states and worn surfaces [bytes]."""
@@ -297,7 +286,11 @@ class Problem(AbstractProblem):
 
     def rerun(self, values, index, chunk) -> Trajectory:
         """The run of one sample, bit for bit as it ran in its chunk."""
-        return diagnosed(sample_of_chunk(_run_chunk, self, values, index, chunk))
+        return diagnosed(sample_of_chunk(self._simulated, values, index, chunk))
+
+    def _simulated(self, values: Float[Array, " variables"]) -> Trajectory:
+        """The run of one set of values; pure."""
+        return self.started(values)[2]
 
     def _load_steps(self) -> LoadSteps:
         times = self.state.begins + self.shares * self.duration
@@ -339,10 +332,9 @@ class Problem(AbstractProblem):
 
     def ending(self, outcome, ended):
         how = Outcome(outcome)
-        said = how.sentence
         if how == Outcome.REACHED or not how.began:
-            return f"{said[0].lower()}{said[1:]}"
-        return f"the run ended after {ended:.6g} s. {said}"
+            return how_it_ended(how)
+        return f"the run ended after {ended:.6g} s. {how.sentence}"
 
     def asked_how(self):
         lasts, saves = f"{float(self.duration):.6g} s", len(self.shares)
@@ -368,15 +360,55 @@ class Problem(AbstractProblem):
 
     def parts(self):
         told = ("mechanism", "response", "duration", "shares", "integrator", "state")
-        return {what: getattr(self, what) for what in told} | places_of(
-            self.mechanism, self.variables
-        )
+        return self._told(*told)
 
 
-@eqx.filter_jit
-def _run_chunk(problem: Problem, values: Float[Array, "samples variables"]) -> Trajectory:
-    """Runs of a chunk of samples."""
-    return jax.vmap(lambda own: problem.started(own)[2])(values)
+def _answers(problem: Problem, values: Float[Array, " variables"], discrete: bool) -> SampleResult:
+    """Responses of a `Problem` for one set of values; `discrete`: derivatives of the discrete run
+    are wanted, where the integrator has them."""
+    integrator = problem.integrator
+    own = discrete and integrator.pathwise
+    seen = integrator.formulation.seen(problem.mechanism)
+    if not own and is_compared(seen, integrator):
+        known = compared(_answered, _finer, _alike, _steps, order_of(integrator))
+        return backwards(integrator)(known, problem, values)
+    started = lambda problem, values: problem.started(values, own)
+    mechanism, start, run = backwards(integrator)(started, problem, values)
+    return _taken(problem, mechanism, start, guarded(run, integrator, discrete))
+
+
+def _taken(problem: Problem, mechanism: Any, start: Any, run: Trajectory) -> SampleResult:
+    possible = in_range(mechanism)
+    sound = is_sound(mechanism, start)
+    kept = problem.keeps_mode(mechanism, start)
+    outcome = jnp.where(kept, diagnosed_outcome(run), Outcome.OTHER_MODE)
+    outcome = jnp.where(sound, outcome, Outcome.UNASSEMBLED)
+    outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)
+    return SampleResult(responses_of(problem, run), outcome, run.ended, run.invariants)
+
+
+def _answered(problem: Problem, values: Array) -> SampleResult:
+    return _taken(problem, *problem.started(values))
+
+
+def _finer(share: Any, problem: Problem, values: Array) -> tuple[Any, Array]:
+    """The same in other steps."""
+    steps = in_other_steps(problem.integrator, share)
+    return eqx.tree_at(lambda known: known.integrator, problem, steps), values
+
+
+def _steps(problem: Problem, _: Any) -> tuple[Any, Any]:
+    return problem.integrator.asked_step(), problem.shares * problem.duration
+
+
+def _alike(found: SampleResult, ways: SampleResult, ratios: Array, least: Any) -> SampleResult:
+    """Derivatives of what is answered; those of responses are nan where steps decide them."""
+    told = {
+        name: where_alike(way, ratios, abs(way[0]), least * abs(found.responses[name]))
+        for name, way in ways.responses.items()
+    }
+    moves = jax.tree.map(lambda each: each[0], ways)
+    return SampleResult(told, moves.outcome, moves.ended, moves.checks)
 
 
 def _promised_of(

@@ -10,7 +10,7 @@ Source: Giles 2008, Oper. Res. 56, 607, doi:10.1287/opre.1070.0496; Roache 1994,
 405, doi:10.1115/1.2910291.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -20,19 +20,8 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.batch import chunk_size, evaluate_all
+from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.statistics.numerical_error import NumericalError, bias_of
-
-__all__ = [
-    "MOST_REPLICAS",
-    "Replicas",
-    "joined",
-    "numerical_error",
-    "replica_chunk",
-    "replicas_of",
-    "together_with",
-    "unverified",
-]
 
 # So many of a study's samples, its first, have replicas.
 MOST_REPLICAS = 16
@@ -112,9 +101,8 @@ def replicas_of(
         chunk=together,
         progress_bar=progress_bar,
         label="replicas",
-        kept_as="replicas",
     )
-    return together_with(problem, found, finer, count)
+    return together_with(problem.response_names, found, finer, count)
 
 
 def replica_chunk(
@@ -127,24 +115,19 @@ def replica_chunk(
 
 
 def together_with(
-    problem: AbstractProblem, found: SampleResult, finer: SampleResult, count: int
+    names: Sequence[str], found: SampleResult, finer: SampleResult, count: int
 ) -> Replicas:
-    """The replicas of the first samples, of what these and their finer runs gave."""
+    """The replicas of the first samples, of the responses that these and their finer runs gave."""
     own, other = (
         {
             name: np.where(
                 one.outcome[:count] == Outcome.REACHED, one.responses[name][:count], np.nan
             )
-            for name in problem.response_names
+            for name in names
         }
         for one in (found, finer)
     )
     return Replicas(own, other, np.asarray(finer.outcome[:count]), np.asarray(finer.ended[:count]))
-
-
-def joined(first: Replicas, second: Replicas) -> Replicas:
-    """Both, one after the other."""
-    return jax.tree.map(lambda *parts: np.concatenate(parts), first, second)
 
 
 def numerical_error(

@@ -13,21 +13,18 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_known, expect
-from jaxclear.ground.datasets import Column, dataset
-from jaxclear.ground.shown import AbstractShown
-from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described
 from jaxclear.integrators import Outcome
+from jaxclear.studies.answer import AbstractAnswer, Column, Stated
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.endless import answered, why_unanswered
-from jaxclear.studies.texts import in_texts
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.warned import told
 
 __all__ = ["Sweep", "sweep"]
 
 
-class Sweep(AbstractShown):
+class Sweep(AbstractAnswer):
     """Responses over a grid. `over` are the values of each swept variable, in its unit;
     `responses` by name, one axis for each swept variable in their order, nan where a run failed;
     `reasons` why, by the place in the grid; `warnings` of what runs warn."""
@@ -38,37 +35,14 @@ class Sweep(AbstractShown):
     reasons: dict[tuple[int, ...], str]
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
-    def _shown(self):
-        return self.table(), *self._lost(), *self.warnings
-
     def failures(self) -> dict[tuple[int, ...], str]:
         """Why each point that failed did, by its place in the grid."""
         return dict(self.reasons)
 
-    def table(self) -> Any:
-        """A pandas table: one row a point of the grid."""
-        grid = np.meshgrid(*self.over.values(), indexing="ij")
-        columns = {name: own.ravel() for name, own in zip(self.over, grid, strict=True)}
-        columns |= {name: own.ravel() for name, own in self.responses.items()}
-        return as_table(columns, index=list(self.over), units=self.units())
-
-    def to_dataset(self) -> Any:
-        """The responses over the swept variables as an xarray Dataset, with units and
-        provenance."""
-        units, names = self.units(), tuple(self.over)
-        return dataset(
-            {name: Column(names, own, units[name]) for name, own in self.responses.items()},
-            {name: Column((name,), own, units[name]) for name, own in self.over.items()},
-            what="sweep",
-            problem=in_texts(self.problem),
-            failed=len(self.reasons),
-            warnings=" ".join(self.warnings),
-        )
-
-    def _lost(self) -> list[str]:
-        """How many points failed, and where and why the first of them did."""
+    def sentence(self) -> str:
+        """How many points failed, and where and why the first of them did; "" where none did."""
         if not self.reasons:
-            return []
+            return ""
         place, why = next(iter(self.reasons.items()))
         units, axes = self.units(), self.over.items()
         at = ", ".join(
@@ -76,7 +50,14 @@ class Sweep(AbstractShown):
             for (name, axis), k in zip(axes, place, strict=True)
         )
         count = next(iter(self.responses.values())).size
-        return [f"{len(self.reasons)} of {count} points failed; the first of them, {at}: {why}"]
+        return f"{len(self.reasons)} of {count} points failed; the first of them, {at}: {why}"
+
+    def _stated(self):
+        units, names = self.units(), tuple(self.over)
+        columns = {name: Column(names, own, units[name]) for name, own in self.responses.items()}
+        columns |= {name: Column((name,), own, units[name]) for name, own in self.over.items()}
+        numbers = {"failed": len(self.reasons)}
+        return Stated("sweep", columns, self.problem, self.warnings, numbers)
 
     def units(self) -> dict[str, str]:
         """Units of variables and responses, by name."""

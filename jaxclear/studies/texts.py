@@ -23,14 +23,15 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.ground.quantity import IF_ANY
+from jaxclear.ground.wording import listed
 from jaxclear.studies.base import AbstractProblem
-
-__all__ = ["in_texts", "parts_of", "texts_of"]
 
 # Longest text of one piece, in characters; what is longer ends in a digest.
 LONGEST = 60
 # Of a digest.
 DIGITS = 16
+# How a function begins to be told.
+FUNCTION = "the function"
 # Where in memory a thing lies is no part of what it is.
 ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
 # Where libraries lie.
@@ -50,6 +51,39 @@ def in_texts(problem: AbstractProblem) -> dict[str, str]:
     if problem.correlation is not None:
         _tell(problem.correlation, "correlation of the variables", found)
     return found
+
+
+def difference(one: AbstractProblem, other: AbstractProblem) -> str:
+    """The first thing in which `one` differs from `other`, in words; "" where they are the same. A
+    problem built anew by the same lines is the same."""
+    if one.names != other.names:
+        return f"its variables are {_named(one.names)}, not {_named(other.names)}"
+    if one.response_names != other.response_names:
+        named = _named(one.response_names)
+        return f"its responses are {named}, not {_named(other.response_names)}"
+    if type(one) is not type(other):
+        return f"it is a {type(one).__name__}, not a {type(other).__name__}"
+    return first_difference(in_texts(one), in_texts(other))
+
+
+def first_difference(one: dict[str, str], other: dict[str, str]) -> str:
+    """The first part in which two descriptions differ, in words; "" where they are the same."""
+    for part in [*one, *(name for name in other if name not in one)]:
+        mine, others = (_kept(own.get(part, "absent")) for own in (one, other))
+        if mine.startswith(FUNCTION) and others.startswith(FUNCTION) and mine != others:
+            return f"{part} is another function"
+        if mine != others:
+            return f"{part} is {mine} there, {others} here"
+    return ""
+
+
+def _named(names: tuple[str, ...]) -> str:
+    return listed(names) or "none"
+
+
+def _kept(text: str) -> str:
+    """A text as it is told today; up to 0.30 parts of a mechanism were an OrderedDict."""
+    return "dict" if text == "OrderedDict" else text
 
 
 def texts_of(thing: Any) -> dict[str, str]:
@@ -140,7 +174,7 @@ def _tell_function(
 ) -> None:
     """A function by what it does and with what."""
     text = _digest(_code(function.__code__).encode())
-    found[path] = f"the function {function.__name__} {text}"
+    found[path] = f"{FUNCTION} {function.__name__} {text}"
     for what, part in _held(function):
         _tell(part, f"{path} {what}", found, inside)
     outside = function.__globals__

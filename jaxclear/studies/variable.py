@@ -1,30 +1,37 @@
-"""What varies of a mechanism, or about it."""
+"""What varies of a mechanism, or about it, such as a temperature."""
 
+import dataclasses
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.scipy.special import ndtr
 
 from jaxclear.ground.arguments import check_number, expect
-from jaxclear.ground.quantity import is_one_number
+from jaxclear.ground.quantity import Scalar, is_one_number, is_traced, quantity
+from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, meant
+from jaxclear.multibody.heated import heated
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.own_numbers import own_numbers
+from jaxclear.multibody.topology import own_numbers
 from jaxclear.studies.base import AbstractVariable, one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
 
 __all__ = [
     "AbstractMechanismVariable",
+    "Condition",
+    "Heating",
     "Variable",
     "check_variables",
     "places_of",
-    "units_of_variables",
     "with_values",
 ]
 
+# The least quantile of a response that studies tell.
+TOLD_QUANTILE = 0.05
 # A derived number and the mechanism's own may differ by this share: data sheets round.
 SAME = 1e-3
 
@@ -118,6 +125,10 @@ class Variable(AbstractMechanismVariable):
 
     def check(self, name, mechanism):
         _check_place(name, self.where, mechanism)
+        own = self.leaves(mechanism)
+        for path, leaf, metadata, unit in own_numbers(mechanism):
+            if any(leaf is one for one in own) and not is_traced((leaf, self.distribution)):
+                _warn_of_lost(name, self.distribution, leaf, (path, metadata, unit))
 
     def told(self, name, mechanism):
         leaves = jax.tree_util.tree_leaves_with_path(mechanism)
@@ -145,6 +156,98 @@ class Variable(AbstractMechanismVariable):
                 )
 
 
+@dataclasses.dataclass(frozen=True)
+class Heating:
+    """What a temperature does, for a `Condition` to act by: `heated(mechanism, rise, expansion)`
+    for a `rise` [K] above the drawing's. `expansion`: coefficient of linear expansion [1/K], one
+    for all, or by body. It is data: a scene file holds it, and no function of one's own.
+    """
+
+    expansion: float | tuple[tuple[str, float], ...]
+
+    def __init__(self, expansion: float | Mapping[str, float]):
+        if isinstance(expansion, Mapping):
+            if not expansion:
+                raise ValueError(
+                    "expansion of a Heating is empty; it must hold the coefficient [1/K] of one "
+                    "body at least, or be one number for all."
+                )
+            for name, value in expansion.items():
+                check_number(f'expansion of body "{name}" in a Heating', value, "1/K")
+            own: Any = tuple((str(name), float(value)) for name, value in expansion.items())
+        else:
+            check_number("expansion of a Heating", expansion, "1/K")
+            own = float(expansion)
+        object.__setattr__(self, "expansion", own)
+
+    def __call__(self, mechanism: Mechanism, rise: Any) -> Mechanism:
+        """The mechanism at this rise [K]."""
+        own = self.expansion
+        return heated(mechanism, rise, dict(own) if isinstance(own, tuple) else own)
+
+
+class Condition(AbstractMechanismVariable):
+    """What varies and is no number of the mechanism itself, such as a temperature:
+    `acts(mechanism, value)` returns the mechanism as it is under the condition, all other variables
+    set before. `Heating` is such a function for temperatures.
+
+    `nominal` and `unit` are the condition's own; `acts(mechanism, nominal)` is the mechanism as it
+    is studied at nominal. `distribution` or `tolerance` as of a `Variable`.
+    """
+
+    nominal: Scalar = quantity(unit="(its unit)", meaning="nominal value")
+    distribution: AbstractDistribution
+    acts: Callable[[Mechanism, Any], Mechanism] = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+
+    def __init__(
+        self,
+        acts: Callable[[Mechanism, Any], Mechanism],
+        nominal: Any,
+        distribution: AbstractDistribution | None = None,
+        *,
+        tolerance: float | None = None,
+        unit: str = "K",
+    ):
+        if not callable(acts):
+            raise ValueError(
+                f"acts of a Condition is {described(acts)}; it must be a function of a mechanism "
+                "and the condition's value that returns a mechanism."
+            )
+        if tolerance is not None:
+            check_number("tolerance of a Condition", tolerance, above=0)
+        expect(unit, str, "unit of a Condition", 'a text, such as "K"')
+        self.acts, self.nominal, self.unit = acts, nominal, unit
+        self.distribution = one_distribution("Condition", distribution, tolerance)
+
+    def leaves(self, mechanism):
+        return []
+
+    def nominal_in(self, mechanism):
+        return self.nominal
+
+    def unit_in(self, mechanism):
+        return self.unit
+
+    def put(self, mechanism, value):
+        return mechanism
+
+    def followed(self, mechanism, value):
+        return self.acts(mechanism, value)
+
+    def check(self, name, mechanism):
+        found = self.acts(mechanism, self.nominal)
+        expect(found, Mechanism, f'what condition "{name}" makes of the mechanism', "a mechanism")
+        if jax.tree.structure(found) != jax.tree.structure(mechanism):
+            raise ValueError(
+                f'condition "{name}" makes another mechanism (other parts, not other numbers); '
+                "change numbers only, as with equinox.tree_at."
+            )
+
+    def told(self, name, mechanism):
+        return {f'what "{name}" does': self.acts, f'nominal of "{name}"': self.nominal}
+
+
 def _listed(derived: Any) -> Any:
     expect(derived, (list, tuple), "derived of a Variable", "a list of pairs of functions")
     return derived
@@ -169,13 +272,6 @@ def with_values(
     for variable, value in zip(variables, values, strict=True):
         mechanism = variable.followed(mechanism, value)
     return mechanism
-
-
-def units_of_variables(
-    mechanism: Mechanism, variables: Iterable[AbstractMechanismVariable]
-) -> tuple[str, ...]:
-    """Unit of each variable."""
-    return tuple(variable.unit_in(mechanism) for variable in variables)
 
 
 def places_of(
@@ -212,6 +308,26 @@ def _check_apart(leaves: dict[str, list]) -> None:
                     f'variables "{other}" and "{name}" point at the same number of the mechanism; '
                     "only one of them can set it."
                 )
+
+
+def _warn_of_lost(name: str, distribution: Any, leaf: Any, number: tuple[str, Any, str]) -> None:
+    """Warns where more than the twentieth that studies tell of, the 5 % quantile, lies where the
+    number cannot be."""
+    path, metadata, unit = number
+    unit = "" if unit == "1" else f" {unit}"
+    low, high = (
+        metadata.get(strict, metadata.get(held))
+        for strict, held in (("above", "at_least"), ("below", "at_most"))
+    )
+    for words, bound, sign in (("below", low, 1), ("above", high, -1)):
+        edge = TOLD_QUANTILE if sign == 1 else 1 - TOLD_QUANTILE
+        if bound is None or sign * (leaf + distribution.quantile(jnp.asarray(edge)) - bound) >= 0:
+            continue
+        lost = float(ndtr(sign * distribution.score(bound - leaf)))
+        warn(
+            f'variable "{name}": {100 * lost:.2g} % of its distribution lie {words} {bound:g}{unit}'
+            f", where {path} cannot be. Such samples fail, and statistics are of the others."
+        )
 
 
 def _check_place(name: str, where: Callable, mechanism: Mechanism) -> None:

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxclear.ground.wording import listed
-from jaxclear.integrators.checks import Check
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Check, Checks
 from jaxclear.studies.base import AbstractProblem
 
 # More than this share of runs in doubt, and what rests on them is in doubt too.

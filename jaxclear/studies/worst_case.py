@@ -13,7 +13,6 @@ search: Kolda, Lewis & Torczon 2003, SIAM Rev. 45, 385, doi:10.1137/S00361445024
 
 import itertools
 import math
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -24,14 +23,20 @@ import scipy
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.ground.shown import AbstractShown, shown_in_words
-from jaxclear.ground.table import as_table
 from jaxclear.integrators import Outcome
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
+from jaxclear.studies.answer import (
+    RESPONSE,
+    TABLE,
+    VARIABLE,
+    AbstractAnswer,
+    Column,
+    Stated,
+)
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.batch import evaluate_all
-from jaxclear.studies.datasets import of_corners
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.endless import answered, finite_beside, why_unanswered
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.warned import by_kind, codes_of, concerning
@@ -58,7 +63,7 @@ class Extreme(AbstractShown):
         return f"{self.value:.6g} (of first order {self.first_order:.6g})"
 
 
-class WorstCase(AbstractShown):
+class WorstCase(AbstractAnswer):
     """The extremes of every response over the box from `low` to `high` (variables,), and its
     `nominal` values. Of the `points` asked over the box, its corners among them, `failed` (failed,
     variables) have no answer; `warnings` say so, and which extremes are those of runs that warn."""
@@ -74,28 +79,43 @@ class WorstCase(AbstractShown):
     runs: int = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
-    def _shown(self):
-        return self.table(), *self.warnings
+    def sentence(self) -> str:
+        """Nothing beside the table and the warnings."""
+        return ""
 
-    def to_dataset(self) -> Any:
-        """Everything as an xarray Dataset by response, end and variable, with provenance."""
-        return of_corners(self)
-
-    def table(self) -> Any:
-        """A pandas table, a row a response: nominal, least and largest, of first order and found,
-        and where."""
-        rows = []
-        for name, nominal in self.nominal.items():
-            row = {"response": name, "unit": self.problem.units()[name], "nominal": nominal}
-            for label, found in (("least", self.least[name]), ("largest", self.largest[name])):
-                row[label] = found.value
-                row[f"{label} of first order"] = found.first_order
-                places = zip(self.problem.names, found.values, strict=True)
-                row |= {f"{label}: {variable}": value for variable, value in places}
-            rows.append(row)
-        places = zip(self.problem.names, self.problem.variable_units, strict=True)
-        units = {f"{end}: {n}": unit for n, unit in places for end in ("least", "largest")}
-        return as_table(rows, units=units)
+    def _stated(self):
+        problem, ends = self.problem, {"least": self.least, "largest": self.largest}
+        names, over = list(self.nominal), (RESPONSE, "end")
+        grid = lambda read: [[read(own[name]) for own in ends.values()] for name in names]
+        columns = {
+            "unit": Column((RESPONSE,), {n: problem.units()[n] for n in names}),
+            "nominal": Column((RESPONSE,), self.nominal),
+        }
+        for end, own in ends.items():
+            rows = {
+                end: lambda one: one.value,
+                f"{end} of first order": lambda one: one.first_order,
+            }
+            units = dict.fromkeys(rows, "")
+            for i, name in enumerate(problem.names):
+                rows[f"{end}: {name}"] = lambda one, i=i: float(one.values[i])
+                units[f"{end}: {name}"] = problem.variable_units[i]
+            for label, read in rows.items():
+                values = {name: read(own[name]) for name in names}
+                columns[label] = Column((RESPONSE,), values, units[label], only=TABLE)
+        place = grid(lambda one: one.values)
+        columns |= {
+            "value": Column(over, grid(lambda one: one.value), "", "found by runs"),
+            "first order": Column(over, grid(lambda one: one.first_order), "", "by slopes"),
+            "place": Column((*over, VARIABLE), place, "", "where it is met"),
+            "low": Column((VARIABLE,), self.low, "", "end of the box"),
+            "high": Column((VARIABLE,), self.high, "", "end of the box"),
+            "variable unit": Column((VARIABLE,), list(problem.variable_units)),
+            "end": Column(("end",), list(ends)),
+            VARIABLE: Column((VARIABLE,), list(problem.names)),
+        }
+        numbers = {"runs": self.runs, "points": self.points, "failed": len(self.failed)}
+        return Stated("worst case", columns, problem, self.warnings, numbers, labelled=False)
 
 
 @answering

@@ -178,7 +178,7 @@ def _meant(kind: object, value: object) -> object:
 def signature(value: object) -> str:
     """What may be typed: arguments, with types where not anything may be given, and defaults."""
     try:
-        found = inspect.signature(value)
+        found = inspect.signature(inspect.unwrap(value))
     except (TypeError, ValueError):
         return "()"
     fields = {field.name: field for field in fields_of(value)} | getattr(value, "fields", {})

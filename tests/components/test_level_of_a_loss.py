@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from jaxclear.components import cylinder_contact, sphere_contact
-from jaxclear.components.contact_patch import depth_lost
+from jaxclear.components import sphere_map as sphere_contact
+from jaxclear.components import wear_map as cylinder_contact
+from jaxclear.components.contact_patch import depth_lost, ways
 from jaxclear.components.sphere_map import SphereMap
-from jaxclear.components.touched_cells import ways
 from jaxclear.components.wear_map import CylinderMap
 
 CLEARANCE = 0.1e-3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.components.clearance.roundness import radius_deviation
+from jaxclear.components.clearance.journal_base import radius_deviation
 
 RADIUS, CLEARANCE = 10e-3, 50e-6
 OVAL = jc.clearance.Lobes(2, cosine=5e-6, sine=-3e-6)

@@ -14,8 +14,8 @@ import pytest
 import jaxclear as jc
 from jaxclear.errors.estimates import Verified
 from jaxclear.errors.verification import MOST_STEPS, between, step_taken, thinned
-from jaxclear.integrators.outcome import Outcome
-from jaxclear.integrators.promise import REFERENCE
+from jaxclear.integrators.base import REFERENCE
+from jaxclear.integrators.checks import Outcome
 from jaxclear.native import stop
 from jaxclear.simulation import progress
 from jaxclear.simulation import simulate as simulating

@@ -12,7 +12,7 @@ import warnings
 import pytest
 
 import jaxclear as jc
-from jaxclear.files.scene_file import scene_text
+from jaxclear.files.scene import scene_text
 from jaxclear.files.text import DEEPEST, MOST_VALUES
 from tests.files.test_round_trip import SCENES, asked
 

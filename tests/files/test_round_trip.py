@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.files.classes import arguments, members
 from jaxclear.files.forms import (
     ByName,
     Choice,
@@ -20,17 +19,14 @@ from jaxclear.files.forms import (
     Number,
     NumberArray,
     Numbers,
-    Part,
     Place,
     Text,
     Whole,
 )
-from jaxclear.files.reading import read
-from jaxclear.files.scene_file import RUN, TOP, scene_text
+from jaxclear.files.parts import Part, arguments, members
+from jaxclear.files.scene import RUN, TOP, scene_text
 from jaxclear.files.text import parsed
-from jaxclear.files.writing import in_plain_values
-from jaxclear.studies.identity import first_difference
-from jaxclear.studies.texts import in_texts
+from jaxclear.studies.texts import difference, in_texts
 
 # Numbers that bound each other, words of a few, and what only fits together.
 TOGETHER = {
@@ -281,12 +277,12 @@ def test_every_argument_of_every_class_has_a_file_form(name):
 @pytest.mark.parametrize("name", sorted({*REACHABLE} - {"Mechanism", "FromFunction"}))
 def test_every_class_is_read_as_it_was_written(name, tmp_path):
     kind, form = REACHABLE[name]
-    built = read(form, as_node(of_class(kind)), "here", tmp_path)
+    built = form.read(as_node(of_class(kind)), "here", tmp_path)
     assert type(built) is kind
-    written = in_plain_values(form, built, "here", MECHANISM)
-    again = read(form, as_node(written), "here", tmp_path)
+    written = form.plain(built, "here", MECHANISM)
+    again = form.read(as_node(written), "here", tmp_path)
     assert_same(built, again)
-    assert in_plain_values(form, again, "here", MECHANISM) == written
+    assert form.plain(again, "here", MECHANISM) == written
 
 
 SCENES = {name: getattr(jc.scenes, name) for name in jc.scenes.__all__}
@@ -419,7 +415,7 @@ def test_a_scene_asks_the_same_after_it_was_written(ending, tmp_path):
     scene = asked()
     again = written_and_read(scene, tmp_path / f"scene{ending}")
     assert in_texts(again.problem()) == in_texts(scene.problem())
-    assert first_difference(scene.problem(), again.problem()) == ""
+    assert difference(scene.problem(), again.problem()) == ""
 
 
 def test_numbers_keep_every_digit(tmp_path):

@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 
 import jaxclear as jc
-from jaxclear.files.scene_file import scene_text
+from jaxclear.files.scene import scene_text
 from tests.files.test_round_trip import FURTHER, REACHABLE, SCENES, asked, of_class
 
 # Told by a function, so no file holds it; solvers are diffrax's business.

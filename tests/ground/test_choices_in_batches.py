@@ -10,7 +10,8 @@ import pytest
 from jax.extend.core import Literal
 
 from jaxclear.complementarity import interior_point
-from jaxclear.ground import group, numerics
+from jaxclear.components.joint import group
+from jaxclear.ground import numerics
 from jaxclear.ground.factorisation import eliminate
 from jaxclear.ground.numerics import direction_angle
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxclear.ground.semidefinite import factor_of_rank, solve_least
+from jaxclear.ground.factorisation import factor_of_rank, solve_least
 
 # The condition of the matrices drawn here is below 1e4.
 ROUNDING = 1e-9

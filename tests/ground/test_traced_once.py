@@ -6,8 +6,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from jaxclear.ground.compiling import compiled_quickly
-from jaxclear.ground.grouping import by_form, traced_once
+from jaxclear.ground.compiling import by_form, compiled_quickly, traced_once
 from jaxclear.ground.quantity import is_traced
 
 

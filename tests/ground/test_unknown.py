@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.ground.unknown import Unknown
+from jaxclear.ground.outcome import Unknown
 from jaxclear.native import by_columns, while_loop
 
 

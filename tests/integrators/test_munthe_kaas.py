@@ -15,8 +15,7 @@ import jaxclear as jc
 from jaxclear.components.joint import AbstractGroupJoint
 from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
-from jaxclear.integrators.munthe_kaas import TABLEAUS
-from jaxclear.integrators.state_group import state_group
+from jaxclear.integrators.munthe_kaas import TABLEAUS, state_group
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import prepare
 from jaxclear.simulation.simulate import run

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.laws.contact.pressed import SHALLOWEST, indentation_under
+from jaxclear.laws.contact.base import SHALLOWEST, indentation_under
 from jaxclear.laws.stiffness import Shape, fitted
 
 SHAPE = Shape(9.95e-3, 10e-3, 20e-3)

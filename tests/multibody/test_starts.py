@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.ground.least_change import least_change
+from jaxclear.ground.factorisation import least_change
 from jaxclear.multibody.assembly import assemble_arrays
 
 ROD = 0.12

@@ -3,7 +3,7 @@ installed, with the lowest that is allowed and with the newest.
 
 One primitive without a rule, and a run takes ten times as long without a word: the derivative of
 `stack` became such a one with a new jax. In the quick test kernels are written as text alone,
-neither compiled nor run; the slow one compiles and runs them.
+neither compiled nor run but for one; the slow one compiles, checks and runs them.
 """
 
 import os
@@ -40,6 +40,8 @@ QUICK = (
     *(("ball", rung) for rung in ("implicit", "Moreau-Jean")),
     ("journal_that_wears", "fixed"),
 )
+# Kernels that the quick test compiles, checks and runs.
+CHECKED = (("planar", "fixed"),)
 TIMES = jnp.linspace(0.0, 1e-3, 3)
 # What a rung refuses by a sentence asks for no kernel: restitutions that depend on the speed in
 # MoreauJean, worn joints and rubbing balls in NonColliding.
@@ -90,10 +92,21 @@ def test_a_kernel_can_be_written(joint, rung, monkeypatch):
     assert any(program.length == 1 for program in written) or joint != "journal_that_wears"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("rung", RUNGS)
-@pytest.mark.parametrize("joint", JOINTS)
-def test_the_kernel_passes_its_check_and_runs(joint, rung):
+@pytest.fixture
+def checked(monkeypatch):
+    """One turn of every kernel is compared with JAX, operation by operation."""
+    monkeypatch.setenv("JAXCLEAR_CHECK_KERNELS", "1")
+
+
+@pytest.mark.parametrize(
+    ("joint", "rung"),
+    [
+        pytest.param(j, r, marks=() if (j, r) in CHECKED else pytest.mark.slow)
+        for j in JOINTS
+        for r in RUNGS
+    ],
+)
+def test_the_kernel_passes_its_check_and_runs(joint, rung, checked):
     rig = build(joint, USUAL)
     if refused(rig, RUNGS[rung]):
         return
@@ -103,7 +116,7 @@ def test_the_kernel_passes_its_check_and_runs(joint, rung):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", jc.scenes.__all__)
-def test_every_scene_has_a_kernel(name):
+def test_every_scene_has_a_kernel(name, checked):
     scene = getattr(jc.scenes, name)
     given = {"antenna": {"friction": "regularised"}, "guide": {"friction": "regularised"}}
     for integrator in RUNGS.values():
@@ -115,7 +128,7 @@ def test_every_scene_has_a_kernel(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rung", ["fixed", "implicit", "adaptive", "Moreau-Jean", "non-colliding"])
-def test_loops_that_leave_nothing_free_have_a_kernel(rung):
+def test_loops_that_leave_nothing_free_have_a_kernel(rung, checked):
     """Two spatial loops, every drive prescribed: the closures' matrix is square, and singular for
     most numbers."""
     rig = jc.scenes.parallel_3rsr("ideal", period=1.0)

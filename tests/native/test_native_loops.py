@@ -15,14 +15,14 @@ import pytest
 import jaxclear  # noqa: F401  (float64)
 from jaxclear.native import (
     arithmetic,
-    call_frame,
     check,
     control,
+    dispatch,
     kernel,
     loop,
-    rules,
     while_loop,
     with_fast_loops,
+    writer,
 )
 from jaxclear.native.writer import Unsupported
 
@@ -288,7 +288,25 @@ def test_a_kernel_that_cannot_be_written_costs_a_warning_not_the_run(monkeypatch
     np.testing.assert_allclose(found, by_jax(jnp.array([0.3, 0.7])), rtol=ROUNDING)
 
 
-def test_rounding_where_a_sum_cancels_is_no_disagreement(caplog):
+@pytest.fixture
+def checked(monkeypatch):
+    """New kernels are compared with JAX before they are used."""
+    monkeypatch.setenv("JAXCLEAR_CHECK_KERNELS", "1")
+
+
+def test_kernels_are_checked_where_that_is_asked_for(monkeypatch):
+    looks, compared = [], check.compared
+    monkeypatch.setattr(
+        check, "compared", lambda *given: looks.append(compared(*given)) or looks[-1]
+    )
+    for wanted, factor in (("0", 0.43), ("1", 0.44)):
+        monkeypatch.setenv("JAXCLEAR_CHECK_KERNELS", wanted)
+        jax.jit(turns(lambda x, factor=factor: x * factor + 1.0, 3)[0])(0.3)
+        assert bool(looks) == (wanted == "1")
+    assert all(look == (check.Judgement(True, True), True) for look in looks)
+
+
+def test_rounding_where_a_sum_cancels_is_no_disagreement(caplog, checked):
     """x - x (1 + tiny) + ... leaves rounding of either order; both are right."""
     with caplog.at_level(logging.INFO, logger="jaxclear.native.loop"):
         by_kernel, _ = turns(lambda x: x + (0.1 * x[::-1] - (x + 0.1 * x[::-1])), 3)
@@ -297,8 +315,8 @@ def test_rounding_where_a_sum_cancels_is_no_disagreement(caplog):
 
 
 @slowly
-def test_a_wrong_kernel_is_caught_and_not_used(monkeypatch, caplog):
-    monkeypatch.setitem(rules.RULES, "mul", rules.RULES["add"])
+def test_a_wrong_kernel_is_caught_and_not_used(monkeypatch, caplog, checked):
+    monkeypatch.setitem(writer.RULES, "mul", writer.RULES["add"])
     monkeypatch.setitem(arithmetic._FLOAT_OPS, "mul", "fadd")
     fast, plain = turns(lambda x: x * 0.37 + 1.0, 3)
     with caplog.at_level(logging.INFO, logger=loop.LOG.name):
@@ -308,9 +326,9 @@ def test_a_wrong_kernel_is_caught_and_not_used(monkeypatch, caplog):
 
 @slowly
 @pytest.mark.parametrize("beyond", [-1e-6, 1.5, 1e-2])
-def test_a_kernel_that_is_wrong_in_some_states_only_is_caught(beyond, monkeypatch, caplog):
+def test_a_kernel_that_is_wrong_in_some_states_only_is_caught(beyond, monkeypatch, caplog, checked):
     """Of negative numbers, of large ones, of small ones: those that a contact parts by."""
-    monkeypatch.setitem(rules.RULES, "mul", rules.RULES["add"])
+    monkeypatch.setitem(writer.RULES, "mul", writer.RULES["add"])
     monkeypatch.setitem(arithmetic._FLOAT_OPS, "mul", "fadd")
     there = (lambda x: x > beyond) if beyond > 1 else (lambda x: x < beyond)
     fast, plain = turns(lambda x: jnp.where(there(x), x * x, x + 1.0), 3)
@@ -332,13 +350,13 @@ def test_an_unknown_interface_of_xla_is_refused(monkeypatch, tmp_path):
     (tmp_path / "xla/ffi/api").mkdir(parents=True)
     (tmp_path / "xla/ffi/api/c_api.h").write_text("struct XLA_FFI_CallFrame { int other; };")
     monkeypatch.setattr(jax.ffi, "include_dir", lambda: str(tmp_path))
-    call_frame.interface_version.cache_clear()
+    dispatch.interface_version.cache_clear()
     try:
         with pytest.raises(Unsupported, match="foreign function interface"):
-            call_frame.interface_version()
+            dispatch.interface_version()
     finally:
         monkeypatch.undo()
-        call_frame.interface_version.cache_clear()
+        dispatch.interface_version.cache_clear()
 
 
 def test_the_switch_leaves_loops_to_jax(monkeypatch):

@@ -50,7 +50,7 @@ WAYS = {
 @pytest.mark.parametrize("way", WAYS)
 def test_one_by_one_is_side_by_side(monkeypatch, way, in_turn):
     # The room's function of this name hides the file.
-    monkeypatch.setattr(sys.modules["jaxclear.native.one_by_one"], "_in_turn", lambda: in_turn)
+    monkeypatch.setattr(sys.modules["jaxclear.native.rows"], "_in_turn", lambda: in_turn)
     found, wanted = (
         jax.jit(lambda f=f: WAYS[way](through(f)))() for f in (one_by_one(plain), plain)
     )

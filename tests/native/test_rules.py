@@ -21,9 +21,9 @@ from jax.extend.core.primitives import closed_call_p
 
 import jaxclear  # noqa: F401  (float64)
 from jaxclear.native import explain, verdict, while_loop
-from jaxclear.native.rules import RULES
 from jaxclear.native.verdicts import KERNELS
 from jaxclear.native.while_loops import once
+from jaxclear.native.writer import RULES
 
 # Functions of the C library and XLA's own series differ by a few units in the last place.
 ROUNDING = 1e-13

@@ -15,12 +15,11 @@ import pytest
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.plot.animation.animate import Animation
-from jaxclear.plot.animation.pushes import pushes
-from jaxclear.plot.animation.sight import hiding
+from jaxclear.plot.animation.animate import Animation, hiding
+from jaxclear.plot.animation.insets import pushes
+from jaxclear.results import solids
 from jaxclear.results.relative_motion import relative_motion
-from jaxclear.results.solids import shapes
-from jaxclear.results.solids.parts import Part
+from jaxclear.results.solids import Part
 from tests.plot import browser
 
 SLOW_INTEGRATOR = jc.integrator.ImplicitStep()
@@ -161,7 +160,7 @@ def test_a_notebook_shows_the_page_and_a_file_keeps_it(page, tmp_path):
 def test_a_body_without_a_mesh_is_the_cuboid_with_its_inertia(moments):
     """Sides a, b, c of a uniform cuboid have the moments m (b^2 + c^2) / 12."""
     body = jc.Body(2.0, moments)
-    turn, sides = shapes._cuboid(body, np.zeros((0, 3)), 1.0)
+    turn, sides = solids._cuboid(body, np.zeros((0, 3)), 1.0)
     squares = sides**2
     own = np.diag(2.0 / 12.0 * (squares.sum() - squares))
     wanted = np.array(jax.tree.map(float, body.inertia_matrix()))
@@ -172,7 +171,7 @@ def test_a_body_is_no_larger_than_its_joints_are_apart():
     """Whatever its inertia; where they are in one place a tenth of the mechanism."""
     body = jc.Body(1.0, (10.0, 20.0, 25.0))
     for joints, most in (([[0.0, 0.0, 0.0]], 0.1), ([[0.35, 0.0, 0.0], [-0.35, 0.0, 0.0]], 0.7)):
-        solid = shapes.of_body(body, np.array(joints), 1.0)
+        solid = solids.of_body(body, np.array(joints), 1.0)
         assert np.ptp(solid.points, axis=0).max() == pytest.approx(most, rel=1e-9)
 
 
@@ -180,8 +179,8 @@ def test_what_lies_between_the_eye_and_a_joint_is_glass():
     """And neither what lies beside the joint, nor behind it, nor what never comes before it."""
     still, away = np.eye(4)[None], np.eye(4)
     away[0, 3] = 9.0
-    cube = lambda x, y: Part(shapes.box((1, 1, 1)).moved(np.eye(3), np.array([x, y, 0.0])), {})
-    pin = Part(shapes.joined([]), {"B": shapes.rod(0.1, 0.2)})
+    cube = lambda x, y: Part(solids.box((1, 1, 1)).moved(np.eye(3), np.array([x, y, 0.0])), {})
+    pin = Part(solids.joined([]), {"B": solids.rod(0.1, 0.2)})
     own = {"pin": pin, "front": cube(2, 0), "beside": cube(2, 2), "behind": cube(-2, 0)}
     own |= {"gone": cube(3, 0)}
     moves = dict.fromkeys(own, still) | {"gone": away[None]}
@@ -196,10 +195,10 @@ def test_solids_are_closed():
     volume = lambda solid: abs(
         np.einsum("ti,ti->t", *(lambda p: (p[:, 0], np.cross(p[:, 1], p[:, 2])))(
             solid.points[solid.corners])).sum() / 6)  # fmt: skip
-    assert volume(shapes.box((1, 2, 3))) == pytest.approx(6)
-    assert volume(shapes.rod(0.5, 2.0)) == pytest.approx(0.5 * np.pi, rel=0.02)
-    assert volume(shapes.tube(0.5, 1.0, 1.0)) == pytest.approx(0.75 * np.pi, rel=0.02)
-    assert volume(shapes.ball(1.0)) == pytest.approx(4 / 3 * np.pi, rel=0.04)
+    assert volume(solids.box((1, 2, 3))) == pytest.approx(6)
+    assert volume(solids.rod(0.5, 2.0)) == pytest.approx(0.5 * np.pi, rel=0.02)
+    assert volume(solids.tube(0.5, 1.0, 1.0)) == pytest.approx(0.75 * np.pi, rel=0.02)
+    assert volume(solids.ball(1.0)) == pytest.approx(4 / 3 * np.pi, rel=0.04)
 
 
 def test_relative_motion_is_that_of_the_coordinates(run):

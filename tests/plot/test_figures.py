@@ -10,9 +10,7 @@ from matplotlib.axes import Axes
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.plot.portraits import at_periods
-from jaxclear.plot.signal import Signal, signal
-from jaxclear.plot.spectrum import spectral_density
+from jaxclear.plot.signal import Signal, at_periods, signal, spectral_density
 
 SPEED = 50.0
 PERIOD = 1e-3

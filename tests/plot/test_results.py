@@ -77,7 +77,7 @@ def kinds():
         given = getattr(jc, name)
         if not inspect.isfunction(given):
             continue
-        kind = inspect.signature(given).return_annotation
+        kind = inspect.signature(inspect.unwrap(given)).return_annotation
         rooms = ("jaxclear.results", "jaxclear.studies")
         if inspect.isclass(kind) and kind.__module__.startswith(rooms):
             found[kind.__name__] = kind

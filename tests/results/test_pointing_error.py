@@ -13,15 +13,15 @@ from scipy.spatial.transform import Rotation
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.ground.transform import transform
 from jaxclear.integrators import Outcome
-from jaxclear.multibody.chain import chain
 from jaxclear.multibody.product_of_exponentials import (
     ChainConfiguration,
+    chain,
     forward_kinematics,
     measured_configuration,
     nominal_motion,
     tip_error,
+    transform,
 )
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import RunStats

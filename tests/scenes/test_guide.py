@@ -352,9 +352,9 @@ def test_energy_balance_closes_with_the_square_of_the_step(driven):
 def test_every_figure_is_drawn_and_named(driven, compliant, instants):
     assert len(guide.impacts(compliant, instants)) == len(instants)
     figures = [
-        guide.draw.corner_forces(driven, instants),
-        guide.draw.switching_window(driven, compliant, instants),
-        guide.draw.reactions(driven, compliant, instants),
+        guide.corner_forces(driven, instants),
+        guide.switching_window(driven, compliant, instants),
+        guide.reactions(driven, compliant, instants),
     ]
     for figure in figures:
         assert_complete(figure)

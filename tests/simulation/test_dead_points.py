@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.integrators.outcome import Outcome
+from jaxclear.integrators.checks import Outcome
 
 RUNGS = {
     "adaptive": jc.integrator.Adaptive(),

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.components.area_map import AreaMap
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wall_map import WallMap
-from jaxclear.components.wear_map import CylinderMap
+from jaxclear.components.wear_map import AreaMap, CylinderMap
 from jaxclear.integrators.checks import Check
 from jaxclear.simulation.invariants import narrowness
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxclear as jc
-from jaxclear.integrators.outcome import Outcome
+from jaxclear.integrators.checks import Outcome
 
 RIG = jc.scenes.slider_crank(wear=False)
 STEP = jc.integrator

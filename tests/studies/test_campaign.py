@@ -13,9 +13,10 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.native import stop
-from jaxclear.studies.campaign import requests, work
 from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.store import RECORDS, Store
+from jaxclear.studies.ledger import batch
+from jaxclear.studies.ledger.ledger import Ledger
+from jaxclear.studies.ledger.pieces import PIECES
 
 LIMITS = {"fit": (0.2, 0.9)}
 
@@ -114,7 +115,7 @@ def test_an_interrupted_campaign_goes_on(plain, folder, tmp_path, monkeypatch):
         write(self, number, values, found)
         stop()
 
-    monkeypatch.setattr(work, "threads_of", lambda: 1)
+    monkeypatch.setattr(batch, "threads_of", lambda: 1)
     with monkeypatch.context() as patched:
         patched.setattr(Samples, "write", interrupted)
         with pytest.raises(KeyboardInterrupt, match=r"1 of 3 chunks \(of 4096 samples\) are kept"):
@@ -137,23 +138,27 @@ def test_an_interrupted_campaign_goes_on(plain, folder, tmp_path, monkeypatch):
     assert contents(place) == contents(folder)
 
 
-@pytest.mark.parametrize("writes", range(4))
-def test_a_chunk_that_was_not_finished_counts_for_nothing(folder, tmp_path, monkeypatch, writes):
-    """The end comes after so many of a chunk's files; other bytes stand in those that are there."""
-    place = tmp_path / "kept"
-    put, count = Samples._put, iter(range(100))
+@pytest.mark.parametrize("writes", range(5))
+def test_a_file_that_was_not_written_whole_counts_for_nothing(
+    folder, tmp_path, monkeypatch, writes
+):
+    """The end comes after so many files; the next one has half of its bytes."""
+    place, replace, count = tmp_path / "kept", pathlib.Path.replace, iter(range(100))
 
-    def ends(self, name, at, numbers):
+    def ends(self, target):
         if next(count) >= writes:
+            self.write_bytes(self.read_bytes()[: self.stat().st_size // 2])
             raise SystemExit
-        put(self, name, at, np.zeros_like(numbers))
+        return replace(self, target)
 
     with monkeypatch.context() as patched:
-        patched.setattr(Samples, "_put", ends)
-        patched.setattr(work, "threads_of", lambda: 1)
+        patched.setattr(pathlib.Path, "replace", ends)
+        patched.setattr(pathlib.Path, "unlink", lambda *_, **__: None)
+        patched.setattr(batch, "threads_of", lambda: 1)
         with pytest.raises(SystemExit):
             jc.campaign(problem(), 10_000, folder=place, seed=3, chunk=4096)
-    assert jc.open_campaign(place).finished == 0
+    if writes:
+        assert jc.open_campaign(place).finished == min(4096 * (writes - 1), 10_000)
     jc.campaign(problem(), 10_000, folder=place, seed=3, chunk=4096)
     assert contents(place) == contents(folder)
 
@@ -179,7 +184,7 @@ def test_claims_that_another_takes_away_are_nobodys(monkeypatch, folder):
     def away(self, **_):
         raise FileExistsError(17, "File exists", str(self))
 
-    samples = Samples(folder)
+    samples = Samples.opened(folder)
     monkeypatch.setattr(pathlib.Path, "mkdir", away)
     with samples.claimed(0) as mine:
         assert not mine
@@ -219,27 +224,28 @@ def test_any_study_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
     )
     plain = jc.sensitivity(asked, sample=64, difference_samples=32)
     computed = []
-    evaluate, add = requests.evaluate_all, Store.add
+    run, add = batch.Program.run, Ledger.add
 
     def counted(*arguments, **options):
         computed.append(1)
-        return evaluate(*arguments, **options)
+        return run(*arguments, **options)
 
-    def ends(self, begun, record):
+    def ends(self, *own):
         if len(computed) == 2:
             raise SystemExit
-        add(self, begun, record)
+        add(self, *own)
 
-    monkeypatch.setattr(requests, "evaluate_all", counted)
+    monkeypatch.setattr(batch.Program, "run", counted)
+    monkeypatch.setattr(batch, "threads_of", lambda: 1)
     ask = {"folder": tmp_path / "kept", "study": jc.sensitivity, "difference_samples": 32}
     with monkeypatch.context() as patched:
-        patched.setattr(Store, "add", ends)
+        patched.setattr(Ledger, "add", ends)
         with pytest.raises(SystemExit):
             jc.campaign(asked, 64, **ask)
     found = jc.campaign(asked, 64, **ask)
     assert str(found.table()) == str(plain.table())
     # The second set of samples was lost.
-    whole = len(list((tmp_path / "kept").iterdir()))
+    whole = len(list((tmp_path / "kept" / PIECES).iterdir()))
     assert whole >= 3
     assert len(computed) == whole + 1
     jc.campaign(asked, 64, **ask)
@@ -251,20 +257,3 @@ def test_any_study_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
         jc.campaign(asked, 64, folder=tmp_path / "kept", study=jc.monte_carlo)
     with pytest.raises(ValueError, match="sensitivity has no client"):
         jc.campaign(asked, 64, client=1, **ask)
-
-
-def test_records_after_one_that_was_not_finished_are_found_again(tmp_path):
-    """A process died while it wrote its second record; the next one writes two more."""
-    numbers = [np.full(2, float(i)) for i in range(4)]
-    kind = np.zeros(3)
-    one = Store.opened(tmp_path, "records", {})
-    one.add(numbers[0], kind + 0)
-    broken = one._dataset(np.zeros((1, 6)))
-    broken.to_zarr(tmp_path / RECORDS, append_dim="record", consolidated=False)
-    for known in (1, 3):
-        store = Store.opened(tmp_path, "records", {})
-        for i in range(known):
-            assert np.array_equal(store.taken(numbers[i], kind), kind + i)
-        for i in range(known, 3):
-            assert store.taken(numbers[i], kind) is None
-            store.add(numbers[i], kind + i)

@@ -2,7 +2,6 @@
 end as one that was asked for all of it at once.
 """
 
-import itertools
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +10,10 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.studies.campaign import samples as kept
-from jaxclear.studies.campaign.layout import CLAIMS, FINISHED, SAMPLES
-from jaxclear.studies.campaign.samples import Extended, Samples
+from jaxclear.studies.campaign.samples import Samples
+from jaxclear.studies.campaign.threads import Evaluation, done
+from jaxclear.studies.ledger.batch import Program
+from jaxclear.studies.ledger.pieces import PIECES
 from tests.studies.test_campaign import LIMITS, assert_same_study, contents, problem
 
 ASKED = {"seed": 3, "chunk": 4096, "scramblings": 8}
@@ -62,47 +63,16 @@ def test_an_earlier_look_at_a_folder_stays_what_it_was(tmp_path):
         campaign(5000, tmp_path)
 
 
-@pytest.mark.parametrize("steps", range(4))
-def test_a_campaign_whose_process_dies_while_it_grows_is_what_it_was(
-    whole, tmp_path, monkeypatch, steps
-):
-    """After so many of: an array longer, all longer, the last chunk without its mark, the plan."""
+def test_a_campaign_whose_process_dies_before_it_grows_is_what_it_was(whole, tmp_path, monkeypatch):
     place = tmp_path / "kept"
     campaign(5000, place)
     before = contents(place)
-    longer, count = kept.resized, itertools.count()
 
-    def dies(*own):
-        if next(count) >= steps:
-            raise SystemExit
-
-    def resized(arrays, plan, alter=True):
-        if not alter:
-            return longer(arrays, plan, alter)
-        dies()
-        first = next(iter(arrays))
-        longer({first: arrays[first]}, plan)
-        dies()
-        return longer(arrays, plan)
-
-    class Group:
-        def __init__(self, own):
-            self.own, self.attrs = own, self
-
-        def put(self, told):
-            dies()
-            dies()
-            self.own.attrs.put(told)
-
-    extended = Samples.extended
-
-    def patched_extended(self, plan):
-        self.group = Group(self.group)
-        return extended(self, plan)
+    def dies(*_):
+        raise SystemExit
 
     with monkeypatch.context() as patched:
-        patched.setattr(kept, "resized", resized)
-        patched.setattr(Samples, "extended", patched_extended)
+        patched.setattr(kept, "tell", dies)
         with pytest.raises(SystemExit):
             campaign(10_000, place)
     assert jc.open_campaign(place).to_dataset().sizes["sample"] == 5000
@@ -112,16 +82,19 @@ def test_a_campaign_whose_process_dies_while_it_grows_is_what_it_was(
     assert contents(place) == contents(whole)
 
 
-def test_who_is_at_a_chunk_that_is_to_have_more_samples_does_not_write_it(whole, tmp_path):
+@pytest.mark.parametrize("late_is_first", [True, False])
+def test_who_is_at_a_chunk_that_is_to_have_more_samples_harms_nobody(
+    whole, tmp_path, late_is_first
+):
     """A process that began before another one asked for more is at the last chunk."""
     campaign(5000, tmp_path)
     late = Samples.opened(tmp_path)
-    late.arrays[FINISHED][1] = 0
-    at = slice(*late.plan.span(1))
-    own = late.read("values", at), late.found(at)
-    late.extended(late.plan.larger(10_000, 4096))
-    with pytest.raises(Extended):
-        late.write(1, *own)
+    late.pieces.path(late.address(1)).unlink()
+    late._whole.clear()
+    late.extended(10_000, 4096)
+    if not late_is_first:
+        campaign(10_000, tmp_path)
+    assert done(late, Evaluation(Program(problem()), late.plan), 1) is not None
     campaign(10_000, tmp_path)
     assert contents(tmp_path) == contents(whole)
 
@@ -134,10 +107,9 @@ def test_who_has_finished_leaves_alone_what_others_write_for_more_samples(
     early, replace, tidied = Samples.opened(tmp_path), Path.replace, []
 
     def slow(self, target):
-        if self.name.endswith(".partial") and "values/c/1/" in str(self) and not tidied:
+        if PIECES in str(target) and not tidied:
             tidied.append(1)
-            early.tidy()
-            assert any((tmp_path / CLAIMS).iterdir())
+            early.conclude()
         return replace(self, target)
 
     monkeypatch.setattr(Path, "replace", slow)
@@ -148,8 +120,8 @@ def test_who_has_finished_leaves_alone_what_others_write_for_more_samples(
 
 def test_what_no_chunk_is_finished_of_says_so(tmp_path):
     campaign(5000, tmp_path)
-    found = Samples.opened(tmp_path)
-    found.arrays[FINISHED][:] = 0
+    for path in (tmp_path / PIECES).iterdir():
+        path.unlink()
     unfinished = jc.open_campaign(tmp_path)
     for ask in (
         lambda: unfinished.sample,
@@ -162,16 +134,6 @@ def test_what_no_chunk_is_finished_of_says_so(tmp_path):
             ask()
 
 
-def test_samples_of_an_earlier_order_are_refused(tmp_path):
-    import zarr
-
-    campaign(100, tmp_path)
-    group = zarr.open_group(tmp_path / SAMPLES)
-    group.attrs.put({name: own for name, own in dict(group.attrs).items() if name != "order"})
-    with pytest.raises(ValueError, match="samples came in another order"):
-        campaign(100, tmp_path)
-
-
 def test_an_accuracy_decides_how_many_samples_there_are(tmp_path, written, monkeypatch):
     """As of the plain study; interrupted between, it goes on from what is there."""
     asked = {"accuracy": {"area": 0.02}, "seed": 3}
@@ -180,10 +142,10 @@ def test_an_accuracy_decides_how_many_samples_there_are(tmp_path, written, monke
     place = tmp_path / "kept"
     extended = Samples.extended
 
-    def ends(self, plan):
-        if plan.samples == plain.count:
+    def ends(self, samples, usual):
+        if samples == plain.count:
             raise SystemExit
-        return extended(self, plan)
+        return extended(self, samples, usual)
 
     with monkeypatch.context() as patched:
         patched.setattr(Samples, "extended", ends)
@@ -213,8 +175,7 @@ def test_who_asked_for_fewer_gets_these_where_another_asks_for_more_meanwhile(
 
     def late(self, number, *own):
         if number == 1 and not come:
-            other = Samples.opened(tmp_path)
-            come.append(other.extended(other.plan.larger(10_000, 4096)))
+            come.append(Samples.opened(tmp_path).extended(10_000, 4096))
         write(self, number, *own)
 
     with monkeypatch.context() as patched:
@@ -224,7 +185,7 @@ def test_who_asked_for_fewer_gets_these_where_another_asks_for_more_meanwhile(
     assert found.finished == found.count == found.to_dataset().sizes["sample"] == 5000
     assert_same_study(found.sample, jc.monte_carlo(problem(), 5000, seed=3))
     again = jc.open_campaign(tmp_path)
-    assert (again.finished, again.count) == (8192, 10_000)
+    assert (again.finished, again.count) == (4096, 10_000)
     assert campaign(10_000, tmp_path).is_complete
 
 
@@ -246,7 +207,7 @@ def test_what_was_to_be_smaller_than_a_batch_grows_in_whole_ones(tmp_path):
 
 def test_what_a_chunk_held_that_is_to_have_more_samples_is_not_shown(tmp_path):
     found = campaign(5000, tmp_path)
-    found._samples.extended(found.plan.larger(10_000, 4096))
+    found._samples.extended(10_000, 4096)
     dataset = jc.open_campaign(tmp_path).to_dataset()
     assert dataset["outcome"].dtype == np.int8
     assert np.all(dataset["outcome"][4096:] == -1)

@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.campaign import workers
-from jaxclear.studies.campaign.chunk_files import ChunkFiles
-from jaxclear.studies.campaign.samples import FINISHED, SAMPLES
+from jaxclear.studies.campaign import dask_workers
+from jaxclear.studies.ledger import pieces
 from tests.studies.test_campaign import contents, problem
 
 pytestmark = pytest.mark.slow
@@ -32,19 +31,19 @@ def run(folder, samples=SAMPLES_ASKED):
 
 def run_slowly(folder):
     """As `run`, with a pause before every file: the end comes between any two of them."""
-    put = ChunkFiles.put
+    put = pieces.put
 
-    def slowly(self, name, number, numbers):
-        time.sleep(2e-3)
-        put(self, name, number, numbers)
+    def slowly(*own):
+        time.sleep(4e-2)
+        put(*own)
 
-    ChunkFiles.put = slowly
+    pieces.put = slowly
     run(folder)
 
 
 def marks(folder):
     """Chunks that are finished."""
-    place = folder / SAMPLES / FINISHED / "c"
+    place = folder / pieces.PIECES
     return len(list(place.iterdir())) if place.exists() else 0
 
 
@@ -60,7 +59,7 @@ def test_killed_fifty_times_and_resumed_is_the_same_bit_for_bit(whole, tmp_path)
     place = tmp_path / "kept"
     chance = random.Random(1)
     processes = multiprocessing.get_context("forkserver")
-    processes.set_forkserver_preload(["jaxclear", "zarr", "tests.studies.test_campaign"])
+    processes.set_forkserver_preload(["jaxclear", "tests.studies.test_campaign"])
     alive = 0
     for _ in range(50):
         before = marks(place)
@@ -84,7 +83,7 @@ def test_processes_at_one_folder_share_its_chunks(whole, tmp_path):
     """Two work side by side, one of them is killed; the other one finishes."""
     place = tmp_path / "kept"
     processes = multiprocessing.get_context("forkserver")
-    processes.set_forkserver_preload(["jaxclear", "zarr", "tests.studies.test_campaign"])
+    processes.set_forkserver_preload(["jaxclear", "tests.studies.test_campaign"])
     both = [processes.Process(target=run_slowly, args=(place,)) for _ in range(2)]
     for one in both:
         one.start()
@@ -142,7 +141,7 @@ def test_a_cluster_whose_workers_have_not_joined_is_waited_for(tmp_path, monkeyp
     how = {"n_workers": 0, "threads_per_worker": 1, "dashboard_address": None}
     with distributed.LocalCluster(**how) as cluster, distributed.Client(cluster) as client:
         with monkeypatch.context() as patched:
-            patched.setattr(workers, "JOINING", 0.1)
+            patched.setattr(dask_workers, "JOINING", 0.1)
             with pytest.raises(RuntimeError, match="no worker has joined"):
                 jc.campaign(problem(), 100, folder=tmp_path, client=client)
         threading.Timer(0.5, cluster.scale, (1,)).start()

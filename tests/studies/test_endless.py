@@ -12,10 +12,10 @@ from scipy import stats
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.commands.report.campaign_page import campaign_page
+from jaxclear.commands.report import campaign_page
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.campaign.work import failures
+from jaxclear.studies.campaign.threads import failures
 from jaxclear.studies.design.freedom import freedom_of
 from jaxclear.studies.design.question import Question, checked_limits
 from jaxclear.studies.design.runs import Runs
@@ -130,7 +130,7 @@ def test_a_campaign_tells_what_a_plain_study_tells(lasting, sample, tmp_path):
             found.mean("life")
         with pytest.raises(ValueError, match="it is told up to"):
             found.share_within({"life": (2 * FOLLOWED, None)})
-    assert failures(lasting, kept._samples.found(slice(0, 512))) == 0
+    assert failures(lasting, kept.sample.outcome, kept.sample.responses) == 0
     shown = campaign_page(tmp_path / "kept").sections[0].shown
     assert any("there is no variance of it" in str(own) for own in shown)
 

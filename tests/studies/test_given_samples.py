@@ -5,8 +5,8 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.native import stop
-from jaxclear.studies.campaign import work
 from jaxclear.studies.campaign.samples import Samples
+from jaxclear.studies.ledger import batch
 
 
 def problem(width=0.1):
@@ -47,7 +47,7 @@ def test_what_is_told_of_an_unfinished_campaign_says_so(folder, tmp_path, monkey
         write(self, number, values, found)
         stop()
 
-    monkeypatch.setattr(work, "threads_of", lambda: 1)
+    monkeypatch.setattr(batch, "threads_of", lambda: 1)
     monkeypatch.setattr(Samples, "write", interrupted)
     with pytest.raises(KeyboardInterrupt):
         jc.campaign(problem(), 10_000, folder=tmp_path / "kept", seed=3, chunk=4096)
@@ -85,5 +85,5 @@ def test_reliability_and_shapley_effects_are_kept_too(tmp_path, monkeypatch):
         first = jc.campaign(problem(), folder=place, study=study, **how)
         assert str(first) == str(study(problem(), **how))
         with monkeypatch.context() as patched:
-            patched.setattr("jaxclear.studies.campaign.requests.evaluate_all", None)
+            patched.setattr("jaxclear.studies.ledger.batch.Program.run", None)
             assert str(jc.campaign(problem(), folder=place, study=study, **how)) == str(first)

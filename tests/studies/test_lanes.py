@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.life import living
+from jaxclear.studies.life import rates
 from jaxclear.studies.life.cycle import asked_of, cycle, cycles, first_state
 from jaxclear.studies.life.settling import Patience, settle_side_by_side
 
@@ -109,8 +109,8 @@ def test_cycles_side_by_side_are_those_alone(rattling):
 @pytest.mark.slow
 def test_a_life_by_lanes_agrees_with_one_by_single_cycles(rattling, tmp_path, monkeypatch):
     """Within what both tell; begun again, it goes on bit for bit."""
-    single = jc.wear_life(rattling, cycles=1e6, accuracy=2e-2, most=living.LANES * living.WORTH - 1)
-    simulate, left = living.cycles, [2]
+    single = jc.wear_life(rattling, cycles=1e6, accuracy=2e-2, most=rates.LANES * rates.WORTH - 1)
+    simulate, left = rates.cycles, [2]
 
     def interrupted(*args):
         left[0] -= 1
@@ -118,8 +118,8 @@ def test_a_life_by_lanes_agrees_with_one_by_single_cycles(rattling, tmp_path, mo
             raise KeyboardInterrupt
         return simulate(*args)
 
-    monkeypatch.setattr(living, "cycles", interrupted)
-    given = {"tolerance": 2e-2, "most": 40, "store": tmp_path / "life"}
+    monkeypatch.setattr(rates, "cycles", interrupted)
+    given = {"accuracy": 2e-2, "most": 40, "store": tmp_path / "life"}
     with pytest.raises(KeyboardInterrupt):
         jc.wear_life(rattling, cycles=1e6, **given)
     left[0] = 1000
@@ -129,4 +129,4 @@ def test_a_life_by_lanes_agrees_with_one_by_single_cycles(rattling, tmp_path, mo
     volumes = [float(one.over_life("volume")[-1]) for one in (life, single)]
     told = [float(one.errors_of_volume[-1]) for one in (life, single)]
     assert abs(volumes[0] / volumes[1] - 1) < 1.5 * math.hypot(*told)
-    assert any(stage.settled.lanes == living.LANES for stage in life.stages)
+    assert any(stage.settled.lanes == rates.LANES for stage in life.stages)

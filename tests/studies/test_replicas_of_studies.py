@@ -12,14 +12,13 @@ import scipy
 
 import jaxclear as jc
 from jaxclear.ground.shown import with_error
-from jaxclear.integrators.checks import Check
-from jaxclear.integrators.figures import Checks, Figure
+from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.plot.studies import _warned_samples
 from jaxclear.studies.base import SampleResult
-from jaxclear.studies.batch import evaluate_chunk
-from jaxclear.studies.campaign import work
-from jaxclear.studies.campaign.layout import SAMPLES
+from jaxclear.studies.campaign import threads
 from jaxclear.studies.campaign.samples import Samples
+from jaxclear.studies.ledger.batch import evaluate_chunk
+from jaxclear.studies.ledger.pieces import PIECES
 from jaxclear.studies.replicas import MOST_REPLICAS
 
 GRAVITY, DURATION, STEP = 9.81, 0.5, 5e-3
@@ -336,12 +335,12 @@ def test_a_replica_that_fails_of_a_strangers_problem_is_named():
 
 def test_a_campaign_keeps_its_replicas_and_adds_what_it_lacks(tmp_path, monkeypatch):
     """A larger one has those of the smaller, and eight more; nothing is run twice."""
-    asked, counts, finer = long_steps(), [], work.finer
+    asked, counts, finer = long_steps(), [], threads.finer
     counted = lambda problem, plan, values: (
         counts.append(len(values)),
         finer(problem, plan, values),
     )[1]
-    monkeypatch.setattr(work, "finer", counted)
+    monkeypatch.setattr(threads, "finer", counted)
     how = {"folder": tmp_path, "scramblings": 4}
     first = jc.campaign(asked, 8, **how)
     assert first.sample.replicas.count == 8
@@ -370,55 +369,35 @@ def test_a_campaign_may_go_without_and_have_them_later(tmp_path):
     assert jc.campaign(asked, 8, folder=tmp_path).sample.replicas.count == 8
 
 
-def test_a_folder_of_an_earlier_version_says_what_it_had_found(tmp_path):
-    """Its second look was kept beside its plan; the campaign goes on."""
-    import zarr
-
-    asked = falling()
-    jc.campaign(asked, 8, folder=tmp_path, scramblings=4, verify=False)
-    group = zarr.open_group(tmp_path / SAMPLES, mode="r+")
-    recorded = dict(group.attrs["recorded"])
-    for name in ("by_steps", "known_doubts", "promises", "remedies"):
-        del recorded[name]
-    second_look = [["PLACE_IN_GAP", [0.07], [0.5], ["B"]]]
-    group.attrs.put(dict(group.attrs) | {"second_look": second_look, "recorded": recorded})
-    (said,) = jc.open_campaign(tmp_path).sample.doubts
-    assert (
-        said == 'Second look: place in gap in "B": 0.07 (limit 0.03), told by an earlier version.'
-    )
-    found = jc.campaign(asked, 32, folder=tmp_path)
-    assert found.sample.doubts == (said,) and found.sample.replicas.count == 16
-
-
 def test_a_folder_whose_checks_are_gone_goes_on(tmp_path, monkeypatch):
-    """Runs of 0.29 kept figures that no run has any more."""
-    asked, made = falling(), Samples.made.__func__
+    """Runs of an earlier version kept figures that no run has any more."""
+    asked, write = falling(), Samples.write
 
-    def as_before(cls, folder, plan, told, kind):
-        none = np.zeros((len(kind.outcome), 2))
+    def as_before(self, number, values, found):
+        none = np.zeros((len(values), 2))
         gone = Figure(none, none, ("B", "C"))
-        checks = Checks.of({Check.IMPACT_STEP: gone} | dict(kind.checks.figures))
-        return made(cls, folder, plan, told, dataclasses.replace(kind, checks=checks))
+        checks = Checks.of({Check.IMPACT_STEP: gone} | dict(found.checks.figures))
+        write(self, number, values, dataclasses.replace(found, checks=checks))
 
+    how = {"folder": tmp_path, "scramblings": 4, "chunk": 4}
     with monkeypatch.context() as patch:
-        patch.setattr(Samples, "made", classmethod(as_before))
-        jc.campaign(asked, 8, folder=tmp_path, scramblings=4)
-    found = jc.campaign(asked, 32, folder=tmp_path).sample
+        patch.setattr(type(asked), "most_together", lambda _: 4)
+        patch.setattr(Samples, "write", as_before)
+        jc.campaign(asked, 8, **how)
+    found = jc.campaign(asked, 32, **how).sample
     assert found.checks.figures[Check.IMPACT_STEP].worst.shape == (32, 2)
     assert not len(found.warned)
 
 
 def test_a_kept_study_of_derivatives_keeps_replicas_beside_what_it_asked_before(tmp_path):
-    """A folder of an earlier version numbers what was asked as before."""
     asked = falling()
     how = {"sample": 8, "difference_samples": 8, "variables": "gravity"}
     plain = jc.sensitivity(asked, **how)
     found = jc.campaign(asked, folder=tmp_path, study=jc.sensitivity, **how)
-    names = sorted(path.name for path in tmp_path.iterdir() if not path.name.startswith("."))
-    assert names[-1] == "replicas-0000" and all(name.startswith("asked-") for name in names[:-1])
+    files = len(list((tmp_path / PIECES).iterdir()))
     without = tmp_path / "without"
     jc.campaign(asked, folder=without, study=jc.sensitivity, verify=False, **how)
-    assert sorted(path.name for path in without.iterdir()) == names[:-1]
+    assert 0 < len(list((without / PIECES).iterdir())) < files
     for name, told in plain.sample.replicas.responses.items():
         np.testing.assert_array_equal(found.sample.replicas.responses[name], told)
     with pytest.raises(ValueError, match="sobol_indices has no verify"):

@@ -14,10 +14,10 @@ import pytest
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.commands.reported import report_samples
+from jaxclear.commands.study import report_samples
 from jaxclear.integrators.checks import Check
 from jaxclear.plot.studies import _warned_samples
-from jaxclear.results.abstract_response import REACHES, concerned
+from jaxclear.results.response import REACHES, concerned
 from jaxclear.studies.sensitivity.derivative import Estimate, confirmed
 from jaxclear.studies.warned import concern, counted, in_words
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.integrators.checks import Check
-from jaxclear.integrators.figures import Checks, Figure
+from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.studies.warned import codes_of, concerning, sentences
 
 

@@ -11,9 +11,8 @@ import pytest
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.studies.life import living
-from jaxclear.studies.life.nodes import Cells, Node, Rate
-from jaxclear.studies.life.steps import live, live_by_jumps
+from jaxclear.studies.life import rates
+from jaxclear.studies.life.steps import Cells, Machine, Node, Rate, live, live_by_jumps
 from tests.rigs.figures import assert_complete
 from tests.rigs.wearing_ring import (
     FORCE,
@@ -162,7 +161,7 @@ def test_an_interrupted_life_goes_on_bit_for_bit(tmp_path, monkeypatch):
     asked = problem(wearing_ring())
     turns = ClosedForm().turns(DEPTHS[False])
     whole = jc.wear_life(asked, cycles=turns)
-    simulate, done = living.cycle, []
+    simulate, done = rates.cycle, []
 
     def interrupted(*args):
         if len(done) == 5:
@@ -170,11 +169,11 @@ def test_an_interrupted_life_goes_on_bit_for_bit(tmp_path, monkeypatch):
         done.append(1)
         return simulate(*args)
 
-    monkeypatch.setattr(living, "cycle", interrupted)
+    monkeypatch.setattr(rates, "cycle", interrupted)
     with pytest.raises(KeyboardInterrupt):
         jc.wear_life(asked, cycles=turns, store=tmp_path / "life")
     counted = []
-    monkeypatch.setattr(living, "cycle", lambda *args: counted.append(1) or simulate(*args))
+    monkeypatch.setattr(rates, "cycle", lambda *args: counted.append(1) or simulate(*args))
     life = jc.wear_life(problem(wearing_ring()), cycles=turns, store=tmp_path / "life")
     assert len(counted) == whole.simulated - 5 and life.simulated == whole.simulated
     np.testing.assert_array_equal(life.worn()["B"]["bearing"], whole.worn()["B"]["bearing"])
@@ -312,8 +311,15 @@ def test_what_cannot_be_asked_is_refused(asked, sentence):
         asked()
 
 
-# The steps alone: one cell whose rate is known.
+# The steps alone: one cell whose rate is known, and its volume.
 ONE = Cells((slice(0, 1),), np.ones(1))
+
+
+def alone(evaluate):
+    """A machine of one cell, worn in proportion to its losses."""
+    carry = lambda row, losses, parts: row + sum(n * rate.wear for n, rate in losses)
+    machine = Machine(evaluate, carry, ONE)
+    return machine, Node.first(np.zeros(2), evaluate(np.zeros(2)), ONE)
 
 
 def stepped(rate, turns, tolerance, noise=0.0, seed=0):
@@ -322,10 +328,10 @@ def stepped(rate, turns, tolerance, noise=0.0, seed=0):
 
     def evaluate(depth):
         exact = rate(depth)
-        return Rate(exact * (1 + noise * rng.normal(size=1)), noise * exact, 1)
+        return Rate(exact * (1 + noise * rng.normal()), noise * exact, 1)
 
-    start = Node(0.0, np.zeros(1), evaluate(np.zeros(1)), np.zeros(1), np.zeros(1))
-    return live(evaluate, start, ONE, turns, tolerance, 0.25 * turns)
+    machine, start = alone(evaluate)
+    return live(machine, start, turns, tolerance, 0.25 * turns)
 
 
 def test_steps_are_of_third_order():
@@ -401,10 +407,7 @@ def test_a_stiff_scar_is_followed_one_by_one():
 
 
 def test_jumps_alone():
-    def evaluate(depth):
-        return Rate(1e-6 * np.ones(1), np.zeros(1), 1)
-
-    start = Node(0.0, np.zeros(1), evaluate(None), np.zeros(1), np.zeros(1))
-    found = live_by_jumps(evaluate, start, ONE, 1e6, 3e5)
+    machine, start = alone(lambda depth: Rate(1e-6 * np.ones(2), np.zeros(2), 1))
+    found = live_by_jumps(machine, start, 1e6, 3e5)
     assert [node.cycles for node in found.nodes] == [0.0, 3e5, 6e5, 9e5, 1e6]
     assert found.nodes[-1].depth[0] == pytest.approx(1.0)

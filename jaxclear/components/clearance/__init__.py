@@ -6,18 +6,22 @@ A joint of one's own derives from `AbstractClearance`; with a permanent form of 
 """
 
 from jaxclear.components.clearance.ball import BallSocket, PermanentSpherical
-from jaxclear.components.clearance.base import AbstractClearance, ContactCandidate, ContactLaws
-from jaxclear.components.clearance.flange import Flange
-from jaxclear.components.clearance.guide import PermanentPrismatic, SliderGuide
-from jaxclear.components.clearance.journal import JournalBearing, PlanarJournalBearing
-from jaxclear.components.clearance.journal_base import AbstractJournalBearing, PermanentRevolute
-from jaxclear.components.clearance.permanent import (
+from jaxclear.components.clearance.base import (
     SITUATIONS,
+    AbstractClearance,
     AbstractPermanentJoint,
+    ContactCandidate,
+    ContactLaws,
     situation,
 )
-from jaxclear.components.clearance.roundness import Lobes
-from jaxclear.components.joint.rubbing import CarriedContact, CarryingEnd, carried_load
+from jaxclear.components.clearance.guide import PermanentPrismatic, SliderGuide
+from jaxclear.components.clearance.journal import Flange, JournalBearing, PlanarJournalBearing
+from jaxclear.components.clearance.journal_base import (
+    AbstractJournalBearing,
+    Lobes,
+    PermanentRevolute,
+)
+from jaxclear.components.joint.base import CarriedContact, CarryingEnd, carried_load
 from jaxclear.ground.answering import nothing_else
 
 __all__ = [

@@ -6,6 +6,14 @@ parent; the child carries the journal (ball, slider). `offset` goes from the bea
 journal's [m], `axes` are those axes of the journal's marker on which the gap depends. Indentations
 are positive in contact. Normals, rates and moments follow from the indentations by differentiation,
 so contact forces do exactly the work that the indentation tells.
+
+Clearance joints that are always in contact: ideal joints that know where in the gap their
+reaction is carried.
+
+The clearance is small beside everything else, so the motion is that of the ideal joint; the gap
+only decides which points carry, and these rub (`joint.rubbing`). Source: Li, Lyu & Ding 2022, Chin.
+J. Aeronaut., no. 8, "Dynamics modeling and error analysis for antenna pointing mechanisms with
+frictional spatial revolute joints on SE(3)", section 3.
 """
 
 from abc import abstractmethod
@@ -13,13 +21,15 @@ from math import inf
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from jaxclear.components.joint import AbstractJoint
+from jaxclear.components.joint.base import AbstractMovesAsIdeal, AbstractRubbingJoint, CarryingEnd
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete
-from jaxclear.laws.contact.pressed import indentation_under
+from jaxclear.laws.contact.base import indentation_under
 from jaxclear.laws.stiffness import Shape, fitted
 
 
@@ -184,3 +194,50 @@ def direction(vector: sp.Vec, dimensions: int) -> tuple:
     """Unit vector of the first components, zero at zero length."""
     inverse = safe_divide(1.0, sp.norm(vector[:dimensions]))
     return tuple(sp.mul(inverse, component) for component in vector[:dimensions])
+
+
+# How a joint's reaction is carried, as `situation` numbers it.
+SITUATIONS = (
+    "no contact",
+    "one point",
+    "two points on opposite sides",
+    "a line (points on one side)",
+)
+# An end that carries less than this share of the other carries nothing.
+IDLE = 1e-9
+
+
+class AbstractPermanentJoint(AbstractRubbingJoint, AbstractMovesAsIdeal):
+    """An ideal joint of one coordinate with the gap of a clearance joint that always touches."""
+
+    gap: eqx.AbstractVar[AbstractClearance]
+
+    def maps(self) -> dict:
+        """Wear map and law of each surface that wears, as of the joint with clearance."""
+        return self.gap.maps()
+
+    @property
+    def gap_axes(self):
+        return self.gap.axes
+
+    def wearing_contacts(self):
+        return tuple(k for k, laws in enumerate(self.gap.contact_laws()) if laws.wears)
+
+    def wear_place(self, surface, offset, axes, contact, indentation):
+        depths = (indentation,) * len(self.gap.contact_laws())
+        return self.gap.features(surface, offset, axes, depths, contact)
+
+    def indentation(self, contact, force):
+        return self.gap.contact_laws()[contact].indentation_under(force)
+
+
+def situation(ends: tuple[CarryingEnd, ...]) -> Any:
+    """Index into `SITUATIONS`."""
+    sizes = [sp.norm(end.force) for end in ends]
+    carries = [size > IDLE * sp.total(sizes) for size in sizes]
+    if len(ends) == 1:
+        return carries[0].astype(int)
+    opposite = sp.dot(ends[0].force, ends[1].force) < 0
+    return jnp.where(
+        carries[0] & carries[1], jnp.where(opposite, 2, 3), (carries[0] | carries[1]).astype(int)
+    )

@@ -12,13 +12,13 @@ import jax.numpy as jnp
 
 from jaxclear.components.clearance.base import (
     AbstractClearance,
+    AbstractPermanentJoint,
     ContactCandidate,
     ContactLaws,
     check_clearance,
 )
-from jaxclear.components.clearance.permanent import AbstractPermanentJoint
 from jaxclear.components.joint import Prismatic
-from jaxclear.components.joint.rubbing import CarriedContact, CarryingEnd
+from jaxclear.components.joint.base import CarriedContact, CarryingEnd
 from jaxclear.components.wall_map import WallMap
 from jaxclear.components.wear_map import Wearing
 from jaxclear.ground import sparse as sp

@@ -1,15 +1,14 @@
 """Ideal joints, those that rub among them, and what a joint of one's own derives from."""
 
-from jaxclear.components.joint.ball import AbstractRubbingBall, BallJoint
 from jaxclear.components.joint.base import (
     AbstractDrivenJoint,
     AbstractGroupJoint,
     AbstractJoint,
+    AbstractRubbingJoint,
     AbstractVectorJoint,
 )
 from jaxclear.components.joint.group import Free, Planar, Spherical
-from jaxclear.components.joint.plain import PlainBearing, Slideway
-from jaxclear.components.joint.rubbing import AbstractRubbingJoint
+from jaxclear.components.joint.plain import AbstractRubbingBall, BallJoint, PlainBearing, Slideway
 from jaxclear.components.joint.vector import Cylindrical, Fixed, Prismatic, Revolute, Universal
 from jaxclear.ground.answering import nothing_else
 

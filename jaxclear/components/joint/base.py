@@ -1,4 +1,4 @@
-"""Ideal joints as data: how the child's marker moves in the parent's, and which rows close a loop
+r"""Ideal joints as data: how the child's marker moves in the parent's, and which rows close a loop
 through the joint.
 
 A joint of a spanning tree contributes coordinates q and speeds v; a joint that closes a loop
@@ -7,19 +7,28 @@ the child's origin stays at x = 0 of the parent's marker, row "x.z" that the par
 perpendicular to the child's z axis; a joint that states no rows gets them from its motion. A joint
 from outside derives from `AbstractVectorJoint` where
 coordinates are angles and displacements, from `AbstractGroupJoint` where rotations are free.
+
+Joints whose parts rub: how a reaction is carried, and how friction acts on the motion.
+
+Reactions are those on the child about its marker, in the parent marker's axes. Friction is counted
+into the reaction's resultant: at angle :math:`\varphi = \arctan\mu` to the normal, a resultant R on
+a journal rubs with :math:`\sin\varphi\,|R|`. Source: Li, Lyu & Ding 2022, Chin. J. Aeronaut., no.
+8, "Dynamics modeling and error analysis for antenna pointing mechanisms with frictional spatial
+revolute joints on SE(3)", section 3.
 """
 
 from abc import abstractmethod
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from jaxclear.components.drive import AbstractDrive
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.pose import Pose, Twist
 from jaxclear.ground.quantity import AbstractQuantified
+from jaxclear.laws.friction import AbstractFrictionLaw
 
 LINEAR = tuple(Twist(axis, sp.ZERO) for axis in sp.IDENTITY)
 ANGULAR = tuple(Twist(sp.ZERO, axis) for axis in sp.IDENTITY)
@@ -153,3 +162,180 @@ def turning(pose: Pose, spin: sp.Vec) -> Any:
 def angle(sine: Any, cosine: Any) -> Any:
     """Angle [rad] from its sine and cosine, which may be structural."""
     return jnp.arctan2(jnp.asarray(sine, float), jnp.asarray(cosine, float))
+
+
+class CarriedContact(NamedTuple):
+    """A contact of the joint, by its number there, while it carries: normal force and (signed)
+    friction [N], and its place in the bearing's frame [m]."""
+
+    number: int
+    normal_force: Any
+    friction: Any
+    place: sp.Vec
+
+
+class CarryingEnd(NamedTuple):
+    """One end of the joint that may carry: its height along the bearing [m], the force on the child
+    there across the sliding direction [N], friction's part of it included where it has one, the
+    offset of that end within the gap [m], and the contacts there."""
+
+    height: Any
+    force: sp.Vec
+    offset: sp.Vec
+    contacts: tuple[CarriedContact, ...]
+
+
+class AbstractMovesAsIdeal(AbstractVectorJoint):
+    """A joint that moves as its `ideal` does."""
+
+    @property
+    @abstractmethod
+    def ideal(self) -> AbstractVectorJoint:
+        """The joint as which it moves."""
+
+    def motion(self, q):
+        return self.ideal.motion(q)
+
+    def columns(self, q):
+        return self.ideal.columns(q)
+
+    def bias(self, q, v):
+        return self.ideal.bias(q, v)
+
+    def coordinates_at(self, pose):
+        return self.ideal.coordinates_at(pose)
+
+    def speeds_at(self, pose, velocity, spin):
+        return self.ideal.speeds_at(pose, velocity, spin)
+
+
+class AbstractRubbingJoint(AbstractJoint):
+    """An ideal joint whose parts touch all the time and rub: one of one coordinate, or a ball
+    (`AbstractRubbingBall`), whose friction and sliding velocity have three components."""
+
+    @property
+    def components(self) -> int:
+        """How many components friction has."""
+        return 1
+
+    @property
+    @abstractmethod
+    def friction(self) -> AbstractFrictionLaw | None:
+        """The law between the parts."""
+
+    @property
+    def follows_reaction(self) -> bool:
+        """Whether friction follows what the joint carries; it does unless overridden."""
+        return True
+
+    @property
+    @abstractmethod
+    def arm(self) -> Any:
+        """Sliding speed [m/s] per unit of the joint's speed, and generalised force per unit of
+        friction [N]."""
+
+    @abstractmethod
+    def friction_wrench(self, friction: Any) -> tuple[sp.Vec, sp.Vec]:
+        """Force [N] and torque [N m] of friction [N] on the child about its marker, in the parent
+        marker's axes.
+        """
+
+    @abstractmethod
+    def carrying_ends(self, force: sp.Vec, torque: sp.Vec, ratio: Any) -> tuple[CarryingEnd, ...]:
+        """Where a reaction is carried; `ratio`: (signed) friction over the sum of the carried
+        forces' sizes, of a ball its three components.
+        """
+
+    @abstractmethod
+    def friction_ratio(self, mu: Any) -> Any:
+        """Largest friction over the sum of the sizes of the carried forces, for a coefficient of
+        friction.
+        """
+
+    @abstractmethod
+    def maps(self) -> dict:
+        """Wear map and law of each surface that wears, by the surface's name."""
+
+    @property
+    @abstractmethod
+    def gap_axes(self) -> tuple[int, ...]:
+        """Axes of the child's marker on which the place of contact depends."""
+
+    @abstractmethod
+    def wearing_contacts(self) -> tuple[int, ...]:
+        """Numbers of the contacts whose wear is mapped."""
+
+    @abstractmethod
+    def wear_place(
+        self, surface: str, offset: sp.Vec, axes: tuple, contact: int, indentation: Any
+    ) -> tuple:
+        """Location of a contact on a surface that wears, as its map reads it, for the offset [m] of
+        the child within the gap and the contact's indentation [m]."""
+
+    @property
+    def goes_round(self) -> bool:
+        """Whether the centre of the inner part goes round in a gap with what it carries."""
+        return False
+
+    def indentation(self, contact: int, force: Any) -> Any:
+        """How deep [m] a normal force [N] presses a contact; 0, unless overridden, because an ideal
+        joint knows no law that tells it."""
+        return 0
+
+
+def check_radius_as_made(joint: Any) -> None:
+    """Raises `ValueError` for wear that asks for the worn radius, which nothing in an ideal joint
+    reads."""
+    if joint.wear is not None and joint.wear.worn_radius:
+        raise ValueError(
+            f"the wear of a {type(joint).__name__} has worn_radius=True, but an ideal joint has no "
+            "contact law that would follow its worn radius, so nothing would change; leave "
+            "worn_radius out, or take a joint with clearance."
+        )
+
+
+def carried_load(ends: tuple[CarryingEnd, ...]) -> Any:
+    """Sum of the sizes of the carried forces [N], of which friction is a share."""
+    return sp.total(sp.norm(end.force) for end in ends)
+
+
+def shared_by_ends(force: sp.Vec, torque: sp.Vec, length: Any) -> tuple[tuple[sp.Vec, Any], ...]:
+    """(force across the axis [N], height along it [m]) of the two ends of a bearing of some length
+    [m] that carries a force [N] and a torque [N m] about its centre."""
+    # About y a torque pairs forces along x, about x the opposite ones along y.
+    pair = (sp.mul(1 / length, torque[1]), sp.mul(-1 / length, torque[0]))
+    ends = []
+    for side in (-1, 1):
+        x, y = (sp.add(sp.mul(0.5, force[i]), sp.mul(side, pair[i])) for i in (0, 1))
+        ends.append(((x, y, 0), sp.mul(0.5 * side, length)))
+    return tuple(ends)
+
+
+def pressed_end(
+    index: int, force: sp.Vec, height: Any, ratio: Any, radius: Any, clearance: Any
+) -> CarryingEnd:
+    """An end of a journal that carries a force = -N n + T t with t a quarter turn ahead of n, the
+    direction in which the journal leans; T = ratio |force|."""
+    size = sp.norm(force)
+    normal = safe_sqrt(1 - ratio * ratio) * size
+    x, y = (safe_divide(part, size * size) for part in force[:2])
+    friction = ratio * size
+    lean = (friction * y - normal * x, -normal * y - friction * x)
+    place = (*sp.scale(radius, lean), height)
+    offset = (*sp.scale(clearance, lean), 0)
+    return CarryingEnd(height, force, offset, (CarriedContact(index, normal, friction, place),))
+
+
+def ball_end(force: sp.Vec, ratio: tuple, radius: Any, clearance: Any) -> CarryingEnd:
+    r"""A ball that carries a force, with friction so that its torque is radius times force size
+    times `ratio`, across the force: :math:`F = -N n + m \times n`, with m the friction's torque
+    over the radius, so that :math:`n = -(N F + m \times F) / |F|^2`."""
+    size = sp.norm(force)
+    share = sp.norm(ratio)
+    normal = safe_sqrt(1 - share * share) * size
+    along = sp.scale(safe_divide(1.0, size), force)
+    turned = sp.plus(sp.scale(safe_divide(normal, size), along), sp.cross(ratio, along))
+    towards = tuple(sp.neg(x) for x in turned)
+    place = sp.scale(radius, towards)
+    contact = CarriedContact(0, normal, share * size, place)
+    return CarryingEnd(0, force, sp.scale(clearance, towards), (contact,))

@@ -1,34 +1,61 @@
-"""Ideal joints whose parts rub and wear by what they carry: the plain bearing and the slideway.
+r"""Ideal joints whose parts rub and wear by what they carry: the plain bearing and the slideway.
 
 They move as `Revolute` and `Prismatic` do; friction and wear follow the joint's own reaction within
 the step, so that friction in one joint loads the others. Prefer a joint with clearance
 (`jaxclear.clearance`) where the play matters.
+
+Balls that rub: they move as `Spherical`, and friction is a torque across what they carry.
+
+With m the friction's torque over the ball's radius, :math:`|m| \le \sin(\arctan\mu)\,|R|`, across
+the reaction R and against the angular velocity. Spin about the reaction meets none.
 """
 
+from abc import abstractmethod
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax.numpy as jnp
 
-from jaxclear.components.area_map import AreaMap
 from jaxclear.components.drive import AbstractDrive
-from jaxclear.components.joint.base import AbstractDrivenJoint
-from jaxclear.components.joint.rubbing import (
+from jaxclear.components.joint.base import (
+    AbstractDrivenJoint,
+    AbstractGroupJoint,
+    AbstractMovesAsIdeal,
     AbstractRubbingJoint,
     CarriedContact,
     CarryingEnd,
+    ball_end,
     check_radius_as_made,
     pressed_end,
     shared_by_ends,
 )
+from jaxclear.components.joint.group import Spherical
 from jaxclear.components.joint.vector import Prismatic, Revolute
-from jaxclear.components.wear_map import Wearing
+from jaxclear.components.wear_map import AreaMap, Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.friction import AbstractFrictionLaw
 
 
-class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
+class AbstractPlainJoint(AbstractRubbingJoint, AbstractDrivenJoint, AbstractMovesAsIdeal):
+    """An ideal joint of one coordinate that rubs by what it carries, or by a given `load`."""
+
+    load: eqx.AbstractVar[Scalar | None]
+
+    @property
+    def gap_axes(self):
+        return ()
+
+    @property
+    def follows_reaction(self):
+        return self.load is None
+
+    def wear_place(self, surface, offset, axes, contact, indentation):
+        return (0.0,)
+
+
+class PlainBearing(AbstractPlainJoint):
     r"""Turns about z as `Revolute` does, and rubs: the friction torque is radius times friction.
 
     A reaction R across the axis rubs with :math:`\sin(\arctan\mu)\,|R|` (the friction circle). With
@@ -44,7 +71,6 @@ class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
     units: ClassVar = Revolute.units
     rows: ClassVar = Revolute.rows
     reversal: ClassVar = Revolute.reversal
-    gap_axes: ClassVar = ()
     friction: AbstractFrictionLaw | None = None
     radius: Scalar = quantity(10e-3, "m", "radius of the pin", above=0, kw_only=True)
     length: Scalar | None = quantity(None, "m", "length of the bearing", above=0, kw_only=True)
@@ -56,10 +82,6 @@ class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
 
     def __check_init__(self):
         _check_area(self, length=self.length)
-
-    @property
-    def follows_reaction(self):
-        return self.load is None
 
     @property
     def arm(self):
@@ -90,26 +112,12 @@ class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
     def wearing_contacts(self):
         return (0,) if self.load is not None or self.length is None else (0, 1)
 
-    def wear_place(self, surface, offset, axes, contact, indentation):
-        return (0.0,)
-
-    def motion(self, q):
-        return Revolute().motion(q)
-
-    def columns(self, q):
-        return Revolute().columns(q)
-
-    def bias(self, q, v):
-        return None
-
-    def coordinates_at(self, pose):
-        return Revolute().coordinates_at(pose)
-
-    def speeds_at(self, pose, velocity, spin):
-        return Revolute().speeds_at(pose, velocity, spin)
+    @property
+    def ideal(self):
+        return Revolute()
 
 
-class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
+class Slideway(AbstractPlainJoint):
     r"""Slides along z as `Prismatic` does, and rubs: :math:`\mu` times what it carries across.
 
     With `length` the moment across the axis loads the two ends as forces, with `width` the moment
@@ -124,7 +132,6 @@ class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
     units: ClassVar = Prismatic.units
     rows: ClassVar = Prismatic.rows
     reversal: ClassVar = Prismatic.reversal
-    gap_axes: ClassVar = ()
     arm: ClassVar = 1
     friction: AbstractFrictionLaw | None = None
     length: Scalar | None = quantity(None, "m", "length of the slider", above=0, kw_only=True)
@@ -137,10 +144,6 @@ class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
 
     def __check_init__(self):
         _check_area(self, length=self.length, width=self.width)
-
-    @property
-    def follows_reaction(self):
-        return self.load is None
 
     def friction_wrench(self, friction):
         return (0, 0, friction), sp.ZERO
@@ -172,23 +175,9 @@ class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
             return (0,)
         return tuple(range((2 if self.length is not None else 1) + 2 * (self.width is not None)))
 
-    def wear_place(self, surface, offset, axes, contact, indentation):
-        return (0.0,)
-
-    def motion(self, q):
-        return Prismatic().motion(q)
-
-    def columns(self, q):
-        return Prismatic().columns(q)
-
-    def bias(self, q, v):
-        return None
-
-    def coordinates_at(self, pose):
-        return Prismatic().coordinates_at(pose)
-
-    def speeds_at(self, pose, velocity, spin):
-        return Prismatic().speeds_at(pose, velocity, spin)
+    @property
+    def ideal(self):
+        return Prismatic()
 
 
 def _clamped(load: Any, ratio: Any, place: sp.Vec) -> CarryingEnd:
@@ -212,3 +201,90 @@ def _check_area(joint: Any, **sizes: Any) -> None:
             f"a {type(joint).__name__} with wear has no {' and no '.join(missing)}; the worn depth "
             "is the worn volume over the bearing area, so give it."
         )
+
+
+class AbstractRubbingBall(AbstractRubbingJoint, AbstractGroupJoint):
+    """A ball in a socket that touches all the time."""
+
+    @property
+    @abstractmethod
+    def play(self) -> Any:
+        """Radial clearance [m]; 0 for an ideal joint."""
+
+    @property
+    def components(self):
+        return 3
+
+    def friction_wrench(self, friction):
+        return sp.ZERO, sp.scale(self.arm, friction)
+
+    def carrying_ends(self, force, torque, ratio):
+        return (ball_end(force, ratio, self.arm, self.play),)
+
+    def friction_ratio(self, mu):
+        return mu / safe_sqrt(1 + mu * mu)
+
+    def motion(self, q):
+        return Spherical().motion(q)
+
+    def columns(self, q):
+        return Spherical().columns(q)
+
+    def rate(self, q, v):
+        return Spherical().rate(q, v)
+
+    def bias(self, q, v):
+        return None
+
+    def moved(self, q, increment):
+        return Spherical().moved(q, increment)
+
+    def retracted(self, q, increment):
+        return Spherical().retracted(q, increment)
+
+    def bracket(self, a, b):
+        return Spherical().bracket(a, b)
+
+    def coordinates_at(self, pose):
+        return Spherical().coordinates_at(pose)
+
+    def speeds_at(self, pose, velocity, spin):
+        return Spherical().speeds_at(pose, velocity, spin)
+
+    def start(self, given):
+        return Spherical().start(given)
+
+
+class BallJoint(AbstractRubbingBall):
+    """Turns about a point as `Spherical` does, and rubs by its reaction. `wear`: one depth, worn
+    volume over the ball's cross-section, how far it has sunk; the motion does not feel it.
+    Set-valued friction sticks, for `NonColliding` and `MoreauJean`; laws that are functions of the
+    sliding speed serve `Adaptive`, `FixedStep` and `ImplicitStep` too."""
+
+    home: ClassVar = Spherical.home
+    units: ClassVar = Spherical.units
+    rows: ClassVar = Spherical.rows
+    reversal: ClassVar = Spherical.reversal
+    gap_axes: ClassVar = ()
+    play: ClassVar = 0
+    friction: AbstractFrictionLaw | None = None
+    radius: Scalar = quantity(10e-3, "m", "radius of the ball", above=0, kw_only=True)
+    wear: Wearing | None = eqx.field(default=None, kw_only=True)
+
+    def __check_init__(self):
+        check_radius_as_made(self)
+
+    @property
+    def arm(self):
+        return self.radius
+
+    def maps(self):
+        if self.wear is None:
+            return {}
+        return {"socket": (AreaMap(jnp.pi * self.radius * self.radius), self.wear)}
+
+    def wearing_contacts(self):
+        return (0,)
+
+    def wear_place(self, surface, offset, axes, contact, indentation):
+        return (0.0,)

@@ -7,7 +7,6 @@ and rigid contact stand by themselves. A new law is a subclass of an abstract ba
 
 from jaxclear.ground.answering import nothing_else
 from jaxclear.laws.contact import cylinder, dissipation, elastic
-from jaxclear.laws.contact.additive import AdamsImpact, KelvinVoigt
 from jaxclear.laws.contact.base import (
     AbstractContactLaw,
     AbstractDissipation,
@@ -15,6 +14,7 @@ from jaxclear.laws.contact.base import (
     AbstractNormalLaw,
 )
 from jaxclear.laws.contact.composed import (
+    AdamsImpact,
     BaiZhao,
     BallInSocket,
     CarvalhoMartins,
@@ -27,17 +27,18 @@ from jaxclear.laws.contact.composed import (
     HuGuo,
     HuntCrossley,
     Johnson,
+    KelvinVoigt,
     LankaraniNikravesh,
     Linear,
     Liu,
     MarhefkaOrin,
     ModifiedFlores,
     Radzimovsky,
+    Rigid,
     TwoSidedJohnson,
     ZhiyingQishao,
 )
 from jaxclear.laws.contact.dissipation import AbstractRestitutionFactor
-from jaxclear.laws.contact.rigid import Rigid
 
 __all__ = [
     "AbstractContactLaw",

@@ -1,4 +1,5 @@
-r"""Along the normal: what a law of contact must say of itself so that every formulation can use it.
+r"""Along the normal: what a law of contact must say of itself so that every formulation can use it,
+and how deep a force presses by its elastic part.
 
 Indentation :math:`\delta` [m] is positive in contact, rate :math:`\dot\delta` [m/s] positive while
 closing, impact_speed :math:`\dot\delta^{(-)}` [m/s] the closing speed at first touch, force [N]
@@ -9,6 +10,7 @@ from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.law import AbstractLaw
@@ -92,3 +94,26 @@ class AbstractDissipation(AbstractLaw):
         r"""Damping force over elastic force [1], :math:`\lambda\dot\delta`, of the rate's sign;
         impact_speed above 0.
         """
+
+
+# Where the search begins [m], and turns of it: each takes the law for a power of the indentation,
+# which Hertz's is.
+FIRST, TURNS = 1e-5, 4
+# Indentations that tell the power differ by this share.
+APART = 1e-3
+# What presses by next to nothing presses so deep [m]: at 0 a root has no slope.
+SHALLOWEST = 1e-10
+
+
+def indentation_under(law: AbstractNormalLaw, force: Scalar) -> Scalar:
+    """Indentation [m] at which the elastic part of a law carries a force [N, at least 0]; 0 where
+    bodies do not overlap."""
+    if not law.compliant:
+        return jnp.zeros(())
+    wanted = force + law.elastic_force(jnp.asarray(SHALLOWEST))
+    depth = jnp.asarray(FIRST)
+    for _ in range(TURNS):
+        here, beyond = law.elastic_force(depth), law.elastic_force((1 + APART) * depth)
+        power = jnp.log(beyond / here) / jnp.log1p(APART)
+        depth = depth * (wanted / here) ** (1 / power)
+    return depth

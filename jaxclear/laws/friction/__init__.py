@@ -9,9 +9,9 @@ from jaxclear.laws.friction.base import (
     AbstractForceFriction,
     AbstractFrictionLaw,
     AbstractSetValuedFriction,
+    Coulomb,
 )
 from jaxclear.laws.friction.bristle import AbstractBristleFriction, Dahl, LuGre
-from jaxclear.laws.friction.coulomb import Coulomb
 from jaxclear.laws.friction.slip import (
     AbstractSlipFriction,
     AdamsStep,

@@ -1,4 +1,5 @@
-"""Sideways: what a friction law must say of itself so that every formulation can use it.
+"""Sideways: what a friction law must say of itself so that every formulation can use it; and
+Coulomb's law as an inclusion, with no function of the speed.
 
 Friction acts along the sliding directions of one contact point, against the sliding velocity and in
 proportion to the normal force [N]. Rigid and permanent contact ask any law for Coulomb's law with
@@ -7,9 +8,10 @@ creep under a steady side load at rest; a bristle or set-valued law sticks.
 """
 
 from abc import abstractmethod
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from jaxclear.ground.quantity import Scalar, concrete, quantity
 from jaxclear.ground.wording import public_name
@@ -132,3 +134,36 @@ class AbstractForceFriction(AbstractFrictionLaw):
         bias: Scalar,
     ) -> tuple[Scalar, ...]:
         """Deflections [m] at the end of a step; those of an open contact straighten."""
+
+
+# Sliding slower than this [m/s] is rounding of a contact that sticks.
+STICKING_SPEED = 1e-10
+
+
+class Coulomb(AbstractSetValuedFriction):
+    r""":math:`|F_t| \le \mu_s F_n` at rest, :math:`F_t = -\mu_d F_n v/|v|` sliding: true sticking,
+    no function of the speed.
+
+    Where the formulation needs a function take CoulombTanh (cheap, creeps) or Dahl (sticks).
+
+    Source: Coulomb 1785, Théorie des machines simples; as a complementarity problem Pfeiffer &
+    Glocker 1996, Multibody Dynamics with Unilateral Contacts, doi:10.1002/9783527618385.
+    """
+
+    mu_kinetic: Scalar = mu_kinetic_field()
+    mu_static: Scalar | None = quantity(
+        None, "1", "static friction coefficient mu_s (None: as the kinetic one)", at_least=0
+    )
+    set_valued: ClassVar[bool] = True
+    bristles: ClassVar[int] = 0
+
+    def __check_init__(self):
+        check_static(self)
+
+    def coulomb(self) -> "Coulomb":
+        return self
+
+    def bound(self, slip_speed: Scalar) -> Scalar:
+        if self.mu_static is None:
+            return self.mu_kinetic
+        return jnp.where(slip_speed < STICKING_SPEED, self.mu_static, self.mu_kinetic)

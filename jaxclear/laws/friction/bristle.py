@@ -14,11 +14,11 @@ from jaxclear.ground.numerics import positive_part, safe_divide
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.friction.base import (
     AbstractForceFriction,
+    Coulomb,
     check_static,
     mu_kinetic_field,
     mu_static_field,
 )
-from jaxclear.laws.friction.coulomb import Coulomb
 from jaxclear.laws.friction.slip import stribeck_level
 
 # Time [s] in which the bristles of an open contact straighten.

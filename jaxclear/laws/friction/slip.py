@@ -13,11 +13,11 @@ from jaxclear.ground.numerics import positive_part, safe_divide, smooth_sign, sm
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.friction.base import (
     AbstractForceFriction,
+    Coulomb,
     check_static,
     mu_kinetic_field,
     mu_static_field,
 )
-from jaxclear.laws.friction.coulomb import Coulomb
 from jaxclear.laws.law import check_increasing
 
 

@@ -358,13 +358,23 @@
     const v = camera.matrixWorldInverse.elements, p = camera.projectionMatrix.elements;
     const apply = (m, a) => [0, 1, 2, 3].map(
       (i) => m[i] * a[0] + m[i + 4] * a[1] + m[i + 8] * a[2] + m[i + 12] * a[3]);
+    // A name that would lie on another one stands below it.
+    const placed = [];
     run.bodies.forEach((body, k) => {
       const at = [0, 1, 2].map((i) => body.com[3 * frame + i]);
-      const clip = apply(p, apply(v, [...at, 1]));
+      const clip = apply(p, apply(v, [...at, 1])), style = labels[k].style;
       const inside = clip[3] > 0 && Math.abs(clip[0]) < clip[3] && Math.abs(clip[1]) < clip[3];
-      labels[k].style.display = inside ? '' : 'none';
-      labels[k].style.left = `${(0.5 + 0.5 * clip[0] / clip[3]) * target.clientWidth + 8}px`;
-      labels[k].style.top = `${(0.5 - 0.5 * clip[1] / clip[3]) * target.clientHeight - 8}px`;
+      style.display = inside ? '' : 'none';
+      if (!inside) return;
+      const left = (0.5 + 0.5 * clip[0] / clip[3]) * target.clientWidth + 8;
+      let top = (0.5 - 0.5 * clip[1] / clip[3]) * target.clientHeight - 8;
+      const right = left + labels[k].offsetWidth, height = labels[k].offsetHeight;
+      const under = () => placed.find((one) => Math.abs(one.top - top) < height
+        && left < one.right && one.left < right);
+      for (let one = under(); one; one = under()) top = one.top + height;
+      placed.push({ left, right, top });
+      style.left = `${left}px`;
+      style.top = `${top}px`;
     });
   };
   const show = () => {

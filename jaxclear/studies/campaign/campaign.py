@@ -1,33 +1,56 @@
 """A study that is kept on disk chunk by chunk, and goes on where it was interrupted:
-`jaxclear.campaign`, and `jaxclear.open_campaign` to read it.
+`jaxclear.campaign`, of Monte Carlo or of another study, and `jaxclear.open_campaign` to read it.
 """
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
-from jaxclear.ground.wording import listed, meant
+from jaxclear.ground.wording import described, listed, meant
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.campaign.layout import KIND
-from jaxclear.studies.campaign.plan import planned
+from jaxclear.studies.campaign.dask_workers import Workers, check_client
 from jaxclear.studies.campaign.recorded import RecordedProblem
 from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.campaign.run import Wanted, computed
-from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.campaign.studies import kept_study, refuse_uncompiled
-from jaxclear.studies.campaign.work import AbstractWork, Threads
-from jaxclear.studies.campaign.workers import Workers, check_client
-from jaxclear.studies.growing import FIRST_SAMPLES, first_of
+from jaxclear.studies.campaign.samples import KIND, Samples, planned
+from jaxclear.studies.campaign.threads import AbstractWork, Threads
+from jaxclear.studies.design.design import design
+from jaxclear.studies.ledger.ledger import Ledger, current, refuse_other
+from jaxclear.studies.ledger.pieces import checked_folder
+from jaxclear.studies.life.lives import wear_lives
+from jaxclear.studies.life.wear_life import wear_life
+from jaxclear.studies.reliability.reliability import reliability
 from jaxclear.studies.sampling import check_sampled, checked_scramblings
+from jaxclear.studies.sensitivity.sensitivity import sensitivity
+from jaxclear.studies.sequential import FIRST_SAMPLES, first_of
 from jaxclear.studies.statistics.accuracy import asked_of
-from jaxclear.studies.store import checked_folder, refuse_other
+from jaxclear.studies.statistics.shapley import shapley_effects
+from jaxclear.studies.statistics.sobol_indices import sobol_indices
+from jaxclear.studies.surface.surface import surface
 from jaxclear.studies.texts import in_texts
+from jaxclear.studies.worst_case import worst_case
 
-__all__ = ["campaign", "open_campaign"]
-
+# What studies keep, in words. Some keep records of their own; of others all samples are kept.
+OWN_RECORDS = {wear_life: "a wear life", wear_lives: "wear lives", design: "a design"}
+BY_SAMPLES = {
+    sensitivity: "a sensitivity study",
+    sobol_indices: "a study of Sobol' indices",
+    surface: "a response surface",
+    worst_case: "a worst case",
+    reliability: "a reliability",
+    shapley_effects: "a study of Shapley effects",
+}
+# What keeps lives, in words.
+OTHERWISE = (
+    "is no compiled program, and a campaign keeps samples of one; ask jaxclear.monte_carlo for "
+    "lives as responses, or jaxclear.wear_lives(..., store=folder) for lives that are kept."
+)
+# How studies call the number of their samples.
+COUNTS = ("samples", "sample")
 # What a campaign takes beside the arguments that it names.
 SAMPLED = ("sampling", "scramblings", "accuracy", "chunk")
 
@@ -45,13 +68,14 @@ def campaign(
     progress_bar: bool = False,
     **settings: Any,
 ) -> Any:
-    """A Monte Carlo study of any size, kept in a folder (Zarr) chunk by chunk: values, responses,
-    outcomes, warnings, seed, versions and what the problem is.
+    """A Monte Carlo study of any size, kept in a folder chunk by chunk: values, responses,
+    outcomes, warnings, seed, versions and what the problem is, as text and NumPy's archives.
 
     Asked again, it goes on from the chunks that are finished, also to more samples: it becomes what
     it would be had it been asked for them at once, in the scramblings that the folder has.
     Samples in a last chunk that was not full are computed again, and count as unfinished until
-    then. A folder of another problem, or of other samples, is refused with what differs. Ctrl-C
+    then; so are chunks that are missing or damaged, and a warning says so. A folder of another
+    problem, or of other samples, is refused with what differs. Ctrl-C
     keeps all finished chunks; whatever ends the process, the chunks in work, one a thread, are all
     that is lost. Several processes may work at one folder: each chunk is claimed by one. Memory
     does not grow with the samples.
@@ -76,7 +100,7 @@ def campaign(
         given = {"samples": samples, "seed": seed, "client": client}
         given |= {"verify": None if verify else False}
         given |= {"chunk": settings.pop("chunk", None), "progress_bar": progress_bar or None}
-        return kept_study(study, problem, folder, given, settings)
+        return _kept_study(study, problem, folder, given, settings)
     samples, seed = 1024 if samples is None else samples, 0 if seed is None else seed
     asked = _asked(problem, samples, seed, settings)._replace(verify=verify)
     checked_folder(folder)
@@ -100,12 +124,72 @@ def open_campaign(folder: str | Path, problem: AbstractProblem | None = None) ->
     return Campaign(kept, problem)
 
 
-def _by(problem: AbstractProblem, client: Any) -> AbstractWork:
+def _kept_study(
+    study: Any,
+    problem: AbstractProblem,
+    folder: Any,
+    given: dict[str, Any],
+    settings: dict[str, Any],
+) -> Any:
+    """What a study answers, from a folder as far as it is there. `given`: arguments of the campaign
+    that the study may have, absent where None. Raises `ValueError` with a sentence for a study that
+    is not kept, or an argument that it has not."""
+    if not callable(study) or study not in OWN_RECORDS | BY_SAMPLES:
+        known = [f"jaxclear.{own.__name__}" for own in OWN_RECORDS | BY_SAMPLES]
+        raise ValueError(
+            f"study of campaign is {described(study)}; it must be one of {listed(known)}, or left "
+            "out for a Monte Carlo study."
+        )
+    settings = settings | _named(study, {n: own for n, own in given.items() if own is not None})
+    if study in BY_SAMPLES:
+        _refuse_uncompiled(problem)
+    path: Path = checked_folder(folder)
+    try:
+        if study in OWN_RECORDS:
+            return study(problem, store=path, **settings)
+        expect(problem, AbstractProblem, "problem of campaign", "a jaxclear.Problem")
+        with current(Ledger.opened(path, BY_SAMPLES[study], in_texts(problem))):
+            return study(problem, **settings)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"The study was interrupted. What it had computed is kept in {path}; ask the same "
+            "again, and it goes on from there."
+        ) from None
+
+
+def _refuse_uncompiled(problem: Any) -> None:
+    """Raises `ValueError` with a sentence for a problem whose samples are no compiled program. What
+    is no problem at all is for its study to refuse."""
+    if isinstance(problem, AbstractProblem) and not problem.compiled():
+        raise ValueError(f"problem of campaign ({type(problem).__name__}) {OTHERWISE}")
+
+
+def _named(study: Callable, given: dict[str, Any]) -> dict[str, Any]:
+    """What is given, by the names that the study has for it."""
+    takes = inspect.signature(study).parameters
+    found = {}
+    for name, value in given.items():
+        known = [own for own in (COUNTS if name == "samples" else (name,)) if own in takes]
+        if not known:
+            raise ValueError(
+                f"jaxclear.{study.__name__} has no {name}; leave it out of the campaign."
+            )
+        found[known[0]] = value
+    return found
+
+
+@contextmanager
+def _by(problem: AbstractProblem, client: Any) -> Iterator[AbstractWork]:
     """Who computes: the threads here, or the workers of a client."""
     if client is None:
-        return Threads(problem)
+        yield Threads(problem)
+        return
     check_client(client)
-    return Workers(problem, client)
+    workers = Workers(problem, client)
+    try:
+        yield workers
+    finally:
+        workers.close()
 
 
 def _asked(problem: Any, samples: Any, seed: Any, sampled: dict[str, Any]) -> Wanted:
@@ -119,7 +203,7 @@ def _asked(problem: Any, samples: Any, seed: Any, sampled: dict[str, Any]) -> Wa
             )
     sampling = sampled.get("sampling", "sobol")
     check_sampled(problem, samples, seed, sampling)
-    refuse_uncompiled(problem)
+    _refuse_uncompiled(problem)
     accuracy = asked_of(sampled.get("accuracy"), problem.response_names, "campaign")
     first = samples if accuracy is None else min(samples, FIRST_SAMPLES)
     parts = checked_scramblings("campaign", first, sampled.get("scramblings"))

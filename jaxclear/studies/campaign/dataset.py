@@ -1,42 +1,38 @@
 """Samples of a campaign as an xarray Dataset: by name, with units, read when they are used."""
 
+import functools
 import json
 from typing import Any
 
 import numpy as np
 
-from jaxclear.studies.campaign.layout import (
+from jaxclear.studies.campaign.samples import (
     ENDED,
-    FINISHED,
     OUTCOME,
     RESPONSES,
-    SAMPLES,
-    UNKNOWN,
     VALUES,
     WHEN,
     WORST,
+    Samples,
 )
-from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.campaign.verified import known_replicas
-from jaxclear.studies.datasets import FINER, finer_name
+from jaxclear.studies.monte_carlo import FINER, finer_name
 
-__all__ = ["dataset_of"]
+# An outcome that no sample has, and how outcomes are kept.
+UNKNOWN = (np.dtype(np.int8), -1)
 
 
 def dataset_of(samples: Samples) -> Any:
     """The Dataset of a campaign; variables, responses and sentences of outcomes by name."""
     import xarray
 
-    samples.trim()
-    kept = xarray.open_zarr(
-        samples.folder / SAMPLES, chunks=None, consolidated=False, mask_and_scale=False
-    )
-    plan = samples.plan
-    kept = kept.isel(sample=slice(plan.samples), chunk=slice(plan.chunks))
-    unfinished = kept[FINISHED].values == 0
-    if unfinished.any():
-        kept = _without(kept, np.repeat(unfinished, plan.chunk)[: plan.samples])
-    recorded = samples.told["recorded"]
+    plan, recorded = samples.plan, samples.told["recorded"]
+    finished = samples.finished()
+    there = np.isin(np.arange(plan.chunks), finished)
+
+    def column(name: str, which: int | None = None, **attributes: str) -> Any:
+        data = _lazy()(samples, there, name, which)
+        return xarray.Variable(("sample", "figure")[: len(data.shape)], data, attributes)
+
     columns: dict[str, Any] = {}
     kinds = (
         (VALUES, "variable", recorded["names"], recorded["variable_units"]),
@@ -44,44 +40,71 @@ def dataset_of(samples: Samples) -> Any:
     )
     for name, kind, labels, units in kinds:
         for i, (label, unit) in enumerate(zip(labels, units, strict=True)):
-            columns[label] = kept[name][:, i].assign_attrs(units=unit, kind=kind)
+            columns[label] = column(name, i, units=unit, kind=kind)
     endings = {str(code): text for code, text in enumerate(recorded["endings"])}
-    columns[OUTCOME] = kept[OUTCOME].assign_attrs(
-        long_name="how a sample ended; 0 is success, -1 is not finished", **endings
-    )
-    columns[ENDED] = kept[ENDED].assign_attrs(units="s", long_name="when it ended")
-    if WORST in kept:
-        told = {"long_name": "worst figure that a run found out about itself"}
-        columns[WORST] = kept[WORST].assign_attrs(told)
-        columns[WHEN] = kept[WHEN].assign_attrs(units="s", long_name="when the worst was met")
+    ended = {"long_name": "how a sample ended; 0 is success, -1 is not finished"} | endings
+    columns[OUTCOME] = column(OUTCOME, **ended)
+    columns[ENDED] = column(ENDED, units="s", long_name="when it ended")
+    if samples.figures:
+        told = "worst figure that a run found out about itself"
+        columns["check_worst"] = column(WORST, long_name=told)
+        columns["check_time"] = column(WHEN, units="s", long_name="when the worst was met")
     # Four bytes a sample: it is the one column that is not read when it is used.
     turns = np.resize(np.arange(plan.scramblings, dtype=np.int32), plan.samples)
-    told = {"units": "1", "long_name": "independent part of the sample"}
-    columns["scrambling"] = xarray.Variable("sample", turns, told)
-    replicas = known_replicas(samples.folder)
-    units = dict(zip(recorded["response_names"], recorded["response_units"], strict=True))
+    about = {"units": "1", "long_name": "independent part of the sample"}
+    columns["scrambling"] = xarray.Variable("sample", turns, about)
+    replicas = samples.replicas()
+    units_of = dict(zip(recorded["response_names"], recorded["response_units"], strict=True))
     for name, values in ({} if replicas is None else replicas.responses).items():
-        told = {"units": units[name], "long_name": FINER}
-        columns[finer_name(name)] = xarray.Variable("replica", values, told)
-    # The marks themselves are longer than a number of netCDF's third version.
-    done = (kept[FINISHED] != 0).astype("int8")
-    columns[FINISHED] = done.assign_attrs(long_name="1 for a chunk that is finished")
+        about = {"units": units_of[name], "long_name": FINER}
+        columns[finer_name(name)] = xarray.Variable("replica", values, about)
+    about = {"long_name": "1 for a chunk that is finished"}
+    columns["finished"] = xarray.Variable("chunk", there.astype("int8"), about)
     figures = [f"{check}, {place}" if place else check for check, place in samples.figures]
     coordinates = {"figure": figures} if figures else {}
     attributes = {
         "what": samples.told["what"],
         "problem": samples.told["problem"],
-        "versions": json.dumps(list(samples.versions().values())),
+        "versions": json.dumps(list(samples.versions())),
     }
     return xarray.Dataset(columns, coordinates, attributes | plan._asdict())
 
 
-def _without(kept: Any, unfinished: np.ndarray) -> Any:
-    """The samples without what earlier, smaller plans left of unfinished ones (samples,); read at
-    once."""
-    import xarray
+@functools.cache
+def _lazy() -> Any:
+    """The class of a column that is read when it is used."""
+    from xarray.backends import BackendArray
+    from xarray.core import indexing
 
-    there = xarray.DataArray(~unfinished, dims="sample")
-    fill = {OUTCOME: np.int8(UNKNOWN)}
-    named = [name for name, column in kept.items() if "sample" in column.dims]
-    return kept.assign({name: kept[name].where(there, fill.get(name, np.nan)) for name in named})
+    class Column(BackendArray):
+        def __init__(self, samples, there, name, which):
+            self.samples, self.there, self.name, self.which = samples, there, name, which
+            self.dtype, self.fill = UNKNOWN if name == OUTCOME else (np.dtype(float), np.nan)
+            wide = (len(samples.figures),) if name in (WORST, WHEN) else ()
+            self.shape = (samples.plan.samples, *wide)
+
+        def __getitem__(self, key):
+            basic = indexing.IndexingSupport.BASIC
+            return indexing.explicit_indexing_adapter(key, self.shape, basic, self._at)
+
+        def _at(self, key):
+            at, *rest = key
+            if not isinstance(at, slice):
+                return self._rows(int(at), int(at) + 1)[(0, *rest)]
+            own = range(self.shape[0])[at]
+            first, last = (min(own), max(own) + 1) if own else (0, 0)
+            rows = self._rows(first, last)
+            return (rows if own.step > 0 else rows[::-1])[(slice(None, None, abs(own.step)), *rest)]
+
+        def _rows(self, first, last):
+            found = np.full((last - first, *self.shape[1:]), self.fill, self.dtype)
+            size = self.samples.plan.chunk
+            for number in range(first // size, -(-last // size)):
+                at = slice(max(first, number * size), min(last, (number + 1) * size))
+                if self.there[number]:
+                    rows = self.samples.read(at, self.name)[self.name]
+                    rows = rows if self.which is None else rows[:, self.which]
+                    found[at.start - first : at.stop - first] = rows
+            return found
+
+    return lambda *own: indexing.LazilyIndexedArray(Column(*own))

@@ -9,8 +9,6 @@ from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Check
 from jaxclear.studies.base import AbstractProblem
 
-__all__ = ["RecordedProblem", "in_json"]
-
 # The outcomes that a sentence tells of without what was computed.
 ENDED = "{ended:.6g}"
 # A size of responses beside which what is promised at least is nothing.
@@ -25,56 +23,47 @@ class RecordedProblem(AbstractProblem):
     names: tuple[str, ...] = eqx.field(static=True)
     response_names: tuple[str, ...] = eqx.field(static=True)
     variable_units: tuple[str, ...] = eqx.field(static=True)
-    response_units: tuple[str, ...] = eqx.field(static=True)
-    nominal_values: tuple[float, ...] = eqx.field(static=True)
-    endings: tuple[str, ...] = eqx.field(static=True)
-    concerns: tuple[tuple[str, ...], ...] = eqx.field(static=True)
-    why: str = eqx.field(static=True)
+    # As `in_json` wrote it; of folders of earlier versions some is not known.
+    told: dict[str, Any] = eqx.field(static=True)
     variables: dict[str, Any] = eqx.field(default_factory=dict)
     correlation: Any = None
-    # Of each response, where a folder tells: why it is infinite, and up to where it is told.
-    endless_words: tuple[str, ...] = eqx.field(static=True, default=())
-    most_told: tuple[float | None, ...] = eqx.field(static=True, default=())
-    # Whether its numbers are off by steps, what is off in all samples, and of each response what
-    # is promised of its mean: at least, and as a share of its size (None: nothing).
-    by_steps: bool = eqx.field(static=True, default=False)
-    known_doubts: tuple[str, ...] = eqx.field(static=True, default=())
-    promises: tuple[tuple[float, float] | None, ...] = eqx.field(static=True, default=())
-    remedies: tuple[str, ...] = eqx.field(static=True, default=())
 
     @classmethod
     def of_json(cls, told: dict[str, Any]) -> "RecordedProblem":
         """As `in_json` wrote it."""
-        tuples = {key: tuple(own) if isinstance(own, list) else own for key, own in told.items()}
-        tuples["concerns"] = tuple(map(tuple, told["concerns"]))
-        tuples["promises"] = tuple(own and tuple(own) for own in told.get("promises", ()))
-        return cls(**tuples)
+        named = (tuple(told[own]) for own in ("names", "response_names", "variable_units"))
+        return cls(*named, told)
+
+    def _of(self, what: str, response: str, unknown: Any = None) -> Any:
+        """What is told of a response."""
+        known = dict(zip(self.response_names, self.told.get(what, ()), strict=False))
+        return known.get(response, unknown)
 
     def nominal(self):
-        return np.asarray(self.nominal_values)
+        return np.asarray(self.told["nominal_values"])
 
     def units(self):
-        return dict(zip(self.response_names, self.response_units, strict=True))
+        return dict(zip(self.response_names, self.told["response_units"], strict=True))
 
     def evaluate(self, values, *, discrete_derivatives=False):
         _refuse()
 
     def endless(self, response):
-        return dict(zip(self.response_names, self.endless_words, strict=False)).get(response, "")
+        return self._of("endless_words", response, "")
 
     def told_up_to(self, response):
-        most = dict(zip(self.response_names, self.most_told, strict=False)).get(response)
+        most = self._of("most_told", response)
         return np.inf if most is None else most
 
     def discretised(self):
-        return self.by_steps
+        return self.told.get("by_steps", False)
 
     def promised(self, response, size):
-        own = dict(zip(self.response_names, self.promises, strict=False)).get(response)
+        own = self._of("promises", response)
         return None if own is None else max(own[0], own[1] * size)
 
     def doubts(self):
-        return self.known_doubts
+        return tuple(self.told.get("known_doubts", ()))
 
     def sample_memory(self):
         return 0
@@ -86,17 +75,16 @@ class RecordedProblem(AbstractProblem):
         _refuse()
 
     def ending(self, outcome, ended):
-        return self.endings[outcome].replace(ENDED, f"{ended:.6g}")
+        return self.told["endings"][outcome].replace(ENDED, f"{ended:.6g}")
 
     def remark(self):
-        return self.why
+        return self.told["why"]
 
     def remedy(self, response):
-        own = dict(zip(self.response_names, self.remedies, strict=False))
-        return own.get(response, "refine its steps")
+        return self._of("remedies", response, "refine its steps")
 
     def concerned(self, response, concerns):
-        return concerns in self.concerns[self.response_names.index(response)]
+        return concerns in self._of("concerns", response)
 
     def parts(self):
         return {}

@@ -1,7 +1,8 @@
 """What a campaign has found so far, read from its folder as it is asked for."""
 
+import functools
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -10,25 +11,30 @@ import numpy as np
 
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.shown import shown_in_words
-from jaxclear.integrators.figures import Checks, Figure
+from jaxclear.integrators.checks import Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.dataset import dataset_of
-from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.campaign.verified import known_replicas
+from jaxclear.studies.campaign.samples import VALUES, Samples
 from jaxclear.studies.endless import answered
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.limits import Limits, check_limits
-from jaxclear.studies.statistics.numerical_error import NumericalError
-from jaxclear.studies.statistics.scrambled import Statistic
 from jaxclear.studies.statistics.summary import summary_of, summary_row
-from jaxclear.studies.statistics.tolerance_interval import ToleranceInterval
-from jaxclear.studies.store import first_difference
-from jaxclear.studies.texts import in_texts
+from jaxclear.studies.texts import difference, first_difference, in_texts
 
-__all__ = ["READ", "Campaign"]
 
-# Samples that are read together, about.
-READ = 1 << 16
+def _of_all(method: Callable) -> Any:
+    """A method of `MonteCarlo`, asked of the whole study in memory."""
+    return functools.wraps(method)(lambda self, *given, **how: method(self.sample, *given, **how))
+
+
+def _of_one(method: Callable) -> Any:
+    """A method of `MonteCarlo` that asks about a response, with that one in memory."""
+
+    @functools.wraps(method)
+    def asked(self: "Campaign", response: str, *given: Any, **how: Any) -> Any:
+        return method(self._reduced(response), response, *given, **how)
+
+    return asked
 
 
 @shown_in_words
@@ -69,7 +75,7 @@ class Campaign:
     @property
     def versions(self) -> tuple[dict[str, str], ...]:
         """Versions of jaxclear, JAX, Python and others that computed these samples."""
-        return tuple(self._samples.versions().values())
+        return self._samples.versions()
 
     @cached_property
     def sample(self) -> MonteCarlo:
@@ -78,7 +84,7 @@ class Campaign:
             raise self._empty()
         parts = [self._samples.found(at) for at in self._spans()]
         found = jax.tree.map(lambda *own: np.concatenate(own), *parts)
-        values = np.concatenate([self._samples.read("values", at) for at in self._spans()])
+        values = np.concatenate([self._samples.read(at, VALUES)[VALUES] for at in self._spans()])
         return self._study(values, found)
 
     def sample_of(self, problem: AbstractProblem) -> MonteCarlo:
@@ -112,57 +118,18 @@ class Campaign:
         """Indices of the samples that did not fail and carry a warning."""
         return self._reduced(self.problem.response_names[0]).warned
 
-    def failures(self) -> dict[int, str]:
-        """Why each failed sample failed, by its index."""
-        return self.sample.failures()
-
-    def warnings(self) -> dict[int, tuple[str, ...]]:
-        """What each sample warns of that does, by its index."""
-        return self.sample.warnings()
-
-    def rerun(self, index: int) -> Any:
-        """One sample alone, bit for bit as it was, as `MonteCarlo.rerun`."""
-        return self.sample.rerun(index)
-
-    def table(self) -> Any:
-        """All samples as a pandas table, as `MonteCarlo.table`."""
-        return self.sample.table()
-
-    def mean(self, response: str) -> Statistic:
-        """Mean of a response."""
-        return self._reduced(response).mean(response)
-
-    def numerical_error(
-        self, response: str, statistic: Callable[[np.ndarray], float] = np.mean
-    ) -> NumericalError:
-        """As `MonteCarlo.numerical_error`."""
-        return self._reduced(response).numerical_error(response, statistic)
-
-    def standard_deviation(self, response: str) -> Statistic:
-        """Standard deviation of a response."""
-        return self._reduced(response).standard_deviation(response)
-
-    def quantile(self, response: str, share: float) -> Statistic:
-        """The value that a `share` [1] of the samples does not exceed."""
-        return self._reduced(response).quantile(response, share)
-
-    def share_within(self, limits: Mapping[str, Limits]) -> Statistic:
-        """The yield [1], as `MonteCarlo.share_within`."""
-        return self.sample.share_within(limits)
-
-    def process_capability(self, response: str, limits: Limits) -> Statistic:
-        """Cpk [1] between limits, as `MonteCarlo.process_capability`."""
-        return self._reduced(response).process_capability(response, limits)
-
-    def tolerance_interval(
-        self, response: str, content: float = 0.99, confidence: float = 0.95, **how: Any
-    ) -> ToleranceInterval:
-        """As `MonteCarlo.tolerance_interval`."""
-        return self._reduced(response).tolerance_interval(response, content, confidence, **how)
-
-    def error_budget(self, response: str) -> dict[str, Statistic]:
-        """What each variable contributes to the variance, as `MonteCarlo.error_budget`."""
-        return self.sample.error_budget(response)
+    failures = _of_all(MonteCarlo.failures)
+    warnings = _of_all(MonteCarlo.warnings)
+    rerun = _of_all(MonteCarlo.rerun)
+    table = _of_all(MonteCarlo.table)
+    share_within = _of_all(MonteCarlo.share_within)
+    error_budget = _of_all(MonteCarlo.error_budget)
+    mean = _of_one(MonteCarlo.mean)
+    numerical_error = _of_one(MonteCarlo.numerical_error)
+    standard_deviation = _of_one(MonteCarlo.standard_deviation)
+    quantile = _of_one(MonteCarlo.quantile)
+    process_capability = _of_one(MonteCarlo.process_capability)
+    tolerance_interval = _of_one(MonteCarlo.tolerance_interval)
 
     def summary(self, limits: Mapping[str, Limits] | None = None) -> Any:
         """The table of `MonteCarlo.summary`, one response at a time."""
@@ -174,8 +141,7 @@ class Campaign:
     def to_dataset(self) -> Any:
         """All samples as an xarray Dataset that is read when it is used: variables and responses by
         name with units, outcomes, figures of the checks; what was computed and by what, as
-        attributes. Samples that are not finished have outcome -1 and nan; where there are such, all
-        is read at once."""
+        attributes. Samples that are not finished have outcome -1 and nan."""
         return dataset_of(self._samples)
 
     def sentence(self) -> str:
@@ -205,27 +171,13 @@ class Campaign:
         every = self.plan.groups()
         return np.concatenate([every[at] for at in self._spans()] or [every[:0]])
 
-    def _pieces(self) -> Iterator[slice]:
-        """Finished samples in pieces of some chunks."""
-        begun = None
-        for at in self._spans():
-            if begun is None:
-                begun = at
-            elif begun.stop == at.start and at.stop - begun.start <= READ:
-                begun = slice(begun.start, at.stop)
-            else:
-                yield begun
-                begun = at
-        if begun is not None:
-            yield begun
-
     def _reduced(self, *names: str) -> MonteCarlo:
         """The study of one response, or of a few, without values; of every check whether it is
         beyond its limit."""
         for name in names:
             check_known("response", name, self.problem.response_names, " in this study")
         columns, outcomes, beyond = [], [], []
-        for at in self._pieces():
+        for at in self._spans():
             found = self._samples.found(at)
             told = answered(self.problem, found.responses)
             columns.append({n: np.where(told, found.responses[n], np.nan) for n in names})
@@ -255,7 +207,7 @@ class Campaign:
             found.checks,
             self._groups(),
             self._unfinished(),
-            known_replicas(self.folder),
+            self._samples.replicas(),
             self._samples.earlier(),
         )
 
@@ -264,3 +216,20 @@ def _as_figure(beyond: np.ndarray) -> Figure:
     """A figure that is infinite where it is beyond its limit (samples,)."""
     worst: Any = np.where(beyond, np.inf, 0.0).astype(np.float16)[:, None]
     return Figure(worst, np.zeros_like(worst), ("",))
+
+
+GivenSample = MonteCarlo | Campaign
+
+
+def given_sample(problem: AbstractProblem, sample: GivenSample) -> MonteCarlo:
+    """The sample that a study is given instead of drawing one, in memory. Raises `ValueError` with
+    a sentence for one of another problem."""
+    if isinstance(sample, Campaign):
+        return sample.sample_of(problem)
+    differs = difference(sample.problem, problem)
+    if differs:
+        raise ValueError(
+            f"the sample is of another problem ({differs}); give a sample of this one, "
+            "jaxclear.monte_carlo(problem), or how many samples to draw."
+        )
+    return sample

@@ -1,30 +1,35 @@
 """How a campaign comes to all the samples that are asked of it: a folder is begun or found, made
-larger where more are asked for, and what it lacks is computed.
+larger where more are asked for, what it lacks is computed, and its first samples get replicas.
 """
 
-import copy
+import dataclasses
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from tqdm import tqdm
 
-from jaxclear.studies.campaign.layout import KIND, RESPONSES
-from jaxclear.studies.campaign.plan import Plan, usual_batch
+from jaxclear.ground.warning import warn
+from jaxclear.integrators.checks import Checks
 from jaxclear.studies.campaign.recorded import in_json
-from jaxclear.studies.campaign.result import READ, Campaign
-from jaxclear.studies.campaign.samples import Extended, Samples
-from jaxclear.studies.campaign.verified import verify
-from jaxclear.studies.campaign.work import AbstractWork, Heard
-from jaxclear.studies.growing import until_accurate
+from jaxclear.studies.campaign.result import Campaign
+from jaxclear.studies.campaign.samples import KIND, RESPONSES, VALUES, Plan, Samples
+from jaxclear.studies.campaign.threads import AbstractWork, Heard
+from jaxclear.studies.ledger.batch import usual_batch
+from jaxclear.studies.ledger.ledger import refuse_other
+from jaxclear.studies.replicas import MOST_REPLICAS
 from jaxclear.studies.sampling import groups
+from jaxclear.studies.sequential import until_accurate
 from jaxclear.studies.statistics.accuracy import Asked, Piece
-from jaxclear.studies.store import refuse_other
 from jaxclear.studies.texts import in_texts
 
-__all__ = ["Wanted", "computed"]
+# Samples that are read together, about.
+READ = 1 << 16
+# Held by the process that adds replicas.
+VERIFYING = ".verifying"
 
 
 class Wanted(NamedTuple):
@@ -50,20 +55,16 @@ def computed(by: AbstractWork, wanted: Wanted, folder: Any, shown: bool) -> Camp
         first = max(wanted.plan.samples, run.kept.plan.samples)
         short = until_accurate(by.problem, first, wanted.most, wanted.accuracy, run.grown)
     if wanted.verify:
-        verify(run.kept, by)
-    run.kept.tidy()
+        _verify(run.kept, by)
+    run.kept.conclude()
     return Campaign(run.kept, by.problem, short)
 
 
 def _begun(by: AbstractWork, wanted: Wanted, folder: Any) -> Samples:
-    """The samples in a folder, with room made for them where there are none."""
+    """The samples in a folder, which is told of them where there are none."""
     problem, plan = by.problem, wanted.plan
     texts = in_texts(problem)
-    found = Samples.known(folder)
-    if found is None:
-        told = {"problem": json.dumps(texts), "recorded": in_json(problem)}
-        found = Samples.made(folder, plan, told, by.begun(plan))
-    # Another process may have been first.
+    found = Samples.made(folder, plan, {"problem": json.dumps(texts), "recorded": in_json(problem)})
     refuse_other(found.folder, found.told, KIND, texts)
     for name in ("seed", "sampling", "scramblings")[: 3 if wanted.scrambled else 2]:
         there, here = getattr(found.plan, name), getattr(plan, name)
@@ -91,10 +92,17 @@ class _Run:
         self.by, self.kept, self.most, self.shown = by, kept, most, shown
 
     def grow(self, samples: int) -> None:
-        """Has so many samples in the folder."""
-        while not self._finished(samples):
-            # Another process was faster to make the campaign larger.
-            self.kept = Samples(self.kept.folder)
+        """Has so many samples in the folder, and computes those that it lacks."""
+        if self.kept.plan.samples < samples:
+            larger = self.kept.extended(samples, usual_batch(self.by.problem))
+            self.kept = larger.view(self.most)
+        plan = self.kept.plan
+        left = np.setdiff1d(np.arange(plan.chunks), self.kept.finished(kept_anew=True)).tolist()
+        if lost := self.kept.lost(left):
+            warn(lost)
+        if left:
+            with _progress(self.shown, plan, left) as heard:
+                self.by.compute(self.kept, left, heard)
 
     def grown(self, samples: int) -> Iterator[Piece]:
         """Has so many samples in the folder, and reads all that are then there in pieces of some
@@ -104,36 +112,35 @@ class _Run:
         size = max(READ // plan.chunk, 1) * plan.chunk
         for first in range(0, plan.samples, size):
             at = slice(first, min(first + size, plan.samples))
-            rows = self.kept.read(RESPONSES, at)
+            rows = self.kept.read(at, RESPONSES)[RESPONSES]
             own = groups(at.stop, plan.scramblings, at.start)
             yield {name: rows[:, i] for i, name in enumerate(names)}, own
 
-    def _finished(self, samples: int) -> bool:
-        """Computes what the folder lacks; False where the plan has changed meanwhile."""
-        if self.kept.plan.samples < samples:
-            larger = self.kept.plan.larger(samples, usual_batch(self.by.problem))
-            self.kept = self.kept.extended(larger)
-            return self.kept.plan == larger and self._finished(samples)
-        # Where there are to be more samples by now, the last chunk asked for is computed whole.
-        asked = _first(self.kept, self.most)
-        left = np.setdiff1d(np.arange(asked.plan.chunks), asked.finished())
-        try:
-            with _progress(self.shown, asked.plan, left.tolist()) as heard:
-                self.by.compute(self.kept, left.tolist(), heard)
-        except Extended:
-            return False
-        self.kept = asked
-        return True
+
+def _verify(samples: Samples, by: AbstractWork) -> None:
+    """Adds the replicas that the finished samples in a folder lack, if their problem has any:
+    finer runs of the first ones, written once all samples are there. A campaign that becomes larger
+    keeps them, and adds what it lacks."""
+    if not len(_lacking(samples)) or by.problem.replica() is None:
+        return
+    import filelock
+
+    with filelock.FileLock(samples.folder / VERIFYING, thread_local=False):
+        known, lacking = samples.finer(), _lacking(samples)
+        if not len(lacking):
+            return
+        values = samples.read(slice(lacking.start, lacking.stop), VALUES)[VALUES]
+        found = dataclasses.replace(by.replicated(samples.plan, values), checks=Checks())
+        parts = [own for own in (known, found) if own is not None]
+        samples.keep_finer(jax.tree.map(lambda *own: np.concatenate(own), *parts))
 
 
-def _first(kept: Samples, most: int) -> Samples:
-    """What is in a folder, as if no more than the most samples had been planned."""
-    if kept.plan.samples <= most:
-        return kept
-    fewer = copy.copy(kept)
-    fewer.plan = kept.plan._replace(samples=most)
-    fewer.told = kept.told | {"plan": fewer.plan._asdict()}
-    return fewer
+def _lacking(samples: Samples) -> range:
+    """Numbers of the first samples without replicas."""
+    known = samples.finer()
+    return range(
+        0 if known is None else len(known.outcome), min(MOST_REPLICAS, samples.plan.samples)
+    )
 
 
 @contextmanager

@@ -1,224 +1,330 @@
-"""Samples of a campaign on disk: one Zarr group, an array for each kind of number, a mark for each
-chunk that is finished.
+"""Samples of a campaign in its folder: which ones are planned, a file for each chunk of them, found
+by what they are drawn from, and what the folder tells of them.
 
-A chunk of samples is a file in every array. Each file is written beside and renamed, and the mark
-comes last: whatever happens, a chunk is finished and whole, or it counts for nothing. Two processes
-that computed the same chunk wrote the same bytes. Where the samples become more, a last chunk that
-is not full loses its mark before the plan changes; whoever writes such a chunk looks at the plan.
+A chunk is finished where its file has all its samples, or more: a sample is the same whatever
+becomes of the plan. A last chunk that was not full is written again where the samples become more.
 """
 
-import secrets
-import shutil
-import time
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.ground.datasets import told_versions
 from jaxclear.ground.warning import warn
 from jaxclear.integrators import Outcome
-from jaxclear.integrators.checks import Check
-from jaxclear.integrators.figures import Checks, Figure
-from jaxclear.studies.base import SampleResult
-from jaxclear.studies.campaign.chunk_files import ChunkFiles
-from jaxclear.studies.campaign.layout import (
-    CLAIMS,
-    ENDED,
-    FINISHED,
-    ORDER,
-    OUTCOME,
-    RESPONSES,
-    SAMPLES,
-    VALUES,
-    VERSIONS,
-    WHEN,
-    WORST,
-    made,
-    resized,
+from jaxclear.integrators.checks import Check, Checks, Figure
+from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.ledger.batch import devices, usual_batch
+from jaxclear.studies.ledger.earlier import EarlierSamples
+from jaxclear.studies.ledger.ledger import STUDY, DamagedFolder, refuse_foreign, tell, told_of
+from jaxclear.studies.ledger.pieces import (
+    MENDED,
+    Piece,
+    Pieces,
+    address_of,
+    checked_folder,
+    refuse_unwritable,
 )
-from jaxclear.studies.campaign.plan import Plan
-from jaxclear.studies.campaign.versions import change, signed, signers, told_versions
-from jaxclear.studies.store import checked_folder
+from jaxclear.studies.replicas import Replicas, together_with
+from jaxclear.studies.sampling import groups
 
-__all__ = ["Extended", "Samples"]
-
-# What versions up to 0.29 kept of the nominal sample.
-NOMINAL = "second_look"
-# Held while the plan is changed, or must not change.
+# A campaign has about this many chunks at the most. Samples that are cheap beside a file come in
+# fewer and larger ones.
+MOST_CHUNKS, MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK = 1024, 32, 1 << 14
+# A chunk of runs is a batch, of a large campaign so many batches (files cost where runs are quick),
+# but no more than this part of it.
+BATCHES, OF_CAMPAIGN = 4, 64
+KIND = "a Monte Carlo campaign"
+# What is kept of each sample; the figures of its checks, and when they were met.
+VALUES, RESPONSES, OUTCOME, ENDED, WORST, WHEN = COLUMNS = (
+    "values",
+    "responses",
+    "outcome",
+    "ended",
+    "worst",
+    "when",
+)
+# Columns that repeat themselves.
+SQUEEZED = (OUTCOME, ENDED, WORST, WHEN)
+FINER = "finer"
+# Held while the plan is changed.
 PLANNING = ".planning"
-# Age [s] of what a process that began no campaign left behind.
-ABANDONED = 3600.0
+# Up to how many samples all had been finished once; what versions up to 0.29 found of the nominal
+# sample.
+WHOLE, NOMINAL = "whole", "second_look"
 
 
-class Extended(Exception):
-    """Another process has planned more samples in the meantime."""
+class Plan(NamedTuple):
+    """`samples` in independent `scramblings`, drawn from `seed`; computed in batches of `batch`,
+    kept in chunks of `chunk` samples, a multiple of the batch."""
+
+    samples: int
+    seed: int
+    sampling: str
+    scramblings: int
+    batch: int
+    chunk: int
+
+    @property
+    def chunks(self) -> int:
+        """Number of chunks."""
+        return -(-self.samples // self.chunk)
+
+    def larger(self, samples: int, usual: int) -> "Plan":
+        """The plan of more samples. A campaign that was to be smaller than a batch of the `usual`
+        size gets larger ones; nothing of it stays, for no chunk is smaller than such a batch."""
+        small = self.samples < self.chunk
+        larger = max(self.batch, min(usual, samples)) if small else self.batch
+        return self._replace(samples=samples, batch=larger)
+
+    def span(self, number: int) -> tuple[int, int]:
+        """First sample of a chunk, and the one after its last."""
+        return number * self.chunk, min((number + 1) * self.chunk, self.samples)
+
+    def groups(self) -> np.ndarray:
+        """The scrambling (samples,) of every sample."""
+        return groups(self.samples, self.scramblings)
+
+
+def planned(
+    problem: AbstractProblem, drawn: tuple[int, int, str, int], chunk: int | None, most: int
+) -> Plan:
+    """The plan of samples, seed, sampling and scramblings to begin with, of which there will be
+    `most`; in chunks of at least so many samples if they are given. Chunks are of whole batches of
+    the usual size, also where there are not as many samples."""
+    batch = usual_batch(problem)
+    if chunk is None:
+        # Runs have an idle form; what is evaluated at once has none.
+        cheap = problem.idle() is problem
+        some = min(BATCHES * batch, most // OF_CAMPAIGN)
+        chunks, least = (MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK) if cheap else (MOST_CHUNKS, some)
+        chunk = max(-(-most // chunks), least, batch * devices())
+    return Plan(*drawn, min(batch, most), -(-chunk // batch) * batch)
 
 
 class Samples:
-    """The samples in a folder: what is planned, what is finished, and the numbers of both."""
+    """The samples in a folder: what is planned, what is finished, and the numbers of both. `told`:
+    all that is known of them, as JSON."""
 
-    def __init__(self, folder: Path):
-        import zarr
-
-        self.folder = folder
-        self.group: Any = zarr.open_group(folder / SAMPLES, mode="r+")
-        self.told: dict[str, Any] = dict(self.group.attrs)
-        if self.told.get("order") != ORDER:
-            raise ValueError(
-                f"the folder {folder} is of an earlier version of jaxclear, whose samples came in "
-                "another order; go on with that version, or give another folder."
-            )
-        self.plan = Plan(**self.told["plan"])
-        self.figures = [tuple(figure) for figure in self.told["figures"]]
-        # Looking whether a chunk is empty costs as much as compressing it, and none is.
-        with zarr.config.set({"array.write_empty_chunks": True}):
-            self.arrays: dict[str, Any] = dict(self.group.arrays())
-        self._files = ChunkFiles(folder / SAMPLES, self.arrays)
-        self._mark: int | None = None
+    def __init__(self, folder: Path, told: dict[str, Any]):
+        self.folder, self.told = folder, told
+        self.plan = Plan(**told["plan"])
+        self.pieces = Pieces(folder)
+        self._drawn = address_of(json.loads(told["problem"]), [*self.plan[1:4], self.plan.chunk])
+        # Of the finished chunks that have been read, what computed them.
+        self._whole: dict[int, dict[str, str]] = {}
+        self._earlier = EarlierSamples(folder) if EarlierSamples.are_in(folder) else None
 
     @classmethod
     def opened(cls, folder: Any) -> "Samples":
         """Those in a folder. Raises `ValueError` with a sentence where there are none."""
         path = checked_folder(folder)
-        if not (path / SAMPLES / "zarr.json").exists():
+        told = _told(path, mend=False)
+        if told is None:
             raise ValueError(f"the folder {path} holds no campaign.")
-        return cls(path)
+        return cls(path, told)
 
     @classmethod
-    def known(cls, folder: Any) -> "Samples | None":
-        """Those in a folder; None in an empty one. Raises `ValueError` with a sentence where it
-        holds something else."""
+    def made(cls, folder: Any, plan: Plan, told: dict[str, Any]) -> "Samples":
+        """Those in a folder. Where it holds none, it is told what there is to be known of them;
+        raises `ValueError` with a sentence where it holds something else."""
         path = checked_folder(folder)
-        if not (path / SAMPLES / "zarr.json").exists():
-            if path.exists() and any(not name.name.startswith(".") for name in path.iterdir()):
-                raise ValueError(
-                    f"the folder {path} is not empty and holds no campaign; give another one."
-                )
+        known = _told(path, mend=True)
+        if known is not None and (path / STUDY).exists():
+            return cls(path, known)
+        if known is None:
+            refuse_foreign(path, "campaign")
+            known = {"what": KIND, "plan": plan._asdict()} | told
+        with _planning(path):
+            with suppress(DamagedFolder):
+                # Two processes may begin at once.
+                known = told_of(path) or known
+            tell(path, known)
+        return cls(path, known)
+
+    def view(self, most: int) -> "Samples":
+        """The same as if no more than the most samples were planned."""
+        fewer = self.plan._replace(samples=min(self.plan.samples, most))
+        found = Samples(self.folder, self.told | {"plan": fewer._asdict()})
+        found._whole = {n: v for n, v in self._whole.items() if self.plan.span(n) == fewer.span(n)}
+        return found
+
+    def extended(self, samples: int, usual: int) -> "Samples":
+        """With room for so many, in batches of the `usual` size; for more, where another process
+        has planned these."""
+        with _planning(self.folder):
+            told = told_of(self.folder) or self.told
+            plan = Plan(**told["plan"])
+            if plan.samples < samples:
+                plan = plan.larger(samples, usual)
+                told = told | {"plan": plan._asdict()}
+                tell(self.folder, told)
+        return Samples(self.folder, told)
+
+    def conclude(self) -> None:
+        """Puts down that all samples are finished, and tidies up."""
+        if self.told.get(WHOLE, 0) < self.plan.samples:
+            with _planning(self.folder):
+                told = told_of(self.folder) or self.told
+                tell(self.folder, told | {WHOLE: max(told.get(WHOLE, 0), self.plan.samples)})
+        self.pieces.tidy()
+
+    def address(self, number: int) -> str:
+        """Of a chunk's file."""
+        return address_of(self._drawn, number)
+
+    def claimed(self, number: int) -> Any:
+        """As `Pieces.claimed`, of a chunk."""
+        return self.pieces.claimed(self.address(number))
+
+    def chunk(self, number: int, *names: str) -> Piece | None:
+        """A chunk's columns of these names, or all; None where it is not finished."""
+        first, last = self.plan.span(number)
+        found = self.pieces.read(self.address(number), names or None)
+        if found is None and self._earlier is not None:
+            found = self._earlier.read(number, first, (number + 1) * self.plan.chunk)
+        if found is None or found.about["samples"] < last - first:
             return None
-        return cls(path)
+        return found
 
-    @classmethod
-    def made(cls, folder: Any, plan: Plan, told: dict, kind: SampleResult) -> "Samples":
-        """Room for the samples of a plan in a folder. `told`: all that is to be known of them, as
-        JSON; `kind`: what a batch of samples gives."""
-        path = checked_folder(folder)
-        path.mkdir(parents=True, exist_ok=True)
-        # Made under a name of its own: two processes may begin at once, and one is too late.
-        beside = path / f".{SAMPLES}.{secrets.token_hex(8)}"
-        made(beside, plan, told, kind)
-        try:
-            beside.rename(path / SAMPLES)
-        except OSError:
-            shutil.rmtree(beside, ignore_errors=True)
-        return cls(path)
+    def finished(self, kept_anew: bool = False) -> np.ndarray:
+        """Numbers of the finished chunks, whose checksums are right; `kept_anew`: without those of
+        an earlier version."""
+        own = [number for number in range(self.plan.chunks) if self._is_whole(number, kept_anew)]
+        return np.array(own, int)
 
-    def extended(self, plan: Plan) -> "Samples":
-        """The same samples with room for all of a larger plan; as they are in the folder, where
-        another process has changed its plan."""
-        with self._planning() as current:
-            if current:
-                resized(self.arrays, plan)
-                if self.plan.samples % self.plan.chunk:
-                    # The last chunk is to have more samples.
-                    self.arrays[FINISHED][self.plan.chunks - 1] = 0
-                self.group.attrs.put(self.told | {"plan": plan._asdict()})
-        return Samples(self.folder)
+    def _is_whole(self, number: int, kept_anew: bool) -> bool:
+        if kept_anew and not self.pieces.path(self.address(number)).exists():
+            return False
+        if number not in self._whole and (found := self.chunk(number)) is not None:
+            self._whole[number] = found.about["versions"]
+        return number in self._whole
 
-    def trim(self) -> None:
-        """Takes away the room that a process made which died before it changed the plan."""
-        if not resized(self.arrays, self.plan, alter=False):
-            return
-        with self._planning() as current:
-            if current:
-                resized(self.arrays, self.plan)
-
-    @contextmanager
-    def _planning(self) -> Iterator[bool]:
-        """Holds the plan of the folder as it is. Whether it is still the one known here."""
-        import filelock
-        import zarr
-
-        with filelock.FileLock(self.folder / PLANNING, thread_local=False):
-            there: Any = zarr.open_group(self.folder / SAMPLES, mode="r").attrs["plan"]
-            yield there == self.told["plan"]
-
-    def is_finished(self, number: int) -> bool:
-        """Whether a chunk is."""
-        there = self._files.are_there(FINISHED, number)
-        return there and bool(self.arrays[FINISHED][number] != 0)
-
-    def finished(self) -> np.ndarray:
-        """Numbers of the finished chunks."""
-        return np.flatnonzero(self.arrays[FINISHED][: self.plan.chunks])
+    def lost(self, left: list[int]) -> str:
+        """A sentence on those of the chunks that are left that were there before; "" for none."""
+        before = self.told.get(WHOLE, 0)
+        lost = [
+            number
+            for number in left
+            if self.address(number) in self.pieces.damaged or self.plan.span(number)[1] <= before
+        ]
+        if not lost or self._earlier is not None:
+            return ""
+        name = self.pieces.path(self.address(lost[0])).name
+        return (
+            f"{len(lost)} of {self.plan.chunks} chunks in {self.folder} are missing or do not "
+            f"match their checksums (the first is {name}); they are computed again."
+        )
 
     def write(self, number: int, values: np.ndarray, found: SampleResult) -> None:
-        """Keeps a chunk, and marks it as finished. Samples that failed have no responses. Raises
-        `Extended` where it is to have more samples by now."""
-        at = slice(*self.plan.span(number))
-        if at.stop - at.start == self.plan.chunk:
-            self._write(number, at, values, found)
-            return
-        with self._planning() as current:
-            if not current:
-                raise Extended
-            self._write(number, at, values, found)
-
-    def _write(self, number: int, at: slice, values: np.ndarray, found: SampleResult) -> None:
-        own = found.checks.figures
+        """Keeps a chunk. Samples that failed have no responses."""
         good = (found.outcome == Outcome.REACHED)[:, None]
-        names = self.told["recorded"]["response_names"]
-        responses = np.stack([found.responses[name] for name in names], axis=1)
-        self._put(VALUES, at, values)
-        self._put(RESPONSES, at, np.where(good, responses, np.nan))
-        if self.figures:
-            figures = {check.name: figure for check, figure in own.items()}
-            worst, when = self._columns(figures, len(values))
-            self._put(WORST, at, worst)
-            self._put(WHEN, at, when)
-        self._put(OUTCOME, at, found.outcome)
-        self._put(ENDED, at, found.ended)
-        if self._mark is None:
-            self._mark = signed(self.folder / VERSIONS, told_versions())
-        self._files.put(FINISHED, number, [self._mark])
+        responses = np.stack([found.responses[name] for name in self._names], axis=1)
+        columns: dict[str, Any] = {VALUES: values, RESPONSES: np.where(good, responses, np.nan)}
+        columns |= {OUTCOME: np.asarray(found.outcome, np.int8), ENDED: found.ended}
+        figures = found.checks.figures
+        if figures:
+            columns[WORST] = np.concatenate([own.worst for own in figures.values()], axis=1)
+            columns[WHEN] = np.concatenate([own.time for own in figures.values()], axis=1)
+        named = [[check.name, place] for check, own in figures.items() for place in own.places]
+        self.keep(number, Piece({"figures": named, "samples": len(values)}, columns))
 
-    def _columns(self, own: dict[str, Figure], rows: int) -> tuple[np.ndarray, np.ndarray]:
-        """Of so many samples the figures of the checks that the folder keeps, and when they were
-        met; 0 of those that an earlier version asked, and this one does not."""
-        kept = list(dict.fromkeys(check for check, _ in self.figures))
-        widths = [sum(check == name for name, _ in self.figures) for check in kept]
-        none = [np.zeros((rows, width)) for width in widths]
-        pairs = list(zip(kept, none, strict=True))
-        worst = [own[check].worst if check in own else empty for check, empty in pairs]
-        when = [own[check].time if check in own else empty for check, empty in pairs]
-        return np.concatenate(worst, axis=1), np.concatenate(when, axis=1)
+    def keep(self, number: int, piece: Piece) -> None:
+        """Writes a chunk's file, signed with the versions that computed it."""
+        about = {"versions": self._now} | piece.about
+        self.pieces.write(self.address(number), about, piece.arrays, SQUEEZED)
+        self._whole[number] = about["versions"]
 
-    def _put(self, name: str, at: slice, numbers: Any) -> None:
-        if at.stop - at.start == self.plan.chunk:
-            self._files.put(name, at.start // self.plan.chunk, numbers)
-        else:
-            self.arrays[name][at] = numbers
+    @cached_property
+    def _now(self) -> dict[str, str]:
+        return told_versions()
 
-    def read(self, name: str, at: slice) -> Any:
-        """Numbers of some samples."""
-        return self.arrays[name][at]
+    @property
+    def _names(self) -> list[str]:
+        return self.told["recorded"]["response_names"]
+
+    @cached_property
+    def figures(self) -> list[tuple[str, str]]:
+        """Check and place of each figure that chunks hold, as the first finished one does."""
+        pieces = (self.chunk(number, OUTCOME) for number in range(self.plan.chunks))
+        first = next((own for own in pieces if own is not None), None)
+        return [] if first is None else [tuple(own) for own in first.about["figures"]]
+
+    def read(self, at: slice, *names: str) -> dict[str, np.ndarray]:
+        """Columns of some finished samples, by name; figures in the order of `figures`. Raises
+        `ValueError` with a sentence where they are not there any more."""
+        parts = []
+        for number in range(at.start // self.plan.chunk, -(-at.stop // self.plan.chunk)):
+            first, last = self.plan.span(number)
+            piece = self.chunk(number, *names)
+            if piece is None:
+                raise ValueError(
+                    f"{self.pieces.path(self.address(number))} is missing or does not match its "
+                    "checksum; ask jaxclear.campaign the same again, which computes it again."
+                )
+            own = slice(max(at.start, first) - first, min(at.stop, last) - first)
+            wanted = [name for name in piece.arrays if not names or name in names]
+            columns = {name: piece.arrays[name][own] for name in wanted}
+            parts.append(self._aligned(piece, columns, names))
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+    def _aligned(self, piece: Piece, columns: dict[str, Any], names: tuple[str, ...]) -> dict:
+        """Columns with the figures that all have; 0 where another version asked for others."""
+        there = [tuple(own) for own in piece.about["figures"]]
+        if there != self.figures:
+            rows = len(next(iter(columns.values())))
+            for name in (WORST, WHEN):
+                if not names or name in names:
+                    wide = np.zeros((rows, len(self.figures)))
+                    for i, figure in enumerate(self.figures):
+                        if figure in there:
+                            wide[:, i] = columns[name][:, there.index(figure)]
+                    columns[name] = wide
+        return columns
 
     def found(self, at: slice) -> SampleResult:
         """What was computed of some samples, as the problem gave it."""
-        names = self.told["recorded"]["response_names"]
-        responses = self.read(RESPONSES, at)
+        columns: dict[str, Any] = self.read(at, *COLUMNS[1:])
         figures: dict[Check, Figure] = {}
-        if self.figures:
-            worst, time = self.read(WORST, at), self.read(WHEN, at)
-            for check in dict.fromkeys(check for check, _ in self.figures):
-                own = [i for i, (name, _) in enumerate(self.figures) if name == check]
-                places = tuple(self.figures[i][1] for i in own)
-                figures[Check[check]] = Figure(worst[:, own], time[:, own], places)
-        by_name = {name: responses[:, i] for i, name in enumerate(names)}
-        outcome = self.read(OUTCOME, at).astype(np.int32)
-        return SampleResult(by_name, outcome, self.read(ENDED, at), Checks.of(figures))
+        for check in dict.fromkeys(check for check, _ in self.figures):
+            own = [i for i, (name, _) in enumerate(self.figures) if name == check]
+            places = tuple(self.figures[i][1] for i in own)
+            figures[Check[check]] = Figure(columns[WORST][:, own], columns[WHEN][:, own], places)
+        by_name = {name: columns[RESPONSES][:, i] for i, name in enumerate(self._names)}
+        outcome = columns[OUTCOME].astype(np.int32)
+        return SampleResult(by_name, outcome, columns[ENDED], Checks.of(figures))
+
+    def finer(self) -> SampleResult | None:
+        """What the first samples gave in finer runs; None where none is kept."""
+        piece = self.pieces.read(address_of(self._drawn, FINER))
+        if piece is None:
+            return None if self._earlier is None else self._earlier.finer()
+        columns: dict[str, Any] = piece.arrays
+        by_name = dict(zip(self._names, columns[RESPONSES], strict=True))
+        return SampleResult(by_name, columns[OUTCOME], columns[ENDED])
+
+    def keep_finer(self, found: SampleResult) -> None:
+        """Keeps what the first samples gave in finer runs."""
+        rows = np.stack([found.responses[name] for name in self._names])
+        columns = {RESPONSES: rows, OUTCOME: found.outcome, ENDED: found.ended}
+        address = address_of(self._drawn, FINER)
+        if address in self.pieces.damaged:
+            warn(MENDED.format(self.pieces.path(address)))
+        self.pieces.write(address, {}, columns)
+
+    def replicas(self) -> Replicas | None:
+        """The replicas of the first samples; None where there are none."""
+        finer = self.finer()
+        count = 0 if finer is None else len(finer.outcome)
+        if finer is None or len(self.finished()) < -(-count // self.plan.chunk):
+            return None
+        return together_with(self._names, self.found(slice(0, count)), finer, count)
 
     def earlier(self) -> tuple[str, ...]:
         """What a version up to 0.29 found to be off in a second look at the nominal sample."""
@@ -229,54 +335,57 @@ class Samples:
         }
         return Checks.of(figures).warnings
 
-    @contextmanager
-    def claimed(self, number: int) -> Iterator[bool]:
-        """Whether this thread may compute a chunk, or another one, of this process or of another,
-        is at it. The system takes claims back from processes that end."""
-        import filelock
-
-        path = self.folder / CLAIMS / f"{number:08d}"
-        lock = filelock.FileLock(path, timeout=0, thread_local=False)
-        try:
-            path.parent.mkdir(exist_ok=True)
-            lock.acquire()
-        except (filelock.Timeout, FileNotFoundError, FileExistsError):
-            # Somebody is at it, or has finished the campaign and tidies up: pathlib may find the
-            # folder there, and a moment later not.
-            yield False
-            return
-        try:
-            yield True
-        finally:
-            lock.release()
-
-    def tidy(self) -> None:
-        """Takes away claims, and what chunks that were never finished left. Where others have
-        planned more samples, these are theirs, and they stay."""
-        self.trim()
-        # All is finished, and nobody plans more now: nobody writes.
-        with self._planning() as current:
-            if current:
-                shutil.rmtree(self.folder / CLAIMS, ignore_errors=True)
-                for left in (self.folder / SAMPLES).rglob("*.partial"):
-                    left.unlink(missing_ok=True)
-        for left in self.folder.glob(f".{SAMPLES}.*"):
-            # Another process may be about to begin.
-            with suppress(FileNotFoundError):
-                if time.time() - left.stat().st_mtime > ABANDONED:
-                    shutil.rmtree(left, ignore_errors=True)
-
-    def versions(self) -> dict[int, dict[str, str]]:
-        """Versions of the programs that computed finished chunks, by their mark."""
-        return signers(self.folder / VERSIONS)
+    def versions(self) -> tuple[dict[str, str], ...]:
+        """Versions of the programs that computed finished chunks."""
+        told = [self._whole[int(number)] for number in self.finished()]
+        return tuple({json.dumps(own, sort_keys=True): own for own in told}.values())
 
     def warn_of_versions(self) -> None:
         """A warning where chunks were computed by other versions than those to come."""
-        now = told_versions()
-        for before in self.versions().values():
-            differs = change(before, now)
-            if differs:
+        now = self._now
+        for before in self.versions():
+            names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
+            told = (
+                f"{n} {before.get(n, 'absent')} then, {now.get(n, 'absent')} now" for n in names
+            )
+            if names:
                 warn(
-                    f"chunks in {self.folder} were computed by other versions ({differs}); numbers "
-                    "may differ from theirs in the last digits.",
+                    f"chunks in {self.folder} were computed by other versions ({', '.join(told)}); "
+                    "numbers may differ from theirs in the last digits.",
                 )
+
+
+def holds_campaign(folder: Path) -> bool:
+    """Whether a folder holds a campaign, and no other study."""
+    told = told_of(folder)
+    return EarlierSamples.are_in(folder) if told is None else "plan" in told
+
+
+def _told(path: Path, mend: bool) -> dict[str, Any] | None:
+    """What a folder tells of its campaign, as `told_of`. Raises `ValueError` with a sentence where
+    it holds another study."""
+    told = told_of(path, mend)
+    if told is None and EarlierSamples.are_in(path):
+        told = EarlierSamples(path).told
+    if told is not None and "plan" not in told:
+        raise ValueError(
+            f"the folder {path} holds {told['what']} and holds no campaign; give another one."
+        )
+    return told
+
+
+@contextmanager
+def _planning(folder: Path) -> Iterator[None]:
+    """Holds the plan of a folder, which is made where there is none."""
+    import filelock
+
+    lock = filelock.FileLock(folder / PLANNING, thread_local=False)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except OSError as reason:
+        refuse_unwritable(folder, reason)
+    try:
+        yield
+    finally:
+        lock.release()

@@ -6,10 +6,10 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.shown import AbstractShown, as_written, in_few, with_error
+from jaxclear.ground.shown import as_written, in_few, with_error
 from jaxclear.ground.table import as_table
+from jaxclear.studies.answer import VARIABLE, AbstractAnswer, Column, Stated, columns_of
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.datasets import of_design
 from jaxclear.studies.design.abstract_limit import AbstractLimit
 from jaxclear.studies.design.freedom import NOMINAL
 from jaxclear.studies.design.question import Question
@@ -30,7 +30,7 @@ ENDINGS = {
 }
 
 
-class Design(AbstractShown):
+class Design(AbstractAnswer):
     """A design: `nominal` values and `tolerances` of all variables by name, its `cost`; of each
     limit the number found by new runs with its 95 % error and its price.
 
@@ -147,9 +147,6 @@ class Design(AbstractShown):
         ]
         return " ".join([*said, ENDINGS[self.ended]]).rstrip()
 
-    def _shown(self):
-        return self.table(), self.sentence()
-
     def unit(self, i: int) -> str:
         """Unit of a limited number."""
         units = self.problem.units() | dict(
@@ -183,49 +180,42 @@ class Design(AbstractShown):
         saved = in_few(price * step, 3)
         return f"The limit on the {limit.words()} decides: {named} {way} saves {saved}."
 
-    def table(self) -> Any:
-        """A pandas table of all variables: nominal value, tolerance, whether each was chosen, and
-        its catalogue's name."""
-        freedom = self.question.freedom
-        rows = []
-        for variable, name in enumerate(freedom.names):
-            free = {c.kind: i for i, c in enumerate(freedom.choices) if c.variable == variable}
-            labels = [self.label(i) for i in free.values()]
-            rows.append(
-                {
-                    "variable": name,
-                    "unit": self.problem.variable_units[variable],
-                    "nominal": self.nominal[name],
-                    "tolerance": self.tolerances[name],
-                    "chosen": " and ".join(free),
-                    "catalogue": " ".join(filter(None, labels)),
-                }
-            )
-        return as_table(rows)
-
-    def to_dataset(self) -> Any:
-        """Variables, limits and rounds as an xarray Dataset, with provenance."""
-        return of_design(self)
+    def _stated(self):
+        freedom, over = self.question.freedom, (VARIABLE,)
+        free: dict[str, dict[str, int]] = {name: {} for name in freedom.names}
+        for i, choice in enumerate(freedom.choices):
+            free[freedom.names[choice.variable]][choice.kind] = i
+        named = lambda own: " ".join(filter(None, map(self.label, own.values())))
+        units = zip(freedom.names, self.problem.variable_units, strict=True)
+        columns = {
+            "unit": Column(over, dict(units)),
+            "nominal": Column(over, self.nominal),
+            "tolerance": Column(over, self.tolerances),
+            "chosen": Column(over, {name: " and ".join(own) for name, own in free.items()}),
+            "catalogue": Column(over, {name: named(own) for name, own in free.items()}),
+        }
+        limits = columns_of(self.limit_table().set_index("limit"), "limit", "limit ")
+        columns |= limits | columns_of(self.history(), "round", "round ")
+        numbers = {"cost": self.cost, "runs": self.runs}
+        return Stated("design", columns, self.problem, (), numbers, labelled=False)
 
     def limit_table(self) -> Any:
         """A pandas table of the limits: number, 95 % error, bound, whether it holds, price of a
         unit of the bound."""
-        rows = []
-        for i, limit in enumerate(self.limits):
-            rows.append(
-                {
-                    "limit": limit.words(),
-                    "unit": self.unit(i),
-                    "number": self.numbers[i],
-                    "error": self.errors[i],
-                    "bound": float(limit.bound()),
-                    "side": "at most" if limit.upper() else "at least",
-                    "holds": bool(self.excess[i] <= self.allowed_excess),
-                    "price": self.prices[i],
-                }
-            )
-        units = {"price": "cost a unit"}
-        return as_table(rows, units=units, errors={"number": "error"})
+        rows = [
+            {
+                "limit": limit.words(),
+                "unit": self.unit(i),
+                "number": self.numbers[i],
+                "error": self.errors[i],
+                "bound": float(limit.bound()),
+                "side": "at most" if limit.upper() else "at least",
+                "holds": bool(self.excess[i] <= self.allowed_excess),
+                "price": self.prices[i],
+            }
+            for i, limit in enumerate(self.limits)
+        ]
+        return as_table(rows, units={"price": "cost a unit"}, errors={"number": "error"})
 
     def history(self) -> Any:
         """A pandas table, a row a round: cost, largest excess by new runs, runs so far, what the

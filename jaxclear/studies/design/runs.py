@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.integrators import Outcome
-from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.endless import answered, bounded
-from jaxclear.studies.store import Store
+from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.ledger.ledger import Ledger
 from jaxclear.studies.texts import in_texts
 from jaxclear.studies.warned import codes_of
 
@@ -30,7 +30,7 @@ class Runs:
 
     def __init__(self, problem: Any, store: Any, show: bool, batch: int = BATCH):
         self.problem, self.show, self.batch = problem, show, batch
-        self.store = None if store is None else Store.opened(store, KIND, in_texts(problem))
+        self.store = None if store is None else Ledger.opened(store, KIND, in_texts(problem))
         self.values = np.zeros((0, len(problem.names)))
         self.responses = np.zeros((0, len(problem.response_names)))
         self.codes = np.zeros(0, np.int64)

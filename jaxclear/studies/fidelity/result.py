@@ -2,20 +2,21 @@
 ones were worth, and in a sentence why they were not used.
 """
 
-from typing import Any
-
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.shown import AbstractShown
-from jaxclear.ground.table import as_table
+from jaxclear.studies.answer import (
+    RESPONSE,
+    AbstractAnswer,
+    Column,
+    Stated,
+    means_and_deviations,
+)
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.datasets import of_rows
 from jaxclear.studies.statistics.scrambled import Statistic
-from jaxclear.studies.statistics.summary import ERRORS
 
 
-class MultiFidelity(AbstractShown):
+class MultiFidelity(AbstractAnswer):
     """Statistics of a problem by its own runs and those of cheaper ones.
 
     `means` and `standard_deviations` are by response, with 95 % intervals. `used` names the models
@@ -103,36 +104,17 @@ class MultiFidelity(AbstractShown):
             "jaxclear.monte_carlo of the cheaper problem says why."
         )
 
-    def _shown(self):
-        return self.sentence(), self.table()
-
-    def to_dataset(self) -> Any:
-        """The table as an xarray Dataset by response, with provenance."""
-        return of_rows(
-            "multi-fidelity", "response", self.table(), self.problem, result=self.sentence()
-        )
-
-    def table(self) -> Any:
-        """A pandas table: one row a response; mean and standard deviation with 95 % errors, how
-        much was gained, and the correlation with each cheaper model."""
+    def _stated(self):
+        over, names = (RESPONSE,), list(self.means)
+        models = dict.fromkeys(model for model, _ in self.correlations)
         units = self.problem.units()
-        rows = []
-        for name, mean in self.means.items():
-            spread = self.standard_deviations[name]
-            row = {
-                "response": name,
-                "unit": units[name],
-                "mean": mean.value,
-                "error of mean (95 %)": mean.error,
-                "standard deviation": spread.value,
-                "error of deviation (95 %)": spread.error,
-                "gain": self.gains[name],
-            }
-            told = {
-                f"correlation with {m}": c for (m, r), c in self.correlations.items() if r == name
-            }
-            rows.append(row | told)
-        return as_table(rows, index="response", errors=ERRORS)
+        columns = {"unit": Column(over, {name: units[name] for name in names})}
+        columns |= means_and_deviations(self.means, self.standard_deviations)
+        columns["gain"] = Column(over, self.gains, "1")
+        for model in models:
+            own = {r: c for (m, r), c in self.correlations.items() if m == model}
+            columns[f"correlation with {model}"] = Column(over, own, "1")
+        return Stated("multi-fidelity", columns, self.problem)
 
 
 def _work(cost: float) -> str:

@@ -18,19 +18,19 @@ from jaxtyping import Array, Float, Int
 from jaxclear.formulations.base import model_of
 from jaxclear.ground.arguments import check_number, expect
 from jaxclear.integrators import AbstractIntegrator, Outcome
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism, ungiven
 from jaxclear.multibody.state import names
 from jaxclear.multibody.validation import check_values
 from jaxclear.native import stoppable
 from jaxclear.results import response
-from jaxclear.results.saved_state import SavedMotion, State
+from jaxclear.results.state_history import SavedMotion, State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.initial_state import Past, beginning
 from jaxclear.simulation.loop import run
 from jaxclear.simulation.singular_positions import diagnosed
-from jaxclear.simulation.wear import Worn, unworn, worn_by_some
+from jaxclear.simulation.wear import Losses, Worn, lost_between, unworn, worn_by
 from jaxclear.studies.life.periodicity import apart
 from jaxclear.studies.problem import Problem
 
@@ -41,15 +41,15 @@ FOURTH = 4
 class Cycle(eqx.Module):
     """What is kept of a cycle: the motion at its `end`, by joint and surface the depth [m] and the
     volume [m3] that `wore` and `lost`, the depth that `wore_by_fourths` of its saving times alone,
-    the problem's `responses`, how far its two ends are `apart`
-    (`periodicity`), how its run ended (`outcome`) and when [s], and what that found out about
-    itself. Arrays on the host.
+    the `losses` from one saving time to the next, the problem's `responses`, how far its two ends
+    are `apart`, how its run ended (`outcome`) and when [s], and its `checks`. Arrays on the host.
     """
 
     end: SavedMotion
     wore: Worn
     lost: dict[str, dict[str, Array]]
     wore_by_fourths: Worn
+    losses: Losses
     responses: dict[str, Array]
     apart: dict[str, Array]
     outcome: Int[Array, ""]
@@ -102,11 +102,15 @@ def compiled_cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycle,
     found = run(asked.mechanism, *motion, times, asked.integrator, past=past)
     end = found.state().motion
     assert end is not None
+    model = found.history.model()
+    system, layout = model.system, model.layout
+    rare = lost_between(layout, found.states, FOURTH)
     kept = Cycle(
         end,
         jax.tree.map(lambda after, before: after - before, found.worn, worn),
         volumes(found),
-        _by_fourths(found, worn),
+        jax.tree.map(lambda after, before: after - before, worn_by(system, worn, rare), worn),
+        lost_between(layout, found.states),
         {name: jnp.asarray(own(found), float) for name, own in asked.response.items()},
         apart(found.history),
         found.outcome,
@@ -143,17 +147,26 @@ def _side_by_side(asked: Asked, begins: SavedMotion, worn: Worn) -> Cycle:
     return jax.vmap(lambda begin: compiled_cycle(asked, begin, worn)[0])(begins)
 
 
+@eqx.filter_jit
+def worn_again(asked: Asked, worn: Worn, losses: Losses, share: Any, begin: Any) -> Worn:
+    """Depth maps once a cycle has been gone through from its saving time `begin` on: `share` times
+    what it lost, in the order in which it lost it, or, below zero, backwards."""
+    system = model_of(asked.mechanism, asked.integrator.formulation).system
+
+    def turned(rows):
+        rows = jnp.roll(rows, -begin, axis=0)
+        return jnp.where(share < 0, rows[::-1], rows)
+
+    lost: Losses = {
+        surface: (jnp.abs(share) * turned(volumes), turned(places))
+        for surface, (volumes, places) in losses.items()
+    }
+    return worn_by(system, worn, lost)
+
+
 def kind_of_cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> Cycle:
     """A cycle with shapes in place of numbers; nothing is simulated."""
     return eqx.filter_eval_shape(compiled_cycle, asked, begin, worn)[0]
-
-
-def _by_fourths(found: Trajectory, worn: Worn) -> Worn:
-    """Depth [m] that the run would have worn with every fourth of its saving times: beside what it
-    wore, how far that hangs on these times."""
-    model, states = found.history.model(), found.states
-    after = worn_by_some(model.system, model.layout, worn, states, FOURTH)
-    return jax.tree.map(lambda after, before: after - before, after, worn)
 
 
 def volumes(found: Trajectory) -> Worn:

@@ -18,7 +18,7 @@ from jaxclear.ground.shown import shown_in_words
 from jaxclear.ground.wording import unit_of_rate
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
-from jaxclear.studies.life.living import Living
+from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import CONFIDENCE, VOLUME, WearLife
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.wear_life import SETTLED, lived
@@ -131,8 +131,8 @@ def _none(unit: str, why: str) -> LifeDerivative:
 def _along(life: WearLife, values: Any, most: int) -> WearLife:
     """The life with other numbers, by the same steps."""
     accurate = life.accuracy if np.isfinite(life.accuracy) else 1.0
-    living = Living(life.problem, values, Patience(SETTLED, accurate, most), None)
-    return lived(living, life.asked, life.accuracy, None, np.diff(life.cycles))
+    rates = Rates(life.problem, values, Patience(SETTLED, accurate, most), None)
+    return lived(rates, life.asked, life.accuracy, None, life.lengths)
 
 
 def _told(life: WearLife, quantity: str, limit: float | None) -> tuple[float, float]:
@@ -142,11 +142,8 @@ def _told(life: WearLife, quantity: str, limit: float | None) -> tuple[float, fl
     if quantity in life.problem.response_names:
         noise = life.stages[-1].settled.responses()[quantity][1]
     else:
-        node, count = life.stages[-1].node, len(life.surfaces)
-        which = slice(count, None) if quantity.startswith(VOLUME) else slice(0, count)
-        left = life.cells.sizes(np.sqrt(node.variance))[which]
-        whole = life.cells.sizes(node.depth - life.stages[0].node.depth)[which]
-        noise = abs(value) * float(np.max(left / np.maximum(whole, np.finfo(float).tiny)))
+        deviations = life.stages[-1].node.deviations(life.cells, life.stages[0].node)
+        noise = abs(value) * float(np.max(deviations[quantity.startswith(VOLUME)]))
     if limit is None:
         return value, noise
     at = life.until(quantity, limit).cycles

@@ -15,19 +15,19 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_count, check_number, expect
 from jaxclear.integrators import Outcome
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.multibody.validation import check_values
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import answered
 from jaxclear.studies.life.cycle import asked_of, first_state, kind_of_cycle
 from jaxclear.studies.life.life_response import AbstractLifeResponse
-from jaxclear.studies.life.living import Living
+from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import DEPTH, VOLUME, WearLife
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.wear_life import SETTLED, check_asked, lived
+from jaxclear.studies.mechanism_problem import answer, by_name, check_responses
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.responses import answer, by_name, check_responses
 from jaxclear.studies.variable import AbstractMechanismVariable
 
 __all__ = ["LifeProblem"]
@@ -243,8 +243,8 @@ class LifeProblem(AbstractProblem):
 
     def _lived(self, values: Any, cycles: float) -> WearLife:
         patience = Patience(SETTLED, float(self.accuracy), self.most)
-        life = Living(self.problem, values, patience, None)
-        return lived(life, float(cycles), float(self.accuracy), None)
+        rates = Rates(self.problem, values, patience, None)
+        return lived(rates, float(cycles), float(self.accuracy), None)
 
     def _failed(self, outcome: Outcome) -> SampleResult:
         """A sample without a life, of the same shape as others."""

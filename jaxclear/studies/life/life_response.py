@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxclear.ground.arguments import check_flags, check_known, expect
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
-from jaxclear.results.abstract_response import REACHES
+from jaxclear.results.response import REACHES
 from jaxclear.studies.life.result import CONFIDENCE, DEPTH, VOLUME, WearLife
 from jaxclear.studies.problem import Problem
 

@@ -17,13 +17,13 @@ from jaxclear.ground.table import as_table
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.datasets import of_rows
-from jaxclear.studies.life.living import Living
+from jaxclear.studies.ledger.ledger import Ledger
+from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import WearLife
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.wear_life import SETTLED, check_asked, lived
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import draw
-from jaxclear.studies.store import Store
 from jaxclear.studies.texts import in_texts
 
 
@@ -126,10 +126,10 @@ def wear_lives(
             kept = None
             if store is not None:
                 texts = in_texts(problem) | {"values of its variables": repr(own.tolist())}
-                kept = Store.opened(Path(store) / f"{i:06d}", "a wear life", texts)
+                kept = Ledger.opened(Path(store) / f"{i:06d}", "a wear life", texts)
             try:
-                living = Living(problem, jnp.asarray(own), Patience(SETTLED, accuracy, most), kept)
-                lives.append(lived(living, float(cycles), float(accuracy), None))
+                rates = Rates(problem, jnp.asarray(own), Patience(SETTLED, accuracy, most), kept)
+                lives.append(lived(rates, float(cycles), float(accuracy), None))
             except (SimulationError, ValueError) as reason:
                 lives.append(None)
                 failed[i] = str(reason)

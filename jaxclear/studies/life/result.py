@@ -4,6 +4,7 @@ after how many cycles one of them reaches a limit.
 
 import json
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,22 +16,31 @@ from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.ground.datasets import provenance
 from jaxclear.ground.shown import AbstractShown, shown_in_words
 from jaxclear.ground.table import as_table
-from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.checks import Checks
 from jaxclear.results.response import concerned
-from jaxclear.results.saved_state import State
+from jaxclear.results.state_history import State
 from jaxclear.simulation.wear import Worn
-from jaxclear.studies.life.curves import first_crossing, through_rates, without_overshoot
-from jaxclear.studies.life.nodes import Cells
-from jaxclear.studies.life.saves import Stage, share_by_saves
+from jaxclear.studies.life.settling import Settling
+from jaxclear.studies.life.steps import Cells, Length, Node
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.texts import in_texts
 
 # A normal variable stays within this many deviations in 95 % of cases.
 CONFIDENCE = 1.96
+# Places between two stages at which a limit is looked for.
+LOOKS = 64
 # The slope of a response is taken over twice this share of the life.
 SLOPE_OVER = 1e-3
 DEPTH, VOLUME = "depth", "volume"
 TINY = np.finfo(float).tiny
+
+
+class Stage(NamedTuple):
+    """A point of a life at which cycles were run: the `node` of the steps, and how the motion
+    `settled` there."""
+
+    node: Node
+    settled: Settling
 
 
 @shown_in_words
@@ -71,6 +81,12 @@ class WearLife(AbstractShown):
         return np.array([stage.node.cycles for stage in self.stages])
 
     @property
+    def lengths(self) -> tuple[Length, ...]:
+        """The steps between the stages."""
+        nodes = [stage.node for stage in self.stages]
+        return tuple(Length(b.cycles - a.cycles, b.parts) for a, b in pairwise(nodes))
+
+    @property
     def surfaces(self) -> tuple[tuple[str, str], ...]:
         """(joint, surface) of all that wears."""
         # In the order of JAX, as the cells are.
@@ -88,7 +104,7 @@ class WearLife(AbstractShown):
         """Error of the depth at each stage, as a share of it: what the steps may be off and the
         95 % interval of what noise has left, root mean squares over the cells, of the worst
         surface. What hangs on the saving times of a cycle comes beside it (`by_saves`)."""
-        return self._errors(slice(0, len(self.surfaces)))
+        return self._errors(0)
 
     @property
     def by_saves(self) -> np.ndarray:
@@ -96,21 +112,23 @@ class WearLife(AbstractShown):
         cells of the worst surface, would be another one with every fourth of its saving times, at
         which surfaces are updated. A bound of what the life is off: surfaces that wear on level
         some of it."""
-        count = len(self.surfaces)
-        return np.array([share_by_saves(stage, self.cells, count) for stage in self.stages])
+        shares = []
+        for stage in self.stages:
+            other = np.asarray(ravel_pytree(stage.settled.by_saves)[0])
+            sizes = self.cells.sizes(other), self.cells.sizes(stage.node.rate.wear)
+            shares.append(float(self.cells.shares(*sizes).max(initial=0.0)))
+        return np.array(shares)
 
     @property
     def errors_of_volume(self) -> np.ndarray:
         """The same of the volume lost."""
-        return self._errors(slice(len(self.surfaces), None))
+        return self._errors(1)
 
-    def _errors(self, which: slice) -> np.ndarray:
-        first, found = self.stages[0].node.depth, []
-        for node in (stage.node for stage in self.stages):
-            off = node.error + CONFIDENCE * self.cells.sizes(np.sqrt(node.variance))
-            depth = np.maximum(self.cells.sizes(node.depth - first), TINY)
-            found.append(float(np.max((off / depth)[which], initial=0.0)) if node.cycles else 0.0)
-        return np.array(found)
+    def _errors(self, which: int) -> np.ndarray:
+        """Of the depths (0) or of the volumes (1)."""
+        first = self.stages[0].node
+        found = [node.errors(self.cells, first)[which] for node, _ in self.stages]
+        return np.array([float(own.max(initial=0.0)) for own in found])
 
     @property
     def error(self) -> float:
@@ -142,10 +160,10 @@ class WearLife(AbstractShown):
 
     def worn(self, cycles: float | None = None) -> Worn:
         """Depth of all surfaces [m] after so many cycles, by joint and surface; at the end without
-        a number. Between stages by cubics through depths and rates."""
+        a number."""
         at = self.cycles[-1] if cycles is None else cycles
         flat, back = ravel_pytree(self.new)
-        return jax.tree.map(np.asarray, back(self._rows()(self._within(at))[: len(flat)]))
+        return jax.tree.map(np.asarray, back(self._row_at()(self._within(at))[: len(flat)]))
 
     def state(self, cycles: float | None = None) -> State:
         """A start of a run on surfaces worn so far."""
@@ -170,19 +188,17 @@ class WearLife(AbstractShown):
 
     def _shift(self, name: str, at: float) -> float:
         """By how many cycles errors may shift the time at which a quantity has its value."""
-        rows, last = self._rows(), float(self.cycles[-1])
-        kind = VOLUME if name.startswith(VOLUME) else DEPTH
-        errors = self.errors_of_volume if kind == VOLUME else self.errors
-        count = len(self.surfaces)
-        which = slice(count, None) if kind == VOLUME else slice(0, count)
-        wear = self.cells.sizes(rows.derivative()(at))[which]
-        lost = self.cells.sizes(rows(at) - rows(0.0))[which]
-        moved = _around(at, self.cycles, errors) * lost
+        row, last = self._row_at(), float(self.cycles[-1])
+        which = int(name.startswith(VOLUME))
+        sizes = self.cells.means if which else self.cells.sizes
+        step = SLOPE_OVER * last
+        low, high = max(at - step, 0.0), min(at + step, last)
+        wear = np.abs(sizes(row(high) - row(low))) / (high - low)
+        moved = _around(at, self.cycles, self._errors(which)) * np.abs(sizes(row(at) - row(0.0)))
         shift = float(np.max(np.divide(moved, wear, out=np.zeros_like(wear), where=wear > 0)))
         if name not in self.problem.response_names:
             return shift
-        function, step = self._function(name), SLOPE_OVER * last
-        low, high = max(at - step, 0.0), min(at + step, last)
+        function = self._function(name)
         slope = abs(function(high) - function(low)) / (high - low)
         means, noise = np.array([stage.settled.responses()[name] for stage in self.stages]).T
         curved = abs(function(at) - float(np.interp(at, self.cycles, means)))
@@ -193,23 +209,44 @@ class WearLife(AbstractShown):
         """A quantity over cycles."""
         if name in self.problem.response_names:
             means = np.array([stage.settled.responses()[name][0] for stage in self.stages])
-            curve = without_overshoot(self.cycles, means)
+            curve = _monotone(self.cycles, means)
             return lambda at: float(curve(at))
         kind, _, surface = name.partition(" ")
-        rows, places = self._rows(), self.surfaces
+        row, places = self._row_at(), self.surfaces
         own = [i for i, place in enumerate(places) if surface in ("", " ".join(place))]
         if kind == DEPTH:
             parts = [self.cells.surfaces[i] for i in own]
-            return lambda at: float(max(rows(at)[part].max() for part in parts))
-        areas = [float(self.cells.areas[self.cells.surfaces[i]].sum()) for i in own]
-        first = [i - len(places) for i in own]
-        return lambda at: float(np.dot(areas, rows(at)[first]))
+            return lambda at: float(max(row(at)[part].max() for part in parts))
+        areas = self.cells.whole[own]
+        return lambda at: float(np.dot(areas, self.cells.means(row(at))[own]))
 
-    def _rows(self) -> Any:
-        """Depths of all cells and mean depths of all surfaces, in a row, over cycles."""
-        depth = np.array([stage.node.depth for stage in self.stages])
-        wear = np.array([stage.node.rate.wear for stage in self.stages])
-        return through_rates(self.cycles, depth, wear)
+    def _row_at(self) -> Callable[[float], np.ndarray]:
+        """Depths of all cells and mean depths of all surfaces, in a row, over cycles: volumes by
+        cubics through them and their rates, and how deep cells are at a volume from the parts in
+        which steps put it on."""
+        from scipy.interpolate import CubicHermiteSpline
+
+        nodes, cells = [stage.node for stage in self.stages], self.cells
+        if len(nodes) < 2:
+            return lambda at: nodes[0].depth
+        means = np.array([cells.means(node.depth) for node in nodes])
+        rates = np.array([cells.means(node.rate.wear) for node in nodes])
+        volumes = CubicHermiteSpline(self.cycles, means, rates)
+        rows = np.array([nodes[0].depth, *(row for node in nodes[1:] for row in node.path)])
+        shapes = []
+        for i, own in enumerate(cells.surfaces):
+            reached = rows[:, len(cells.areas) + i]
+            new = np.flatnonzero(np.diff(reached, prepend=-np.inf) > 0)
+            shapes.append((_monotone(reached[new], rows[new, own]), reached[new[[0, -1]]]))
+
+        def row(at: float) -> np.ndarray:
+            mean = volumes(at)
+            parts = [
+                shape(np.clip(one, *ends)) for (shape, ends), one in zip(shapes, mean, strict=True)
+            ]
+            return np.concatenate([*parts, mean])
+
+        return row
 
     def _within(self, cycles: Any) -> float:
         check_number("cycles of this life", cycles, at_least=0, at_most=float(self.cycles[-1]))
@@ -300,3 +337,31 @@ def _around(at: float, cycles: np.ndarray, errors: np.ndarray) -> float:
     """The larger of the errors at the two stages around so many cycles."""
     after = min(int(np.searchsorted(cycles, at)), len(cycles) - 1)
     return float(max(errors[after], errors[max(after - 1, 0)]))
+
+
+def _monotone(places: np.ndarray, values: np.ndarray) -> Callable:
+    """A curve through values whose rates are not known, monotone where they are."""
+    from scipy.interpolate import PchipInterpolator
+
+    if len(values) > 1:
+        return PchipInterpolator(places, values)
+    return lambda at: values[0]
+
+
+def first_crossing(
+    function: Callable[[float], float], cycles: np.ndarray, limit: float
+) -> float | None:
+    """Where a function of cycles first reaches a limit; None where it does not."""
+    from scipy.optimize import brentq
+
+    shares = np.arange(LOOKS) / LOOKS
+    parts = [a + (b - a) * shares for a, b in pairwise(cycles)]
+    places = np.concatenate([*parts, cycles[-1:]])
+    excess = np.array([function(float(place)) for place in places]) - limit
+    if excess[0] == 0:
+        return float(places[0])
+    crossed = np.flatnonzero(np.sign(excess[1:]) != np.sign(excess[0]))
+    if not len(crossed):
+        return None
+    first = crossed[0]
+    return float(brentq(lambda at: function(at) - limit, places[first], places[first + 1]))

@@ -15,7 +15,7 @@ from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.table import as_table
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.results.saved_state import State
+from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxclear.results.saved_state import SavedMotion
+from jaxclear.results.state_history import SavedMotion
 from jaxclear.simulation.wear import Worn
 from jaxclear.studies.life.cycle import Cycle
 

@@ -1,29 +1,30 @@
-"""From the depth that a cycle wears to the depth of a life: steps of many cycles with an error
-control.
+"""From the losses of a cycle to the surfaces of a life: steps of many cycles with an error control.
 
-The embedded pair of Bogacki and Shampine, carried on with its third-order answer. Its own estimate
-is the error of its second-order answer, far too large for that; multiplied by 3.5 times the
-relative change of the rate over the step it is the error of the third-order answer, 1.75 times too
-large where wear dies away exponentially. What is too large for rates that change smoothly (cycles
-that settle now here, now there) counts as noise; where shorter steps do not help they are taken.
-What the whole life may be off by is told once all its steps are known (`trust`).
+The embedded pair of Bogacki and Shampine, carried on with its third-order answer. A stage is not a
+rate of depth, which is stiff (a cell deeper than those beside it wears less at once), but what the
+contacts of a cycle lose and where; a weighted sum of stages is put on the wall by its own law
+(`Carry`), which levels cells as it goes. So steps are as long as the losses change slowly.
+
+Volumes lost add up, and so do their errors: the estimate of a step is that of its second-order
+answer; multiplied by 3.5 times the relative change of the losses over the step it is the error of
+the third-order one, 1.75 times too large where wear dies away exponentially. What is too large for
+losses that change smoothly is scatter; where shorter steps do not help they are taken. Of the shape
+that a volume has taken a wall forgets: what it may be off is carried on by the wall's law, too.
 
 An error is a root mean square over the cells of a surface, as a share of what it wears in the step,
 of the worst surface: so the shares asked for are those of a whole life.
 
-Source: Bogacki & Shampine 1989, Appl. Math. Lett. 2, 321, doi:10.1016/0893-9659(89)90079-7.
+Source: Bogacki & Shampine 1989, Appl. Math. Lett. 2, 321, doi:10.1016/0893-9659(89)90079-7; sums of
+stages put on by a flow as in Crouch & Grossman 1993, J. Nonlinear Sci. 3, 1,
+doi:10.1007/BF02429858.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import diffrax
 import numpy as np
-
-from jaxclear.studies.life.nodes import Cells, Node, Rate, Trial
-from jaxclear.studies.life.trust import trusted
-
-__all__ = ["CycleFailed", "Stepped", "live", "live_along", "live_by_jumps"]
 
 TABLEAU = diffrax.Bosh3.tableau
 WEIGHTS, ERRORS = np.asarray(TABLEAU.b_sol), np.asarray(TABLEAU.b_error)
@@ -42,7 +43,7 @@ OF_SCATTER = float(np.linalg.norm(WEIGHTS) / np.linalg.norm(ERRORS))
 # Once steps were found not to help, errors up to so many times the one found are told, not fought.
 TOLD = 2.0
 # A step aims at this share of the error allowed, and is at most so many times the one before.
-SAFETY, GROWTH, LEAST = 0.9, 3.0, 0.1
+SAFETY, GROWTH, LEAST = 0.9, 5.0, 0.1
 # A step is at most this share of one that was taken back, which grows so many times a step.
 BELOW, WIDENS = 0.7, 1.3
 # A step that is this many times too long is given up after its second rate.
@@ -51,10 +52,114 @@ HOPELESS = 2.0
 CONFIDENCE = 2.0
 # So many cycles of a life may fail, each shortening its step, before it ends.
 MOST_FAILURES = 6
+# What a step loses is put on in so many parts, and in twice as many until what these may still be
+# off is less than this share of the tolerance: it costs no cycle. Twice as many make an error so
+# many times smaller: where edges of a contact move the least, on smooth walls the most.
+PARTS, MOST_PARTS, OF_TOLERANCE = 8, 64, 0.1
+ORDERS = np.sqrt(2.0), 4.0
+# Where a step is looked at on its way: more often where a new wall wears fast.
+ON_THE_WAY = (0.0625, 0.25, 0.5625)
+# A surface that wears less than this share of the one that wears most is judged beside that.
+NEGLIGIBLE = 0.01
+# A normal variable stays within this many deviations in 95 % of cases; errors told are that many.
+NORMAL = 1.96
+# A spline is cubic where it has so many places, and what is apart from it counts so many times.
+PLACES, MARGIN = 5, 1.25
+# Estimates so many times larger than those of smooth rates come of scatter.
+CLEARLY = 1.3
 
 
 class CycleFailed(RuntimeError):
     """A rate that does not exist; the sentence says why."""
+
+
+class Rate(NamedTuple):
+    """Depth [m] that a cycle wears in each cell (a row, `Cells`), its standard error, the number of
+    cycles that it took to know it, and how the motion `settled` there."""
+
+    wear: np.ndarray
+    noise: np.ndarray
+    cost: int
+    settled: Any = None
+
+
+# Cycles of each rate that surfaces are worn by.
+Losses = Sequence[tuple[float, Rate]]
+
+
+class Cells(NamedTuple):
+    """How the depths of a life stand in one row: the cells of one surface after the other, and
+    behind them for each surface the mean depth that its lost volume makes, whose noise is far less
+    than that of the cells. `areas` [m2] of all cells."""
+
+    surfaces: tuple[slice, ...]
+    areas: np.ndarray
+
+    @property
+    def whole(self) -> np.ndarray:
+        """Area [m2] of each surface."""
+        return np.array([self.areas[own].sum() for own in self.surfaces])
+
+    def means(self, row: np.ndarray) -> np.ndarray:
+        """Mean depth of each surface, as its lost volume has it."""
+        return row[len(self.areas) :]
+
+    def sizes(self, row: np.ndarray) -> np.ndarray:
+        """Root mean square over the cells of each surface."""
+        squares = self.areas * row[: len(self.areas)] ** 2
+        return np.sqrt([squares[own].sum() for own in self.surfaces] / self.whole)
+
+    def shares(self, errors: np.ndarray, of: np.ndarray) -> np.ndarray:
+        """Errors of each surface as shares of something else of it."""
+        whole = np.maximum(np.abs(of), NEGLIGIBLE * np.abs(of).max(initial=0.0))
+        return np.divide(np.abs(errors), whole, out=np.zeros(len(whole)), where=whole > 0)
+
+    def shape(self, row: np.ndarray, of: np.ndarray) -> np.ndarray:
+        """What a row has beyond the shape of another one, as deep on the whole: of cells alone."""
+        part = self.means(row) / np.where(self.means(of) == 0, 1.0, self.means(of))
+        return (row - of * self._each(part))[: len(self.areas)]
+
+    def _each(self, values: np.ndarray) -> np.ndarray:
+        counts = [own.stop - own.start for own in self.surfaces]
+        return np.concatenate([np.repeat(values, counts), values])
+
+
+class Node(NamedTuple):
+    """A point of a life: after so many `cycles` the `depth` (a row [m]) and the `rate`. Of the mean
+    depth of each surface since the start what steps may be off (`error` [m]) and the `variance`
+    [m2] that noise has left; of the shape of cells what steps (`shape`) and noise (`noise`) may
+    have left [m]. `path`: rows on the way from the node before."""
+
+    cycles: float
+    depth: np.ndarray
+    rate: Rate
+    error: np.ndarray
+    variance: np.ndarray
+    shape: np.ndarray
+    noise: np.ndarray
+    path: tuple[np.ndarray, ...] = ()
+    parts: int = 0
+
+    @classmethod
+    def first(cls, depth: np.ndarray, rate: Rate, cells: Cells) -> "Node":
+        """That at the start of a life."""
+        none, flat = np.zeros(len(cells.surfaces)), np.zeros(len(cells.areas))
+        return cls(0.0, depth, rate, none, none, flat, flat)
+
+    def deviations(self, cells: Cells, start: "Node") -> tuple[np.ndarray, np.ndarray]:
+        """Standard deviation that noise leaves, of each surface as a share of its depth and of its
+        volume."""
+        grown = self.depth - start.depth
+        volume = cells.shares(np.sqrt(self.variance), cells.means(grown))
+        return np.hypot(volume, cells.shares(cells.sizes(self.noise), cells.sizes(grown))), volume
+
+    def errors(self, cells: Cells, start: "Node") -> tuple[np.ndarray, np.ndarray]:
+        """What each surface may be off, as a share of its depth and of its volume, noise with
+        95 %."""
+        grown, noise = self.depth - start.depth, self.deviations(cells, start)
+        volume = cells.shares(self.error, cells.means(grown))
+        depth = volume + cells.shares(cells.sizes(self.shape), cells.sizes(grown))
+        return depth + NORMAL * noise[0], volume + NORMAL * noise[1]
 
 
 class Stepped(NamedTuple):
@@ -65,20 +170,38 @@ class Stepped(NamedTuple):
     ended: str
 
 
-Evaluate = Callable[[np.ndarray], Rate]
-# Hears of the share of the life by which it has gone on.
-Hear = Callable[[float], None]
+class Length(NamedTuple):
+    """Of a step: cycles, and in how many parts its losses were put on (0: it was one cycle)."""
+
+    cycles: float
+    parts: int
 
 
-def live(
-    evaluate: Evaluate,
-    start: Node,
-    cells: Cells,
-    cycles: float,
-    tolerance: float,
-    first: float,
-    hear: Hear = lambda share: None,
-) -> Stepped:
+class Trial(NamedTuple):
+    """A step that was tried, kept or taken back: the node `after` it; what the volume of each
+    surface may be off by the estimate, as `shares` of what is lost in the step, beyond what `noise`
+    explains (shares too), and up to which share it is `smooth`."""
+
+    after: Node
+    shares: np.ndarray
+    noise: np.ndarray
+    smooth: float
+
+
+class Machine(NamedTuple):
+    """What a life is of. `evaluate`: a row of depths -> the rate there. `carry`: (row, losses,
+    parts) -> the row that the wall's law makes of them. `halves`: of a rate that is a mean over
+    cycles two, by half of them each, that wear as much; None of one without noise. `hear`: of the
+    share of the life by which it has gone on."""
+
+    evaluate: Callable[[np.ndarray], Rate]
+    carry: Callable[[np.ndarray, Losses, int], np.ndarray]
+    cells: Cells
+    halves: Callable[[Rate], tuple[Rate, Rate] | None] = lambda rate: None
+    hear: Callable[[float], None] = lambda share: None
+
+
+def live(machine: Machine, start: Node, cycles: float, tolerance: float, first: float) -> Stepped:
     """Steps to the end of `cycles`, each with an error of at most `tolerance` [1] of what it wears;
     the `first` is so many cycles long. Steps that would be no longer than what their rates cost
     give way to cycles one by one."""
@@ -92,15 +215,15 @@ def live(
         length = left / np.ceil(left / length - 1e-9)
         try:
             if min(length, left) <= len(STAGES) * now.rate.cost:
-                nodes.append(_one_by_one(evaluate, now, min(1.0, left)))
+                nodes.append(_one_by_one(machine, now, min(1.0, left)))
                 length = max(length, 1.0) * GROWTH
-                hear(min(1.0, left) / cycles)
+                machine.hear(min(1.0, left) / cycles)
                 continue
-            trial, error = _stepped(evaluate, now, cells, length, tolerance)
+            trial, error = _stepped(machine, nodes, length, tolerance)
         except CycleFailed as reason:
             failures, rejected = failures + 1, rejected + 1
             if failures > MOST_FAILURES or length <= 1.0:
-                return Stepped(trusted(nodes, trials, cells, OF_SCATTER), rejected, str(reason))
+                return Stepped(_trusted(nodes, trials, machine.cells), rejected, str(reason))
             length *= LEAST
             continue
         trials += [trial] if trial else []
@@ -112,115 +235,265 @@ def live(
             ceiling = BELOW * length
         else:
             nodes.append(trial.after)
-            hear(length / cycles)
+            machine.hear(length / cycles)
             ceiling *= WIDENS
             if error > tolerance:
                 scatter, ceiling = max(scatter, TOLD * error), cycles
                 factor = max(1.0, refused[0] / length if refused else 1.0)
             refused = None
         length *= float(np.clip(factor, LEAST, GROWTH))
-    return Stepped(trusted(nodes, trials, cells, OF_SCATTER), rejected, "")
+    return Stepped(_trusted(nodes, trials, machine.cells), rejected, "")
 
 
-def live_along(
-    evaluate: Evaluate,
-    start: Node,
-    cells: Cells,
-    lengths: np.ndarray,
-    hear: Hear = lambda share: None,
-) -> Stepped:
+def live_along(machine: Machine, start: Node, lengths: Sequence[Length]) -> Stepped:
     """Steps of these lengths, whatever their errors: those of another life."""
-    nodes, cycles = [start], float(np.sum(lengths))
+    nodes, cycles = [start], sum(length.cycles for length in lengths)
     trials: list[Trial] = []
-    for length in map(float, lengths):
-        now = nodes[-1]
+    for length, parts in lengths:
         try:
-            if length <= 1.0:
-                nodes.append(_one_by_one(evaluate, now, length))
+            if parts == 0:
+                nodes.append(_one_by_one(machine, nodes[-1], length))
             else:
-                trial, _ = _stepped(evaluate, now, cells, length, np.inf)
+                trial, _ = _stepped(machine, nodes, length, np.inf, parts)
                 assert trial is not None
                 trials.append(trial)
                 nodes.append(trial.after)
         except CycleFailed as reason:
-            return Stepped(trusted(nodes, trials, cells, OF_SCATTER), 0, str(reason))
-        hear(length / cycles)
-    return Stepped(trusted(nodes, trials, cells, OF_SCATTER), 0, "")
+            return Stepped(_trusted(nodes, trials, machine.cells), 0, str(reason))
+        machine.hear(length / cycles)
+    return Stepped(_trusted(nodes, trials, machine.cells), 0, "")
 
 
-def live_by_jumps(
-    evaluate: Evaluate,
-    start: Node,
-    cells: Cells,
-    cycles: float,
-    jump: float,
-    hear: Hear = lambda share: None,
-) -> Stepped:
-    """Steps of `jump` cycles, each with the rate at its start; half of what the next rate says
+def live_by_jumps(machine: Machine, start: Node, cycles: float, jump: float) -> Stepped:
+    """Steps of `jump` cycles, each with the losses at its start; half of what the next ones say
     otherwise is their error."""
-    nodes = [start]
+    nodes, cells = [start], machine.cells
     while cycles - nodes[-1].cycles > 1e-9 * cycles:
         now = nodes[-1]
         length = min(jump, cycles - now.cycles)
+        losses = [(length, now.rate)]
+        depth = machine.carry(now.depth, losses, PARTS)
         try:
-            depth = now.depth + length * now.rate.wear
-            rate = evaluate(depth)
+            rate = machine.evaluate(depth)
         except CycleFailed as reason:
             return Stepped(tuple(nodes), 0, str(reason))
-        error = now.error + cells.sizes(0.5 * length * (rate.wear - now.rate.wear))
-        variance = now.variance + (length * now.rate.noise) ** 2
-        nodes.append(Node(now.cycles + length, depth, rate, error, variance))
-        hear(length / cycles)
+        off = 0.5 * (machine.carry(now.depth, [(length, rate)], PARTS) - depth)
+        shape = cells.shape(off, depth - now.depth)
+        after = _after(machine, now, losses, depth, rate, shape, PARTS)
+        nodes.append(after._replace(error=now.error + np.abs(cells.means(off))))
+        machine.hear(length / cycles)
     return Stepped(tuple(nodes), 0, "")
 
 
-def _one_by_one(evaluate: Evaluate, now: Node, length: float) -> Node:
+def _one_by_one(machine: Machine, now: Node, length: float) -> Node:
     """A cycle (or what is left of one) as it was simulated."""
     depth = now.depth + length * now.rate.wear
-    variance = now.variance + (length * now.rate.noise) ** 2
-    return Node(now.cycles + length, depth, evaluate(depth), now.error, variance)
+    noise = length * machine.cells.means(now.rate.noise)
+    return now._replace(
+        cycles=now.cycles + length,
+        depth=depth,
+        rate=machine.evaluate(depth),
+        variance=now.variance + noise**2,
+        path=(depth,),
+        parts=0,
+    )
 
 
 def _stepped(
-    evaluate: Evaluate, now: Node, cells: Cells, length: float, tolerance: float
+    machine: Machine, nodes: Sequence[Node], length: float, tolerance: float, parts: int = PARTS
 ) -> tuple[Trial | None, float]:
     """(a step of `length` cycles, None where it is hopeless; its error as a share of what it
-    wears)."""
+    wears, of its shape as one of all that is worn). Its losses are put on in so many `parts`, or
+    more where that tells."""
+    now, cells = nodes[-1], machine.cells
     rates = [now.rate]
-    for row in STAGES:
-        depth = now.depth + length * sum(a * own.wear for a, own in zip(row, rates, strict=True))
-        rates.append(evaluate(depth))
+    for row in STAGES[:-1]:
+        depth = machine.carry(now.depth, _summed(length * row, rates), parts)
+        rates.append(machine.evaluate(depth))
         if len(rates) == 2:
             change = _change(cells, rates[0], rates[1]) / row[0]
             far = change * (OF_CUBE / tolerance) ** (1 / 3)
             if far > HOPELESS:
                 return None, tolerance * far**3
-    # The last stage is the answer of third order: `depth` is where the step ends.
-    grown = depth - now.depth
-    estimate = length * sum(w * own.wear for w, own in zip(ERRORS, rates, strict=True))
-    noise = length * np.sqrt(sum((w * r.noise) ** 2 for w, r in zip(ERRORS, rates, strict=True)))
-    known = cells.shares(noise, grown)
-    shares = _beyond(cells.shares(estimate, grown), known)
+    # The last stage is the answer of third order.
+    losses = _summed(length * STAGES[-1], rates)
+    so_far = now.depth - nodes[0].depth
+    depth, parts, by_parts = _carried(machine, now.depth, losses, so_far, tolerance, parts)
+    rates.append(machine.evaluate(depth))
+    other = machine.carry(now.depth, _summed(length * (WEIGHTS - ERRORS), rates), parts)
+    grown, estimate = depth - now.depth, depth - other
+    shape = cells.shape(estimate, grown)
+    # Steps are chosen by what their length can mend.
+    off = cells.shares(cells.sizes(shape), cells.sizes(so_far + grown))
+    shape = np.copysign(np.hypot(shape, by_parts), shape)
+    lost = cells.means(grown)
+    noise = [w * cells.means(rate.noise) for w, rate in zip(ERRORS, rates, strict=True)]
+    known = cells.shares(length * np.linalg.norm(noise, axis=0), lost)
+    shares = _beyond(cells.shares(cells.means(estimate), lost), known)
     change = _change(cells, rates[0], rates[-1])
     smooth = np.minimum(shares, SMOOTH * change**2)
-    scattered = shares - smooth
     error = smooth * OF_THIRD_ORDER * change
-    left = sum((w * r.noise) ** 2 for w, r in zip(WEIGHTS, rates, strict=True))
-    whole = now.error + error * cells.sizes(grown)
-    told = float((error + OF_SCATTER * scattered).max(initial=0.0))
-    variance = now.variance + length**2 * left
-    after = Node(now.cycles + length, depth, rates[-1], whole, variance)
-    return Trial(after, estimate, shares, known, SMOOTH * change**2), told
+    told = error + OF_SCATTER * (shares - smooth) + off
+    after = _after(machine, now, losses, depth, rates[-1], shape, parts)
+    after = after._replace(error=now.error + error * np.abs(lost))
+    return Trial(after, shares, known, SMOOTH * change**2), float(told.max(initial=0.0))
+
+
+def _summed(weights: np.ndarray, rates: Sequence[Rate]) -> list[tuple[float, Rate]]:
+    """Stages and how many cycles of each; those of none are left out."""
+    pairs = zip(map(float, weights), rates, strict=True)
+    return [(cycles, rate) for cycles, rate in pairs if cycles > 0]
+
+
+def _carried(
+    machine: Machine,
+    row: np.ndarray,
+    losses: Losses,
+    so_far: np.ndarray,
+    tolerance: float,
+    parts: int,
+) -> tuple[np.ndarray, int, np.ndarray]:
+    """(the row behind these losses, in how many parts, what the shape of cells may be off for their
+    number [m]): more than `parts` until that is little beside what is worn `so_far`."""
+    cells = machine.cells
+    rows = [machine.carry(row, losses, max(parts // few, 1)) for few in (4, 2, 1)]
+    while True:
+        before, off = ((b - a)[: len(cells.areas)] for a, b in pairwise(rows[-3:]))
+        last = np.linalg.norm(off)
+        smaller = np.clip(np.linalg.norm(before) / last if last else np.inf, *ORDERS)
+        off = off / (smaller - 1.0)
+        whole = cells.sizes(so_far + rows[-1] - row)
+        share = cells.shares(cells.sizes(off), whole).max(initial=0.0)
+        if share <= OF_TOLERANCE * tolerance or parts >= MOST_PARTS:
+            return rows[-1], parts, off
+        parts *= 2
+        rows.append(machine.carry(row, losses, parts))
+
+
+def _after(
+    machine: Machine,
+    now: Node,
+    losses: Losses,
+    depth: np.ndarray,
+    rate: Rate,
+    shape: np.ndarray,
+    parts: int,
+) -> Node:
+    """The node behind a step, with what is known of its shape and its noise."""
+    cells, cycles = machine.cells, sum(length for length, _ in losses)
+    few = max(parts // 2, 1)
+
+    def forgotten(apart: np.ndarray) -> np.ndarray:
+        """What the wall's law leaves of a difference in shape from before the step."""
+        if not apart.any():
+            return apart
+        moved = now.depth.copy()
+        moved[: len(apart)] = np.maximum(moved[: len(apart)] + apart, 0.0)
+        ends = [machine.carry(row, losses, few) for row in (moved, now.depth)]
+        return (ends[0] - ends[1])[: len(apart)]
+
+    left, noise = forgotten(now.shape), forgotten(now.noise)
+    halves = [machine.halves(own) for _, own in losses]
+    if any(halves):
+        ends = []
+        for i in (0, 1):
+            pairs = zip(losses, halves, strict=True)
+            some = [(length, half[i] if half else own) for (length, own), half in pairs]
+            ends.append(machine.carry(now.depth, some, few))
+        own = 0.5 * (ends[0] - ends[1])[: len(noise)]
+        noise = np.copysign(np.hypot(own, noise), own)
+    spread = [length * cells.means(own.noise) for length, own in losses]
+    variance = now.variance + np.sum(np.square(spread), axis=0)
+    way = [[(share * length, own) for length, own in losses] for share in ON_THE_WAY]
+    return Node(
+        now.cycles + cycles,
+        depth,
+        rate,
+        now.error,
+        variance,
+        shape + left,
+        noise,
+        (*(machine.carry(now.depth, some, parts) for some in way), depth),
+        parts,
+    )
 
 
 def _change(cells: Cells, one: Rate, other: Rate) -> float:
-    """Relative change between two rates, beyond their noise."""
-    less = min((one.wear, other.wear), key=lambda wear: float(cells.sizes(wear).max(initial=0.0)))
-    noise = np.hypot(one.noise, other.noise)
-    found = _beyond(cells.shares(other.wear - one.wear, less), cells.shares(noise, less))
+    """Relative change between the volumes of two rates, beyond their noise."""
+    volumes = [cells.means(rate.wear) for rate in (one, other)]
+    less = min(volumes, key=lambda own: float(np.abs(own).max(initial=0.0)))
+    noise = np.hypot(*(cells.means(rate.noise) for rate in (one, other)))
+    found = _beyond(cells.shares(volumes[1] - volumes[0], less), cells.shares(noise, less))
     return float(found.max(initial=0.0))
 
 
 def _beyond(sizes: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Sizes without what noise explains."""
     return np.sqrt(np.maximum(sizes**2 - (CONFIDENCE * noise) ** 2, 0.0))
+
+
+def _trusted(nodes: Sequence[Node], trials: Sequence[Trial], cells: Cells) -> tuple[Node, ...]:
+    """The nodes with what is told of their volumes at the end of the life.
+
+    Smooth rates: the errors of the steps add up. A second opinion comes from the rates at the
+    nodes of the whole life: a cubic spline through them, integrated, is of higher order than the
+    steps. It knows the law that the rates follow where a step supposes one; the lesser is told.
+    Rates that scatter without saying so (means over cycles tell their noise): how much is known
+    from all steps that were tried, those taken back among them. Were they left out, steps whose
+    rates lie by chance on a line would be kept and believed."""
+    errors, scatter = _errors(nodes, trials, cells), _scatter(trials, len(cells.surfaces))
+    found, variance = [nodes[0]], np.zeros(len(cells.surfaces))
+    for before, after, error in zip(nodes[:-1], nodes[1:], errors[1:], strict=True):
+        trial = next((one for one in trials if one.after is after), None)
+        if trial is not None:
+            lost = np.abs(cells.means(after.depth - before.depth))
+            # Without scatter, what little is beyond smooth rates.
+            less = np.maximum(trial.shares - trial.smooth, 0.0)
+            variance = variance + (OF_SCATTER * np.where(scatter > 0, scatter, less) * lost) ** 2
+        found.append(after._replace(error=error, variance=after.variance + variance))
+    return tuple(found)
+
+
+def _errors(nodes: Sequence[Node], trials: Sequence[Trial], cells: Cells) -> list[np.ndarray]:
+    """Of smooth rates, by surface, at each node [m]."""
+    told = [node.error for node in nodes]
+    if len(nodes) < PLACES:
+        return told
+    import scipy.interpolate
+
+    cycles = np.array([node.cycles for node in nodes])
+    rates = np.array([cells.means(node.rate.wear) for node in nodes])
+    path = scipy.interpolate.CubicSpline(cycles, rates).antiderivative()(cycles)
+    stepped = {id(trial.after) for trial in trials}
+    sum_, found = np.zeros(len(cells.surfaces)), [told[0]]
+    for i, node in enumerate(nodes[1:], 1):
+        before, now = np.abs(rates[i - 1]), np.abs(rates[i])
+        # An error grows with the rate where that grows with wear; that it shrinks is not counted.
+        growth = np.divide(now, before, out=np.ones_like(now), where=before > 0)
+        sum_ = sum_ * np.maximum(growth, 1.0)
+        if id(node) in stepped:
+            lost = cells.means(node.depth - nodes[i - 1].depth)
+            sum_ = sum_ + MARGIN * np.abs(lost - (path[i] - path[i - 1]))
+        found.append(np.minimum(told[i], sum_))
+    return found
+
+
+def _scatter(trials: Sequence[Trial], surfaces: int) -> np.ndarray:
+    """Of the estimates of steps, as shares of what they wear, by surface; from few steps a scatter
+    is little known, and Student's factor widens it."""
+    found = np.zeros(surfaces)
+    if not trials:
+        return found
+    import scipy.stats
+
+    smooth = np.array([trial.smooth for trial in trials])
+    noise = np.array([trial.noise for trial in trials]).T
+    for i, shares in enumerate(np.array([trial.shares for trial in trials]).T):
+        beyond = shares[shares > CLEARLY * smooth]
+        if not len(beyond) or noise[i].any():
+            continue
+        # Also the steps tell in which smooth rates could not have made as much.
+        telling = shares[smooth <= np.sqrt(np.mean(beyond**2))]
+        factor = scipy.stats.t.ppf(0.975, len(telling)) / NORMAL
+        found[i] = factor * np.sqrt(np.mean(telling**2))
+    return found

@@ -5,6 +5,7 @@ so on, each cycle from where the one before settled. One program is compiled for
 worn surfaces are an input of it.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,16 +15,23 @@ from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
+from jaxclear.studies.ledger.ledger import Ledger
 from jaxclear.studies.life.cycle import as_problem
-from jaxclear.studies.life.living import Living
-from jaxclear.studies.life.nodes import Node
-from jaxclear.studies.life.result import DEPTH, VOLUME, WearLife
-from jaxclear.studies.life.saves import Stage
+from jaxclear.studies.life.rates import Rates
+from jaxclear.studies.life.result import DEPTH, VOLUME, Stage, WearLife
 from jaxclear.studies.life.settled import check_period
 from jaxclear.studies.life.settling import Patience
-from jaxclear.studies.life.steps import CycleFailed, Stepped, live, live_along, live_by_jumps
+from jaxclear.studies.life.steps import (
+    CycleFailed,
+    Length,
+    Machine,
+    Node,
+    Rate,
+    live,
+    live_along,
+    live_by_jumps,
+)
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.store import Store
 from jaxclear.studies.texts import in_texts
 
 # Ends of a cycle this far apart are the same, as in `settled`.
@@ -55,7 +63,7 @@ def wear_life(
     where none comes it is a mean over as many as bring its noise below that, `most` at the
     most, and what noise is left belongs to the error. With `most` of 32 or more such cycles run
     eight side by side from the second rate on, by a program of their own: once that is compiled
-    (15 s for the 3RSR), each takes a third of the time. `store`: a folder (Zarr) that keeps every
+    (15 s for the 3RSR), each takes a third of the time. `store`: a folder that keeps every
     cycle; asked again, the life goes on from there. A cycle that fails ends the life, with what was
     reached and why. Raises `ValueError` with a sentence for what cannot be asked, and
     `SimulationError` where the very first cycle fails.
@@ -68,66 +76,56 @@ def wear_life(
     check_count("most of wear_life", most)
     check_flags("wear_life", progress_bar=progress_bar)
     check_asked(problem)
-    kept = None if store is None else Store.opened(store, "a wear life", in_texts(problem))
-    living = Living(problem, problem.nominal(), Patience(SETTLED, accuracy, most), kept)
+    kept = None if store is None else Ledger.opened(store, "a wear life", in_texts(problem))
+    rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, most), kept)
     with progress.bar(progress_bar, "wear life"):
-        result = lived(living, float(cycles), float(accuracy), jump)
+        result = lived(rates, float(cycles), float(accuracy), jump)
     if kept is not None:
         kept.conclude(result.to_dataset())
     return result
 
 
 def lived(
-    living: Living,
+    rates: Rates,
     cycles: float,
     accuracy: float,
     jump: float | None,
-    lengths: np.ndarray | None = None,
+    lengths: Sequence[Length] = (),
 ) -> WearLife:
-    """The life, and what is kept of it; by steps of these `lengths` [cycles] if they are given."""
-    start = _start(living)
-    if lengths is not None:
-        found = live_along(living.evaluate, start, living.cells, lengths)
+    """The life, and what is kept of it; by steps of these `lengths` if they are given."""
+    row, cells = rates.first_row, rates.cells
+    try:
+        rate = rates.evaluate(row, set_down=rates.problem.state.motion is None)
+    except CycleFailed as reason:
+        raise SimulationError(f"The life has no first cycle: {reason}", rates.last_run) from None
+    check_period("wear_life", rates.problem, rate.settled.last)
+    start = Node.first(row, rate, cells)
+    machine = Machine(rates.evaluate, rates.carry, cells, rates.halves, progress.advance)
+    if lengths:
+        found = live_along(machine, start, lengths)
+    elif jump is not None:
+        found = live_by_jumps(machine, start, cycles, float(jump))
     else:
-        found = _stepped(living, start, cycles, accuracy, jump)
+        found = live(machine, start, cycles, accuracy, _first_step(rates, rate, cycles))
     return WearLife(
-        living.problem,
-        tuple(Stage(node, node.rate.told) for node in found.nodes),
-        living.cells,
-        living.worn,
-        living.checks(),
+        rates.problem,
+        tuple(Stage(node, node.rate.settled) for node in found.nodes),
+        cells,
+        rates.worn,
+        rates.checks(),
         cycles,
         accuracy if jump is None else np.inf,
         found.ended,
-        living.simulated,
+        rates.simulated,
         found.rejected,
     )
 
 
-def _start(living: Living) -> Node:
-    """The first node of a life. Raises `SimulationError` where its cycles fail."""
-    row = living.first_row
-    try:
-        rate = living.evaluate(row, set_down=living.problem.state.motion is None)
-    except CycleFailed as reason:
-        raise SimulationError(f"The life has no first cycle: {reason}", living.last_run) from None
-    check_period("wear_life", living.problem, rate.told.last)
-    return Node(0.0, row, rate, np.zeros(len(living.cells.surfaces)), np.zeros_like(row))
-
-
-def _stepped(
-    living: Living, start: Node, cycles: float, accuracy: float, jump: float | None
-) -> Stepped:
-    """The nodes of the life."""
-    cells, rate = living.cells, start.rate
-
-    hear = progress.advance
-    if jump is not None:
-        return live_by_jumps(living.evaluate, start, cells, cycles, float(jump), hear)
-    deepest = float(rate.wear.max(initial=0.0))
-    room = FIRST_DEPTH * _smallest_clearance(living.problem.mechanism)
-    first = min(FIRST_SHARE * cycles, room / deepest if deepest > 0 else cycles)
-    return live(living.evaluate, start, cells, cycles, accuracy, max(first, 1.0), hear)
+def _first_step(rates: Rates, rate: Rate, cycles: float) -> float:
+    """How many of the `cycles` the first step is long."""
+    deepest = float(rate.wear[: rates.count].max(initial=0.0))
+    room = FIRST_DEPTH * _smallest_clearance(rates.problem.mechanism)
+    return max(min(FIRST_SHARE * cycles, room / deepest if deepest > 0 else cycles), 1.0)
 
 
 def _smallest_clearance(mechanism: Mechanism) -> float:

@@ -16,8 +16,8 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.batch import chunk_size, evaluate_all
 from jaxclear.studies.endless import answered
+from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState
 from jaxclear.studies.surface.drawing import all_values, value_slopes
 from jaxclear.studies.surface.response_surface import ResponseSurface

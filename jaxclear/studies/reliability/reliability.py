@@ -15,7 +15,6 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_methods, check_number, expect
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import check_told
-from jaxclear.studies.identity import first_difference
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit
 from jaxclear.studies.reliability.design_point import DesignPoint, design_points
 from jaxclear.studies.reliability.estimate import Probability, refused
@@ -28,6 +27,7 @@ from jaxclear.studies.reliability.refinement import NO_SURFACE, surface_where_it
 from jaxclear.studies.reliability.result import Reliability
 from jaxclear.studies.reliability.subset import subset
 from jaxclear.studies.surface.response_surface import ResponseSurface
+from jaxclear.studies.texts import difference
 
 METHODS = ("form", "sorm", "importance", "subset")
 # Without a wish: subset simulation only where importance sampling does not do.
@@ -208,10 +208,10 @@ def _checked(problem: AbstractProblem, limit: Any, methods: Any, surface: Any) -
         check_told(problem, own.response, own.threshold)
     if surface is not None:
         expect(surface, ResponseSurface, "surface of reliability", "what jaxclear.surface gives")
-        difference = first_difference(surface.problem, problem)
-        if difference:
+        differs = difference(surface.problem, problem)
+        if differs:
             raise ValueError(
-                f"the surface is of another problem ({difference}); give one of this problem, "
+                f"the surface is of another problem ({differs}); give one of this problem, "
                 "jaxclear.surface(problem)."
             )
     if methods is None:

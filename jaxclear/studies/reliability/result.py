@@ -7,10 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.table import as_table
+from jaxclear.studies.answer import VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.datasets import of_reliability
 from jaxclear.studies.limit_state import AbstractLimitState
 from jaxclear.studies.reliability.design_point import DesignPoint
 from jaxclear.studies.reliability.estimate import Probability
@@ -22,7 +21,7 @@ SAMPLED = ("importance", "subset")
 SMALL = 1e-3
 
 
-class Reliability(AbstractShown):
+class Reliability(AbstractAnswer):
     """Probability of failing by several methods.
 
     `estimates` are the methods' own answers by name. `points` are the design points, likeliest
@@ -88,26 +87,36 @@ class Reliability(AbstractShown):
         values = self.problem.inputs.values(jnp.asarray(self.points[index].normal))
         return {name: float(v) for name, v in zip(self.problem.names, values, strict=True)}
 
-    def table(self) -> Any:
-        """A pandas table: one row a method."""
-        rows = [
-            {
-                "method": name,
-                "probability": own.value,
-                "coefficient of variation": own.variation,
-                "95 % low": own.interval[0],
-                "95 % high": own.interval[1],
-                "runs": own.runs,
-                "failed": own.failed,
-                "refusal": own.refusal,
-            }
-            for name, own in self.estimates.items()
-        ]
-        return as_table(rows, index="method", units={"probability": "1"})
-
-    def to_dataset(self) -> Any:
-        """Methods and design points as an xarray Dataset, with provenance."""
-        return of_reliability(self)
+    def _stated(self):
+        over, every = ("method",), self.estimates.items()
+        read = lambda part: {name: part(own) for name, own in every}
+        count, names = len(self.points), list(self.problem.names)
+        places = [[self.design_point(i)[name] for name in names] for i in range(count)]
+        likeliest = self.importance()
+        columns = {
+            "probability": Column(over, read(lambda own: own.value), "1"),
+            "coefficient of variation": Column(over, read(lambda own: own.variation), "1"),
+            "95 % low": Column(over, read(lambda own: own.interval[0]), "1"),
+            "95 % high": Column(over, read(lambda own: own.interval[1]), "1"),
+            "runs": Column(over, read(lambda own: own.runs)),
+            "failed": Column(over, read(lambda own: own.failed)),
+            "refusal": Column(over, read(lambda own: own.refusal)),
+            "beta": Column(("point",), [point.beta for point in self.points], "1"),
+            "design point": Column(
+                ("point", VARIABLE),
+                np.reshape(places, (count, len(names))),
+                meaning="likeliest part that fails",
+            ),
+            "variable unit": Column((VARIABLE,), list(self.problem.variable_units)),
+            "importance": Column(
+                (VARIABLE,),
+                {name: likeliest.get(name, np.nan) for name in names},
+                "1",
+                "of the likeliest design point",
+            ),
+        }
+        numbers = {"limit": self.limit.words(), "runs": self.runs, "stands": self.method}
+        return Stated("reliability", columns, self.problem, self.warnings, numbers)
 
     def design_points(self) -> Any:
         """A pandas table: one row a design point; beta, values, and importance [1] by variable."""

@@ -6,15 +6,21 @@ parts, and runs further out than these, so it is the answer wherever it has one.
 confirms it, and does not take its place where it states a smaller error: it may lack a branch.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 
 from jaxclear.ground.shown import AbstractShown, shown_in_words, with_error
-from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import unit_of_rate
-from jaxclear.studies.datasets import of_derivatives
+from jaxclear.studies.answer import (
+    DATASET,
+    RESPONSE,
+    VARIABLE,
+    AbstractAnswer,
+    Column,
+    Stated,
+)
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.scrambled import skewed_half
 from jaxclear.studies.warned import FEW_WARNED
@@ -32,6 +38,8 @@ STEPS = 1e-6
 TOGETHER = 2.576 / 1.96
 # The method that has seen the most parts, and runs further out than these.
 WIDEST = "regression"
+# What is told of each method beside the answer.
+PARTS = ("value", "error", "refusal", "warnings")
 
 
 @shown_in_words
@@ -94,7 +102,7 @@ class Derivative(AbstractShown):
         return f"d({self.response})/d({self.variable}) = {value}. {self.verdict}"
 
 
-class Sensitivity(AbstractShown):
+class Sensitivity(AbstractAnswer):
     """Derivatives by (response, variable), and the sample behind them. Statistics other than means
     and widths of distributions go by their own names, "standard deviation of force", "tolerance of
     clearance"; `units` are theirs."""
@@ -111,6 +119,13 @@ class Sensitivity(AbstractShown):
         return unit_of_rate(above, known[variable])
 
     def _shown(self):
+        return "\n".join(self._lines())
+
+    def sentence(self) -> str:
+        """Every derivative with its verdict."""
+        return " ".join(self._lines())
+
+    def _lines(self) -> list[str]:
         lines = [
             found.sentence(self.unit(response, variable))
             for (response, variable), found in self.derivatives.items()
@@ -121,35 +136,29 @@ class Sensitivity(AbstractShown):
                 f"{failed} of {count} samples failed and are left out: that a variable moves which "
                 "of them fail is not in its derivatives."
             )
-        return "\n".join(lines)
+        return lines
 
-    def to_dataset(self) -> Any:
-        """Derivatives, their errors and every method's as an xarray Dataset by response and
-        variable, with provenance; the sample has its own."""
-        return of_derivatives(self)
-
-    def table(self) -> Any:
-        """A pandas table: one row a derivative, by response and variable; first the answer, then
-        the verdict and each method's own answer."""
-        rows = []
-        for (response, variable), found in self.derivatives.items():
-            row = {
-                "response": response,
-                "variable": variable,
-                "derivative": found.value,
-                "error (95 %)": found.error,
-                "unit": self.unit(response, variable),
-                "method": found.method,
-                "verdict": found.verdict,
-            }
-            for name, estimate in found.estimates.items():
-                row[name] = estimate.value
-                row[f"{name} error"] = estimate.error
-                row[f"{name} refusal"] = estimate.refusal
-                row[f"{name} warnings"] = estimate.warnings
-            rows.append(row)
-        # As the index, the names leave the first columns, which print always shows, to the answer.
-        return as_table(rows, index=["response", "variable"], errors={"derivative": "error (95 %)"})
+    def _stated(self):
+        over, every = (RESPONSE, VARIABLE), self.derivatives
+        read = lambda part: {key: getattr(own, part) for key, own in every.items()}
+        columns = {
+            "derivative": Column(
+                over, read("value"), error=read("error"), error_name="error (95 %)"
+            ),
+            "error": Column(over, read("error"), only=DATASET),
+            "unit": Column(over, {key: self.unit(*key) for key in every}),
+            "method": Column(over, read("method")),
+            "verdict": Column(over, read("verdict")),
+            "trustworthy": Column(over, read("trustworthy"), only=DATASET),
+        }
+        for method in dict.fromkeys(m for own in every.values() for m in own.estimates):
+            own = {key: d.estimates[method] for key, d in every.items() if method in d.estimates}
+            told = {part: {k: getattr(one, part) for k, one in own.items()} for part in PARTS}
+            columns[method] = Column(over, told["value"], error=told["error"])
+            columns[f"{method} refusal"] = Column(over, told["refusal"])
+            columns[f"{method} warnings"] = Column(over, told["warnings"])
+        numbers = {"samples": self.sample.count}
+        return Stated("sensitivity", columns, self.sample.problem, (), numbers)
 
 
 def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> Derivative:

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.batch import chunk_size, evaluate_all
+from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
 from jaxclear.studies.sensitivity.direction import Direction
 from jaxclear.studies.sensitivity.functional import Functional

@@ -22,8 +22,8 @@ import scipy
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.batch import chunk_size, evaluate_all
 from jaxclear.studies.distribution.base import END_SCORE
+from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts
 from jaxclear.studies.sensitivity.differences import FEWEST, FIRST, SHIFTS, rarity
 from jaxclear.studies.sensitivity.direction import Direction, flow

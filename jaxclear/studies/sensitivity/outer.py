@@ -18,8 +18,8 @@ import scipy
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.distribution.base import END_SCORE
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.statistics.scrambled import student
 

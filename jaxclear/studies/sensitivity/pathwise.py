@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
 from jaxclear.studies.sensitivity.direction import Direction
 from jaxclear.studies.sensitivity.functional import Functional

@@ -21,9 +21,9 @@ import scipy
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.inputs import Inputs
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.sampling import by_scrambling, draw
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused

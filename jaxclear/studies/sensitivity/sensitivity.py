@@ -14,7 +14,7 @@ import numpy as np
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_methods, expect
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.given_sample import GivenSample, given_sample
+from jaxclear.studies.campaign.result import GivenSample, given_sample
 from jaxclear.studies.monte_carlo import MonteCarlo, monte_carlo
 from jaxclear.studies.sampling import draw, groups, usual_scramblings
 from jaxclear.studies.scrambling import seed_of

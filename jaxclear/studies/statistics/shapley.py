@@ -21,14 +21,19 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags
-from jaxclear.ground.shown import AbstractShown, left_out
-from jaxclear.ground.table import as_table
+from jaxclear.ground.shown import left_out
 from jaxclear.integrators import Outcome
+from jaxclear.studies.answer import (
+    RESPONSE,
+    VARIABLE,
+    AbstractAnswer,
+    Stated,
+    with_interval,
+)
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.batch import evaluate_all
-from jaxclear.studies.datasets import of_effects
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.inputs import Inputs
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, student
@@ -45,7 +50,7 @@ TOGETHER = 1024
 Step = tuple[int, frozenset[int], float]
 
 
-class ShapleyEffects(AbstractShown):
+class ShapleyEffects(AbstractAnswer):
     """`effects` [1] by (response, variable), each with its 95 % interval; those of a response sum
     to 1. `runs` of the problem (of its surface, where one was given) and how many samples `failed`;
     `remark` says what a surface leaves out, `warnings` of what runs warn."""
@@ -57,28 +62,16 @@ class ShapleyEffects(AbstractShown):
     remark: str = eqx.field(static=True, default="")
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
-    def _shown(self):
-        said = [*left_out(self.failed, "sample"), *self.warnings]
-        return self.table(), *said
+    def sentence(self) -> str:
+        """What a surface leaves out, and how many samples failed; "" for nothing."""
+        return " ".join(filter(None, [self.remark, left_out(self.failed, "sample")]))
 
-    def to_dataset(self) -> Any:
-        """Effects with their intervals as an xarray Dataset by response and variable, with
-        provenance."""
-        return of_effects(self)
-
-    def table(self) -> Any:
-        """A pandas table by response and variable: each effect with its error."""
-        rows = [
-            {
-                "response": response,
-                "variable": variable,
-                "effect": own.value,
-                "error (95 %)": own.error,
-            }
-            for (response, variable), own in self.effects.items()
-        ]
-        errors = {"effect": "error (95 %)"}
-        return as_table(rows, index=["response", "variable"], units={"effect": "1"}, errors=errors)
+    def _stated(self):
+        named = {"error_name": "error (95 %)"}
+        columns = with_interval("effect", (RESPONSE, VARIABLE), self.effects)
+        columns["effect"] = columns["effect"]._replace(**named)
+        numbers = {"runs": self.runs, "failed": self.failed, "remark": self.remark}
+        return Stated("Shapley effects", columns, self.problem, self.warnings, numbers)
 
 
 @answering

@@ -24,14 +24,19 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags
-from jaxclear.ground.shown import AbstractShown, left_out
-from jaxclear.ground.table import as_table
+from jaxclear.ground.shown import left_out
 from jaxclear.integrators import Outcome
+from jaxclear.studies.answer import (
+    RESPONSE,
+    VARIABLE,
+    AbstractAnswer,
+    Stated,
+    with_interval,
+)
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.batch import evaluate_all
-from jaxclear.studies.datasets import of_indices
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.inputs import Inputs
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import ROUNDING, UNKNOWN, Statistic, jackknifed
@@ -49,7 +54,7 @@ MOST_OUTSIDE = 10.0
 MOST_TERMS = 300
 
 
-class SobolIndices(AbstractShown):
+class SobolIndices(AbstractAnswer):
     """`first` and `total` indices [1] by (response, variable), each with its 95 % interval; `runs`
     that they took, how many of the base samples `failed`, and of what runs warn (`warnings`)."""
 
@@ -60,30 +65,16 @@ class SobolIndices(AbstractShown):
     failed: int = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
-    def _shown(self):
-        said = [*left_out(self.failed, "base sample"), *self.warnings]
-        return self.table(), *said
+    def sentence(self) -> str:
+        """How many base samples failed; "" where none did."""
+        return left_out(self.failed, "base sample")
 
-    def to_dataset(self) -> Any:
-        """Both indices with their intervals as an xarray Dataset by response and variable, with
-        provenance."""
-        return of_indices(self)
-
-    def table(self) -> Any:
-        """A pandas table by response and variable: both indices with their errors."""
-        rows = [
-            {
-                "response": response,
-                "variable": variable,
-                "first order": first.value,
-                "first order error": first.error,
-                "total": self.total[response, variable].value,
-                "total error": self.total[response, variable].error,
-            }
-            for (response, variable), first in self.first.items()
-        ]
-        units = {"first order": "1", "total": "1"}
-        return as_table(rows, index=["response", "variable"], units=units)
+    def _stated(self):
+        over = (RESPONSE, VARIABLE)
+        columns = with_interval("first order", over, self.first)
+        columns |= with_interval("total", over, self.total)
+        numbers = {"runs": self.runs, "failed": self.failed}
+        return Stated("Sobol' indices", columns, self.problem, self.warnings, numbers)
 
 
 @answering

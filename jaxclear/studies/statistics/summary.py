@@ -71,23 +71,25 @@ def failure(study: Any, i: int) -> str:
     return f"With {named} {ending}"
 
 
-def table_of(study: Any) -> Any:
-    """All samples of a study as a pandas table, as `MonteCarlo.table`."""
-    columns: dict[str, Any] = dict(zip(study.problem.names, study.values.T, strict=True))
-    columns |= study.responses
+def ends_of(study: Any) -> list[str]:
+    """How each sample of a study ended."""
     sentences = study.failures()
     good = study.problem.ending(Outcome.REACHED, 0.0)
     good = f"{good[0].upper()}{good[1:]}"
-    columns["result"] = [sentences.get(i, good) for i in range(study.count)]
+    return [sentences.get(i, good) for i in range(study.count)]
+
+
+def warnings_of(study: Any) -> list[str]:
+    """What each sample warns of."""
     warnings = study.warnings()
-    columns["warnings"] = [" ".join(warnings.get(i, ())) for i in range(study.count)]
+    return [" ".join(warnings.get(i, ())) for i in range(study.count)]
+
+
+def doubtful_of(study: Any) -> list[str]:
+    """The responses of each sample that its warnings concern."""
     concerned = {name: set(study.concerned(name)) for name in study.responses}
-    columns["in doubt"] = [
-        ", ".join(name for name, samples in concerned.items() if i in samples)
-        for i in range(study.count)
-    ]
-    units = dict(zip(study.problem.names, study.problem.variable_units, strict=True))
-    return as_table(columns, units=units | study.problem.units())
+    names = lambda i: ", ".join(name for name, samples in concerned.items() if i in samples)
+    return [names(i) for i in range(study.count)]
 
 
 def summary_of(rows: list[dict[str, Any]]) -> Any:

@@ -21,9 +21,9 @@ from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.shown import AbstractShown, shown_in_words, with_error
 from jaxclear.ground.table import as_table
 from jaxclear.integrators import Outcome
-from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_corrected
 from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
 from jaxclear.studies.statistics.summary import ERRORS

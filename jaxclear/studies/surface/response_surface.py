@@ -1,24 +1,28 @@
 """Polynomials that stand for responses, and how far they can be trusted."""
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxclear.ground.arguments import check_known
-from jaxclear.ground.shown import AbstractShown
-from jaxclear.ground.table import as_table
+from jaxclear.studies.answer import (
+    DATASET,
+    RESPONSE,
+    TABLE,
+    VARIABLE,
+    AbstractAnswer,
+    Column,
+    Stated,
+)
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.datasets import of_surface
 from jaxclear.studies.surface.polynomials import Polynomials, products
 
 # Below this leave-one-out R2 a surface does not stand for runs.
 TRUSTED = 0.9
 
 
-class ResponseSurface(AbstractShown):
+class ResponseSurface(AbstractAnswer):
     """Polynomials in the variables that stand for responses: `surface(values)` takes one set of
     values (variables,) and gives the responses by name; JAX maps and differentiates it.
 
@@ -75,24 +79,28 @@ class ResponseSurface(AbstractShown):
             text += "." if self.trusted(name) else low
         return f"{text} {self.unreached}".rstrip()
 
-    def _shown(self):
-        return self.sentence(), *self.warnings, self.table()
-
-    def to_dataset(self) -> Any:
-        """Runs, coefficients and quality as an xarray Dataset, with provenance."""
-        return of_surface(self)
-
-    def table(self) -> Any:
-        """A pandas table: one row a response."""
-        rows = [
-            {
-                "response": name,
-                "unit": self.problem.units()[name],
-                "degree": self.degrees[name],
-                "leave-one-out R2": self.quality[name],
-                "leave-one-out error": self.error(name),
-                "stands for runs": self.trusted(name),
-            }
-            for name in self.problem.response_names
-        ]
-        return as_table(rows, index="response", units={"leave-one-out R2": "1"})
+    def _stated(self):
+        problem, over = self.problem, (RESPONSE,)
+        names, units = problem.response_names, problem.units()
+        read = lambda own: {name: own(name) for name in names}
+        columns = {
+            "unit": Column(over, read(units.get)),
+            "degree": Column(over, self.degrees),
+            "leave-one-out R2": Column(over, self.quality, "1", only=TABLE),
+            "leave-one-out error": Column(over, read(self.error)),
+            "stands for runs": Column(over, read(self.trusted)),
+            "quality": Column(over, self.quality, "1", "leave-one-out R2", only=DATASET),
+        }
+        for i, (name, unit) in enumerate(zip(problem.names, problem.variable_units, strict=True)):
+            columns[name] = Column(("run",), self.values[:, i], unit, kind=VARIABLE)
+        said = "what the other runs say of it"
+        for name in names:
+            own, others = self.responses[name], self.predictions[name]
+            columns[name] = Column(("run",), own, units[name], kind=RESPONSE)
+            columns[f"{name} predicted"] = Column(("run",), others, units[name], said)
+        coefficients = np.array([np.asarray(self.coefficients[name]) for name in names])
+        columns["coefficient"] = Column((RESPONSE, "term"), coefficients)
+        columns["power"] = Column(("term", VARIABLE), np.asarray(self.powers), "1")
+        columns[VARIABLE] = Column((VARIABLE,), list(problem.names))
+        numbers = {"failed": self.failed}
+        return Stated("response surface", columns, problem, self.warnings, numbers)

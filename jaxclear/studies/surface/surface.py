@@ -17,9 +17,9 @@ from jaxtyping import Array, Float
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.campaign.result import GivenSample, given_sample
 from jaxclear.studies.endless import refuse_endless
-from jaxclear.studies.given_sample import GivenSample, given_sample
+from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import powers

@@ -1,8 +1,8 @@
 """Reads the command line.
 
-A command is declared in `studies` or `scene_files`, which answer mistakes at once, and answered by
-a function in `jaxclear.commands.cli`. Exit codes: 0 done; 1 a run failed or ended early; 2 what was
-typed cannot be; 130 interrupted.
+A command is declared in `offered`, which answers mistakes at once, and answered by a function in
+`jaxclear.commands.cli`. Exit codes: 0 done; 1 a run failed or ended early; 2 what was typed cannot
+be; 130 interrupted.
 """
 
 import importlib
@@ -13,12 +13,8 @@ from typing import Any
 
 import click
 
-from jaxclear_command.declared import Group
-from jaxclear_command.scene_files import scene_files
-from jaxclear_command.studies import studies
-from jaxclear_command.wording import said
-
-__all__ = ["main"]
+from jaxclear_command.declared import Group, said
+from jaxclear_command.offered import offered
 
 FAILED, MISTAKEN, INTERRUPTED = 1, 2, 130
 TEXT = "Mechanisms whose joints have clearance, contact, friction and wear."
@@ -62,7 +58,7 @@ def commands() -> Group:
         help="this version, JAX's and Python's",
     )
     return Group(
-        {"Your own scene": scene_files(answered), "Studies of ready scenes": studies(answered)},
+        offered(answered),
         [
             "jaxclear example slider-crank > scene.yaml",
             "jaxclear run scene.yaml",

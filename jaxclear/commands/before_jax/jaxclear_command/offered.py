@@ -1,0 +1,191 @@
+"""The commands, each with what it may be asked: what is done with a scene file of one's own, and
+the studies of ready scenes.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import click
+
+from jaxclear_command.declared import (
+    Command,
+    flag,
+    number,
+    one_of,
+    out,
+    page,
+    quiet,
+    readable_file,
+    store,
+    whole,
+)
+
+EXAMPLES = ("slider-crank", "four-bar", "antenna")
+
+
+SCENE = click.Argument(["scene"], type=readable_file)
+MAYBE_SCENE = click.Argument(["scene"], type=readable_file, required=False)
+
+
+class Offer(NamedTuple):
+    """What a command does, what it may be asked, and examples as they are typed."""
+
+    text: str
+    arguments: list[click.Parameter]
+    examples: list[str]
+
+
+SCENE_FILES = {
+    "run": Offer(
+        "runs a scene file once: summary with warnings, data set, figures",
+        [
+            SCENE,
+            out(None, "folder for data set, figures and tables (default SCENE_run)"),
+            flag("--duration", "time [s], in place of the file's", number(0.0, "s", above=True)),
+            flag("--saves", "saved instants, in place of the file's", whole(2)),
+            quiet(),
+        ],
+        [
+            "jaxclear run scene.yaml",
+            "jaxclear run scene.yaml --duration 0.5 --saves 2001 --out first",
+        ],
+    ),
+    "monte-carlo": Offer(
+        "samples what varies of a scene file, kept in a folder; goes on if interrupted",
+        [
+            SCENE,
+            flag("--samples", "samples in all", whole(2), 1024),
+            out(None, "folder of the samples (default SCENE_store)"),
+            flag("--seed", "of the samples", whole(0), 0, "0"),
+            flag("--chunk", "samples kept at a time (default by the problem)", whole(1)),
+            quiet(),
+        ],
+        [
+            "jaxclear monte-carlo scene.yaml --samples 1e5 --out store",
+            "jaxclear monte-carlo scene.yaml --samples 64 --quiet",
+        ],
+    ),
+    "report": Offer(
+        "one HTML page of a folder: figures, tables, what was run, versions",
+        [
+            click.Argument(["store"], type=store),
+            flag("--to", "the page (default report.html in the folder)", page),
+        ],
+        ["jaxclear report store", "jaxclear report store --to store.html"],
+    ),
+    "example": Offer(
+        f"prints a scene file to begin with: {', '.join(EXAMPLES)}",
+        [click.Argument(["name"], type=one_of(EXAMPLES))],
+        [f"jaxclear example {name} > scene.yaml" for name in EXAMPLES],
+    ),
+    "parameters": Offer(
+        "all numbers of a scene file, or of the four-bar, with unit and meaning",
+        [MAYBE_SCENE],
+        ["jaxclear parameters scene.yaml", "jaxclear parameters"],
+    ),
+}
+
+
+STUDIES = {
+    "four-bar": Offer(
+        "four-bar with three-dimensional clearance and wear: runs, Monte Carlo, derivatives",
+        [
+            out("four_bar_study"),
+            flag("--samples", "Monte Carlo samples", whole(16), 256),
+            flag("--duration", "time of the paper's runs [s]", number(0.01, "s"), 5.0),
+            flag("--turns", "turns of the crank in the Monte Carlo", number(0.01, ""), 2.0),
+            quiet(),
+        ],
+        ["jaxclear four-bar --samples 1000 --out study"],
+    ),
+    "antenna": Offer(
+        "antenna on a satellite with clearance and dry friction: motion, errors of the tip",
+        [
+            out("antenna_study"),
+            flag("--duration", "time of the periodic drive [s]", number(0.01, "s"), 4.0),
+        ],
+        ["jaxclear antenna --duration 2"],
+    ),
+    "guide": Offer(
+        "slider in a rotating guide: corner forces, switchings, impacts of a small clearance",
+        [
+            out("guide_study"),
+            flag(
+                "--clearance",
+                "gap of the run with impacts [m]",
+                number(0.0, "m", above=True),
+                1e-5,
+            ),
+            click.Option(["--wear"], is_flag=True, help="wear both parts, and draw their depth"),
+            quiet(),
+        ],
+        ["jaxclear guide --clearance 2e-5", "jaxclear guide --wear"],
+    ),
+    "flap": Offer(
+        "flap actuation with four clearance joints: modes, impacts, forces, lever ratio",
+        [
+            out("flap_study"),
+            flag("--duration", "simulated time [s]", number(0.01, "s"), 0.5),
+            quiet(),
+        ],
+        ["jaxclear flap --duration 1"],
+    ),
+    "3rsr": Offer(
+        "3RSR parallel mechanism: a ball's force in three regimes, its limit, its worn socket",
+        [
+            out("3rsr_study"),
+            flag("--cycles", "cycles over which the socket is worn", whole(1), 40),
+            quiet(),
+        ],
+        ["jaxclear 3rsr --cycles 100"],
+    ),
+    "wear-life": Offer(
+        "wear of a bearing over a life: settled cycle, depth and forces over cycles, groove",
+        [
+            out("wear_life_study"),
+            flag("--cycles", "cycles of the machine's life", number(1.0, ""), 1e6, "1e6"),
+            flag(
+                "--tolerance",
+                "error of the depth asked for, as a share of it",
+                number(0.0, "", above=True),
+                0.01,
+            ),
+            quiet(),
+        ],
+        ["jaxclear wear-life --cycles 1e7 --tolerance 0.02"],
+    ),
+    "design": Offer(
+        "tolerances and clearances that cost least and keep limits on error and wear",
+        [
+            flag(
+                "--scene",
+                "antenna (pointing error) or four-bar (worn depth and follower error)",
+                one_of(("antenna", "four-bar")),
+                "antenna",
+            ),
+            out("design_study"),
+            flag(
+                "--accuracy",
+                "by how much of itself a limit may be missed",
+                number(0.0, "", above=True),
+                5e-3,
+            ),
+            quiet(),
+        ],
+        ["jaxclear design --scene four-bar"],
+    ),
+}
+
+
+HEADINGS = {"Your own scene": SCENE_FILES, "Studies of ready scenes": STUDIES}
+
+
+def offered(answered: Callable[[str], Callable[..., None]]) -> dict[str, list[click.Command]]:
+    """Commands by heading; `answered` gives what runs when the command of a name is called."""
+    return {
+        heading: [
+            Command(name, own.examples, answered(name), help=own.text, params=own.arguments)
+            for name, own in offers.items()
+        ]
+        for heading, offers in HEADINGS.items()
+    }

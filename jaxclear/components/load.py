@@ -1,0 +1,455 @@
+"""Loads, `jaxclear.load`: on bodies through markers (gravity, forces, torques, springs, dampers),
+and on the single coordinate of a joint (springs and dampers, torques, stops, friction that is given
+as a torque, the inertia of a motor behind its gear).
+
+A load on bodies sees the motion of the markers it acts on (`MarkerMotion`, in the ground frame) and
+returns forces and torques in the ground frame. Springs tell their stored energy, dampers their
+dissipated power, so that the energy balance can be closed; every other force counts as input. Units
+of loads on coordinates are those of a joint that turns; of one that slides N stands for N m and m
+for rad.
+"""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.components.body import Marker
+from jaxclear.components.function_of_time import (
+    check_function_of_time,
+    number_or_function,
+    one_or_more_or_function,
+    value_at,
+    vector_or_function,
+)
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt, smooth_sign, smooth_step
+from jaxclear.ground.pose import Pose
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity, vector
+
+__all__ = [
+    "AbstractBodyLoad",
+    "AbstractCoordinateLoad",
+    "AbstractLoad",
+    "Action",
+    "Effect",
+    "Force",
+    "Gravity",
+    "JointFriction",
+    "JointSpring",
+    "JointStop",
+    "JointTorque",
+    "MarkerMotion",
+    "MotorTorque",
+    "RotorInertia",
+    "Spring",
+    "Torque",
+]
+
+
+class AbstractLoad(AbstractQuantified):
+    """A load on bodies, or on the coordinate of a joint."""
+
+    def springs_back(self) -> bool:
+        """Whether what it acts on may swing by it, as by a spring; it may unless overridden."""
+        return True
+
+
+def check_acts(spring: Any) -> None:
+    """Raises `ValueError` for a spring that is neither one nor a damper."""
+    if spring.stiffness is None and spring.damping is None:
+        name = type(spring).__name__
+        raise ValueError(f"load.{name} needs stiffness or damping, or both; it has neither.")
+
+
+class MarkerMotion(NamedTuple):
+    """A marker as a load sees it: pose in the ground frame, velocity and spin in ground axes."""
+
+    pose: Pose
+    velocity: sp.Vec
+    spin: sp.Vec
+
+
+class Action(NamedTuple):
+    """Force [N] through a marker's origin and torque [N m] on its body, in ground axes."""
+
+    marker: Marker
+    force: sp.Vec
+    torque: sp.Vec
+
+
+class Effect(NamedTuple):
+    """What a load does at one instant; energies in J, power in W. `external` power enters the
+    mechanism.
+    """
+
+    actions: tuple[Action, ...]
+    stored: Any
+    dissipated: Any
+    external: Any
+
+
+class AbstractBodyLoad(AbstractLoad):
+    """Acts on bodies through markers."""
+
+    @abstractmethod
+    def markers(self) -> tuple[Marker, ...]:
+        """The markers it needs to see."""
+
+    @abstractmethod
+    def effect(self, time: Scalar, motions: tuple[MarkerMotion, ...]) -> Effect:
+        """Forces and energies at an instant."""
+
+
+# A hundred times that of the Earth.
+USUAL_GRAVITY = (-1e3, 1e3, "is it in mm/s^2? Accelerations are in m/s^2.")
+
+
+class Gravity(AbstractLoad):
+    """Uniform gravity on all bodies, as an acceleration in the ground frame."""
+
+    acceleration: tuple = vector(
+        (0.0, -9.81), "m/s^2", "free fall, ground frame", counts=(2, 3), usual=USUAL_GRAVITY
+    )
+
+    def springs_back(self):
+        return False
+
+
+class Force(AbstractBodyLoad):
+    """A force at a marker: 2 or 3 numbers [N] or a function of time, in ground axes, or in the
+    marker's if `follows`.
+    """
+
+    marker: Marker
+    value: tuple | Callable = vector(
+        unit="N",
+        meaning="force, or a function of time",
+        counts=(2, 3),
+        converter=vector_or_function,
+    )
+    follows: bool = eqx.field(static=True, default=False)
+
+    def springs_back(self):
+        return False
+
+    def __check_init__(self):
+        check_function_of_time(self, "value", (2, 3))
+
+    def markers(self):
+        return (self.marker,)
+
+    def effect(self, time, motions):
+        force = sp.vec3(tuple(value_at(self.value, time)))
+        if self.follows:
+            force = sp.apply(motions[0].pose.rotation, force)
+        return Effect(
+            (Action(self.marker, force, sp.ZERO),), 0, 0, sp.dot(force, motions[0].velocity)
+        )
+
+
+class Torque(AbstractBodyLoad):
+    """A torque on a body: 1 number (about z), 3 numbers [N m] or a function of time; axes as in
+    `Force`.
+    """
+
+    marker: Marker
+    value: tuple | Callable = vector(
+        unit="N m",
+        meaning="torque, or a function of time",
+        counts=(1, 3),
+        converter=one_or_more_or_function,
+    )
+    follows: bool = eqx.field(static=True, default=False)
+
+    def springs_back(self):
+        return False
+
+    def __check_init__(self):
+        check_function_of_time(self, "value", (1, 3))
+
+    def markers(self):
+        return (self.marker,)
+
+    def effect(self, time, motions):
+        value = value_at(self.value, time)
+        value = tuple(value) if isinstance(value, tuple) or np.ndim(value) else (value,)
+        torque = (0, 0, *value) if len(value) == 1 else sp.vec3(value)
+        if self.follows:
+            torque = sp.apply(motions[0].pose.rotation, torque)
+        return Effect(
+            (Action(self.marker, sp.ZERO, torque),), 0, 0, sp.dot(torque, motions[0].spin)
+        )
+
+
+class MotorTorque(AbstractBodyLoad):
+    """A torque [N m] on the body of `journal` about the z axis of `bearing`, and its reaction on
+    the body of `bearing`: a motor between two bodies that no joint need join. A number or function
+    of time. Equal and opposite however the journal leans; for a joint prefer JointTorque, which
+    takes its name.
+    """
+
+    bearing: Marker
+    journal: Marker
+    value: Scalar | Callable = quantity(
+        unit="N m", meaning="torque, or a function of time", converter=number_or_function
+    )
+
+    def springs_back(self):
+        return False
+
+    def __check_init__(self):
+        check_function_of_time(self, "value")
+
+    def markers(self):
+        return (self.bearing, self.journal)
+
+    def effect(self, time, motions):
+        torque = sp.scale(value_at(self.value, time), sp.apply(motions[0].pose.rotation, (0, 0, 1)))
+        back = tuple(sp.neg(x) for x in torque)
+        actions = (Action(self.bearing, sp.ZERO, back), Action(self.journal, sp.ZERO, torque))
+        return Effect(actions, 0, 0, sp.dot(torque, sp.minus(motions[1].spin, motions[0].spin)))
+
+
+class Spring(AbstractBodyLoad):
+    """Spring and damper between two markers, along the line between them: F = k (l - l0) + d dl/dt,
+    positive in tension.
+    """
+
+    start: Marker
+    end: Marker
+    stiffness: Scalar | None = quantity(None, "N/m", "stiffness", at_least=0)
+    free_length: Scalar = quantity(0.0, "m", "length without force", at_least=0)
+    damping: Scalar | None = quantity(None, "N s/m", "viscous damping", at_least=0)
+
+    def springs_back(self):
+        return self.stiffness is not None
+
+    def __check_init__(self):
+        check_acts(self)
+
+    def markers(self):
+        return (self.start, self.end)
+
+    def effect(self, time, motions):
+        line = sp.minus(motions[1].pose.translation, motions[0].pose.translation)
+        length = safe_sqrt(sp.dot(line, line))
+        direction = tuple(0 if sp.is_zero(x) else safe_divide(x, length) for x in line)
+        rate = sp.dot(direction, sp.minus(motions[1].velocity, motions[0].velocity))
+        stretch = length - self.free_length
+        tension, stored, dissipated = 0, 0, 0
+        if self.stiffness is not None:
+            tension, stored = self.stiffness * stretch, 0.5 * self.stiffness * stretch * stretch
+        if self.damping is not None:
+            tension, dissipated = (
+                sp.add(tension, sp.mul(self.damping, rate)),
+                sp.mul(self.damping, sp.mul(rate, rate)),
+            )
+        pull = sp.scale(tension, direction)
+        reaction = tuple(sp.neg(x) for x in pull)
+        actions = (Action(self.start, pull, sp.ZERO), Action(self.end, reaction, sp.ZERO))
+        return Effect(actions, stored, dissipated, 0)
+
+
+class AbstractCoordinateLoad(AbstractLoad):
+    """Acts on the single coordinate of a joint, child against parent: an angle or a displacement.
+
+    The joint may also close a loop or have clearance; then its coordinate is that of the ideal
+    joint that it would be, read between its two markers. An angle is followed over whole turns,
+    from where `start` or `guess` of the mechanism gives it, else from within half a turn of 0.
+    """
+
+    connection: eqx.AbstractVar[str]
+
+    @abstractmethod
+    def force(self, time: Scalar, position: Scalar, speed: Scalar) -> tuple[Any, Any, Any, Any]:
+        """(generalised force, stored energy, dissipated power, external power)."""
+
+    def reads_position(self) -> bool:
+        """Whether the force depends on the coordinate; it does unless overridden."""
+        return True
+
+    def springs_back(self) -> bool:
+        return self.reads_position()
+
+    def inertia_along(self) -> Scalar | None:
+        """Inertia [kg m^2] that moves with the coordinate and with nothing else; None unless
+        overridden. Only a joint that the tree carries can have some."""
+        return None
+
+
+class JointSpring(AbstractCoordinateLoad):
+    """Spring and damper on the coordinate of a joint that turns or slides, ideal or with clearance
+    (N m/rad, N m s/rad; N/m, N s/m if sliding). Angles count over whole turns, as
+    `AbstractCoordinateLoad` says.
+    """
+
+    connection: str = eqx.field(static=True)
+    stiffness: Scalar | None = quantity(
+        None, "N m/rad", "stiffness (N/m for a sliding joint)", at_least=0
+    )
+    rest: Scalar = quantity(0.0, "rad", "coordinate without force (m for a sliding joint)")
+    damping: Scalar | None = quantity(
+        None, "N m s/rad", "viscous damping (N s/m for a sliding joint)", at_least=0
+    )
+
+    def __check_init__(self):
+        check_acts(self)
+
+    def force(self, time, position, speed):
+        force, stored, dissipated = 0, 0, 0
+        if self.stiffness is not None:
+            stretch = position - self.rest
+            force, stored = -self.stiffness * stretch, 0.5 * self.stiffness * stretch * stretch
+        if self.damping is not None:
+            force, dissipated = sp.sub(force, self.damping * speed), self.damping * speed * speed
+        return force, stored, dissipated, 0
+
+    def reads_position(self):
+        return self.stiffness is not None
+
+
+class JointTorque(AbstractCoordinateLoad):
+    """A torque [N m] (force [N] if sliding) on the coordinate of a joint, ideal or with clearance,
+    child against parent: a number or function of time.
+    """
+
+    connection: str = eqx.field(static=True)
+    value: Scalar | Callable = quantity(
+        unit="N m",
+        meaning="torque (N for a sliding joint), or a function of time",
+        converter=number_or_function,
+    )
+
+    def __check_init__(self):
+        check_function_of_time(self, "value")
+
+    def force(self, time, position, speed):
+        force = value_at(self.value, time)
+        return force, 0, 0, force * speed
+
+    def reads_position(self):
+        return False
+
+
+class JointStop(AbstractCoordinateLoad):
+    r"""Stops of a joint that turns or slides, ideal or with clearance: where the coordinate is by
+    :math:`\delta` beyond `lower` or `upper`, a spring and a damper push it back,
+
+    .. math:: F = \max(0,\ k\,\delta + d\,s(\delta)\,\dot\delta),
+
+    and never pull. :math:`s` grows as a cubic step from 0 to 1 over `depth`, so that the force
+    begins at 0 however fast the stop is met, and derivatives of a run pass through it (the law of
+    Adams' IMPACT with exponent 1). A stiff stop needs short steps.
+    """
+
+    connection: str = eqx.field(static=True)
+    lower: Scalar | None = quantity(None, "rad", "least coordinate (m for a sliding joint)")
+    upper: Scalar | None = quantity(None, "rad", "largest coordinate (m for a sliding joint)")
+    stiffness: Scalar = quantity(
+        unit="N m/rad", meaning="stiffness k (N/m for a sliding joint)", above=0, kw_only=True
+    )
+    damping: Scalar | None = quantity(
+        None, "N m s/rad", "damping d (N s/m for a sliding joint)", at_least=0, kw_only=True
+    )
+    depth: Scalar = quantity(
+        1e-3, "rad", "way over which damping sets in (m for a sliding joint)", above=0, kw_only=True
+    )
+
+    def __check_init__(self):
+        if self.lower is None and self.upper is None:
+            raise ValueError("load.JointStop needs lower or upper, or both; it has neither.")
+        low, high = concrete(self.lower), concrete(self.upper)
+        if low is not None and high is not None and not low < high:
+            raise ValueError(
+                f"load.JointStop has lower {low:g} and upper {high:g}; lower must be below upper."
+            )
+
+    def force(self, time, position, speed):
+        force, stored, dissipated = 0, 0, 0
+        if self.upper is not None:
+            force, stored, dissipated = self._push(position - self.upper, speed)
+            force = -force
+        if self.lower is not None:
+            push, spring, loss = self._push(self.lower - position, -speed)
+            force, stored = sp.add(force, push), sp.add(stored, spring)
+            dissipated = sp.add(dissipated, loss)
+        return force, stored, dissipated, 0
+
+    def _push(self, beyond, rate):
+        """Force of one stop, its stored energy and dissipated power."""
+        depth = positive_part(beyond)
+        spring = self.stiffness * depth
+        stored = 0.5 * spring * depth
+        if self.damping is None:
+            return spring, stored, 0
+        damper = self.damping * smooth_step(depth, 0.0, self.depth) * rate
+        push = positive_part(spring + damper)
+        # Where the damper would pull the spring goes back without the body, and its energy is lost.
+        return push, stored, (push - spring) * rate
+
+
+class JointFriction(AbstractCoordinateLoad):
+    r"""Dry friction of a joint that turns or slides, ideal or with clearance, as a torque [N m]
+    whatever the joint carries: :math:`F = -\tau \tanh(\dot q / v_0)`, of a gear or a seal.
+
+    Creeps under a steady load, at a speed below :math:`v_0`. Friction by what the joint carries,
+    and friction that sticks, is that of `joint.PlainBearing` and `joint.Slideway`.
+
+    Source: Andersson, Söderberg & Björklund 2007, Tribol. Int. 40, 580,
+    doi:10.1016/j.triboint.2005.11.014.
+    """
+
+    connection: str = eqx.field(static=True)
+    torque: Scalar = quantity(
+        unit="N m", meaning="friction when it slides (N for a sliding joint)", at_least=0
+    )
+    transition_speed: Scalar = quantity(
+        1e-2,
+        "rad/s",
+        "speed v_0 at which three quarters of the friction act (m/s for a sliding joint)",
+        above=0,
+    )
+
+    def force(self, time, position, speed):
+        force = -self.torque * smooth_sign(jnp.asarray(speed, float), self.transition_speed)
+        return force, 0, -force * speed, 0
+
+    def reads_position(self):
+        return False
+
+
+class RotorInertia(AbstractCoordinateLoad):
+    """Inertia of what turns with the coordinate of a joint and with nothing else: a motor's rotor
+    behind its gear, of inertia J and ratio i, adds i^2 J (MuJoCo's armature).
+
+    It adds to the joint's own entry of the mass matrix and to the kinetic energy; the rotor's
+    gyroscopic torques on the bodies, i J times their turning, are left out, as is its mass. The
+    joint must be ideal, without a drive, and carried by the tree.
+
+    Source: Featherstone 2008, Rigid Body Dynamics Algorithms, chapter 9, "Gears",
+    doi:10.1007/978-1-4899-7560-7.
+    """
+
+    connection: str = eqx.field(static=True)
+    reflected_inertia: Scalar = quantity(
+        unit="kg m^2",
+        meaning="the rotor's times the gear's ratio squared (kg for a sliding joint)",
+        at_least=0,
+    )
+
+    def force(self, time, position, speed):
+        return 0, 0, 0, 0
+
+    def reads_position(self):
+        return False
+
+    def inertia_along(self):
+        return self.reflected_inertia
+
+
+__getattr__, __dir__ = nothing_else("jaxclear.load", __all__)

@@ -1,0 +1,98 @@
+"""A distribution of scipy as a file holds it: by scipy's name and numbers, as a user writes it, or
+by its table, as it is written (an object knows its table, not the name that it came from).
+
+A table over time as a file holds it: its numbers, as it is written, or the columns of a CSV file
+beside it.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.components.function_of_time import TimeTable
+from jaxclear.ground.wording import described, unknown
+from jaxclear.studies.distribution.tabulated import FromScipy, Table
+
+ROWS = ("scores", "deviations", "slopes")
+
+
+def table_of(distribution: FromScipy) -> dict[str, Any]:
+    """Rows of its table: scores [1], deviations and slopes [the number's unit]."""
+    return {row: getattr(distribution.table, row) for row in ROWS}
+
+
+def from_scipy(
+    scipy: str | None = None,
+    numbers: dict[str, float] | None = None,
+    about: float = 0.0,
+    table: dict[str, Any] | None = None,
+    spread: float | None = None,
+) -> FromScipy:
+    """`scipy`: a name in scipy.stats, such as "weibull_min", with its numbers; or a table and the
+    standard deviation. Raises `ValueError` with a sentence."""
+    if (scipy is None) == (table is None):
+        raise ValueError("distribution.FromScipy needs scipy (a name) or a table, one of the two.")
+    if scipy is not None:
+        return FromScipy(_frozen(scipy, numbers or {}), about=about)
+    given: dict[str, Any] = table or {}
+    rows = [np.asarray(given.get(row, ()), float) for row in ROWS]
+    fits = all(row.shape == rows[0].shape and row.ndim == 1 for row in rows) and len(rows[0]) > 1
+    if not fits or not np.isfinite(rows).all() or np.any(np.diff(rows[0]) <= 0):
+        raise ValueError(
+            "distribution.FromScipy has a table whose scores, deviations and slopes must be as "
+            "many finite numbers each, two or more, scores rising."
+        )
+    if spread is None or not 0 < spread < np.inf:
+        raise ValueError(
+            f"distribution.FromScipy has spread = {described(spread)}; it must be above 0."
+        )
+    # Its constructor takes a distribution of scipy, which is gone.
+    found = object.__new__(FromScipy)
+    object.__setattr__(found, "table", Table(*map(jnp.asarray, rows)))
+    object.__setattr__(found, "spread", jnp.asarray(spread, float))
+    return found
+
+
+def _frozen(name: str, numbers: dict[str, float]) -> Any:
+    """A distribution of scipy whose quantile is a formula: others take minutes to tabulate."""
+    from scipy import stats
+
+    generic = stats.rv_continuous
+    found = getattr(stats, name, None) if not name.startswith("_") else None
+    if not isinstance(found, generic):
+        known = [n for n in dir(stats) if isinstance(getattr(stats, n), generic)]
+        raise ValueError(unknown("continuous distribution of scipy.stats", name, known))
+    if type(found)._ppf is generic._ppf:
+        raise ValueError(
+            f"scipy has no formula for the quantile of {name}; build it in Python, where it may "
+            "take minutes, and write the scene from there."
+        )
+    try:
+        return found(**numbers)
+    except TypeError as error:
+        raise ValueError(f"scipy.stats.{name}: {error}.") from None
+
+
+def time_table(
+    times: Any = None,
+    values: Any = None,
+    interpolation: str = "cubic",
+    beyond: str = "held",
+    factor: float = 1.0,
+    csv: Path | None = None,
+    columns: tuple[str, ...] | None = None,
+) -> TimeTable:
+    """`times` and `values`, or a file `csv` and the names of its `columns`, that of the time first.
+    Raises `ValueError` with a sentence."""
+    further: dict[str, Any] = {"beyond": beyond, "factor": factor}
+    if (csv is None) == (times is None) or (csv is None) != (columns is None):
+        raise ValueError("TimeTable needs times and values, or csv and columns.")
+    if csv is None:
+        return TimeTable(times, values, interpolation, **further)
+    first, *rest = columns or ("",)
+    if not rest:
+        raise ValueError("columns of a TimeTable must name the time and what is read over it.")
+    names: Any = rest[0] if len(rest) == 1 else rest
+    return TimeTable.from_csv(csv, first, names, interpolation, **further)

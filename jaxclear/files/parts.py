@@ -1,0 +1,523 @@
+"""Parts with a kind of their own in a file: which classes it may name, and by what arguments each
+is told.
+
+A class is told by the arguments of its constructor, each in the form of the field of that name; a
+few classes whose arguments are not their fields say here how they are told. Names are found among
+classes that are defined already: a file imports nothing. What a class itself refuses is said with
+its own sentence.
+"""
+
+import dataclasses
+import functools
+import inspect
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType, NoneType
+from typing import Any, NamedTuple, get_args, get_origin
+
+import equinox as eqx
+import jax
+import jaxtyping
+
+from jaxclear.components.body import Body, Connection, Marker
+from jaxclear.components.function_of_time import AbstractFunctionOfTime, TimeTable
+from jaxclear.files.by_numbers import from_scipy, table_of, time_table
+from jaxclear.files.forms import (
+    UNMEASURED,
+    AbstractForm,
+    ByName,
+    Choice,
+    FileName,
+    Flag,
+    Listed,
+    Number,
+    NumberArray,
+    Numbers,
+    Place,
+    Schema,
+    Text,
+    Whole,
+    refuse,
+)
+from jaxclear.files.text import Misread, Node, misread, plain_text
+from jaxclear.ground.quantity import members_of_union
+from jaxclear.ground.wording import described, listed, public_name, unknown
+from jaxclear.laws import contact, material
+from jaxclear.laws.contact import AbstractNormalLaw
+from jaxclear.multibody.loops import AsNeeded, Baumgarte, Projection
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.simulation.saving import Saving
+from jaxclear.studies.distribution import FromScipy
+from jaxclear.studies.variable import AbstractMechanismVariable, Condition, Heating, Variable
+
+KIND = "kind"
+# What a class may refuse its arguments with.
+REFUSALS = (ValueError, TypeError, OverflowError, ArithmeticError, KeyError, AttributeError)
+Getter = Callable[[Any], Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class Argument:
+    """An argument of a class: its form (None where a file cannot hold it), whether it must be
+    given, its default, how it is read off an object, and a word that goes without saying."""
+
+    form: AbstractForm | None
+    needed: bool
+    default: Any
+    told: Getter
+    left_out: Any = None
+    metadata: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
+class Part(AbstractForm):
+    """A thing of one of some classes or families. `spelled_out`: always written as a mapping,
+    because a text alone would say something else."""
+
+    families: tuple[type, ...]
+    spelled_out: bool = False
+
+    def looks_like(self, node: Node) -> bool:
+        return isinstance(node.value, (dict, str))
+
+    def holds(self, thing: Any) -> bool:
+        return isinstance(thing, self.families)
+
+    def read(self, node: Node, path: str, folder: Path) -> Any:
+        known = members(self.families)
+        made = builders(self.families)
+        values = node.value
+        alone = ALONE.get(self.families[0]) if len(self.families) == 1 else None
+        kind: Any = None
+        if isinstance(values, dict):
+            given = {name: entry for name, entry in values.items() if name != KIND}
+            named = values.get(KIND)
+            if named is None:
+                kind = self._only_member(known, made, node, path)
+            else:
+                kind = _known(plain_text(named, f"{path}.{KIND}"), named, known, made, path)
+        elif isinstance(values, str) and alone is not None:
+            kind, given = self.families[0], {alone: node}
+        elif isinstance(values, str):
+            kind, given = _known(values, node, known, made, path), {}
+        else:
+            raise misread(node, path, f"is {node.said}; it must be {_one_of(known, made)}.")
+        if kind in made:
+            called = Called(kind, *made[kind])
+        else:
+            build = INSTEAD[kind][0] if kind in INSTEAD else kind
+            called = Called(public_name(kind), build, arguments(kind))
+        return _built(called, given, node, path, folder)
+
+    def _only_member(self, known: dict, made: dict, node: Node, path: str) -> type:
+        """The class of a mapping that does not say its kind."""
+        if len(self.families) == 1 and self.families[0] in known.values():
+            return self.families[0]
+        if self.families[0] in USUAL:
+            return USUAL[self.families[0]]
+        raise misread(node, path, f"says no {KIND}; it must be {_one_of(known, made)}.")
+
+    def plain(self, thing: Any, path: str, mechanism: Mechanism) -> Any:
+        known = members(self.families)
+        kind: Any = thing.__class__
+        if kind not in known.values():
+            refuse(path, _no_data(thing, known))
+        found: dict[str, Any] = {}
+        if self.families != (kind,):
+            found[KIND] = kind.__name__
+        for name, own in arguments(kind).items():
+            value, place = own.told(thing), f"{path}.{name}" if path else name
+            if own.form is None:
+                _check_usual(own, value, place)
+            elif value is None:
+                # Absent where that is not the usual.
+                found |= {name: None} if own.default not in (None, inspect.Parameter.empty) else {}
+            elif not (isinstance(value, (str, dict)) and value in ({}, own.left_out)):
+                found[name] = own.form.plain(value, place, mechanism)
+        alone = ALONE.get(kind, KIND)
+        if self.spelled_out:
+            return found
+        return found[alone] if found.keys() == {alone} else found
+
+    def schema(self, known: dict[str, Schema]) -> Schema:
+        kinds = {n: kind for n, kind in members(self.families).items() if _is_ours(kind)}
+        if not all(_is_ours(family) for family in self.families):
+            return {"type": ["string", "object"]}
+        made = builders(self.families)
+        places: dict[str, tuple[str, Mapping[str, Argument]]] = {}
+        for name, kind in kinds.items():
+            places[name] = (public_name(kind), arguments(kind))
+        for name, (build, taken) in made.items():
+            places[name] = (public_name(build), taken)
+        single = len(self.families) == 1 and self.families[0] in {*kinds.values(), *USUAL}
+        refs = []
+        for name, (full, own) in sorted(places.items()):
+            if any(argument.needed and argument.form is None for argument in own.values()):
+                continue
+            place = full if full.count(".") and full.rpartition(".")[2] == name else name
+            _define(place, name, full, own, known)
+            refs.append({"$ref": f"#/$defs/{place}"})
+        whole: Schema = {"anyOf": refs} if single else {"anyOf": refs, "required": [KIND]}
+        words = [
+            name for name, (_, own) in places.items() if not any(a.needed for a in own.values())
+        ]
+        alone = single and ALONE.get(self.families[0])
+        text: list[Schema] = [{"type": "string"}] if alone else []
+        if words and not alone:
+            both = {word for name in words for word in _spellings(name, places[name][0])}
+            text = [{"enum": sorted(both)}]
+        return {"anyOf": [whole, *text]} if text else whole
+
+
+def _attribute(name: str) -> Getter:
+    return lambda thing: getattr(thing, name)
+
+
+def _nothing(thing: Any) -> None:
+    return None
+
+
+def _axis(marker: Marker) -> Any:
+    return marker.named_axis if marker.axis is None else marker.axis
+
+
+def _end(side: str, other: str) -> Getter:
+    """A marker, or its body's name where that stands for it: beside a marker a name would be turned
+    as that one is."""
+
+    def told(connection: Connection) -> Any:
+        marker, beside = getattr(connection, side), getattr(connection, other)
+        plain = all(end.quaternion is None and _axis(end) == "z" for end in (marker, beside))
+        return marker.body if plain and marker.at is None else marker
+
+    return told
+
+
+def _given(what: str) -> Getter:
+    return lambda mechanism: mechanism.given[what]
+
+
+def _stabilisation(mechanism: Mechanism) -> Any:
+    held = mechanism.stabilisation
+    return AS_NEEDED if isinstance(held, AsNeeded) else held
+
+
+def _expansion(heating: Heating) -> Any:
+    own = heating.expansion
+    return dict(own) if isinstance(own, tuple) else own
+
+
+EXPANSION = {"unit": "1/K", "meaning": "coefficient of linear expansion"}
+NUMBERS_BY_NAME = ByName(Numbers({"unit": "1"}))
+DIRECTION = Choice((Text(), Numbers({"unit": "1"}, (3,))))
+END = Choice((Text(), Part((Marker,), spelled_out=True)))
+# What stands where a mechanism does not say how its loops are held.
+AS_NEEDED = "default"
+# Words that go without saying, by how they are told.
+LEFT_OUT: Mapping[Getter, str] = MappingProxyType({_axis: "z", _stabilisation: AS_NEEDED})
+# How arguments are told that are not the field of the same name.
+TOLD: dict[type, dict[str, tuple[AbstractForm | None, Getter]]] = {
+    Marker: {"axis": (DIRECTION, _axis)},
+    Connection: {
+        "parent": (END, _end("parent", "child")),
+        "child": (END, _end("child", "parent")),
+        "at": (Numbers({"unit": "m"}, (2, 3)), _nothing),
+        "axis": (DIRECTION, _nothing),
+    },
+    Mechanism: {
+        "bodies": (ByName(Part((Body,))), _attribute("bodies")),
+        "connections": (ByName(Part((Connection,))), _attribute("connections")),
+        "start": (NUMBERS_BY_NAME, _given("start")),
+        "speeds": (NUMBERS_BY_NAME, _given("speeds")),
+        "guess": (NUMBERS_BY_NAME, _given("guess")),
+        "stabilisation": (Part((Baumgarte, Projection)), _stabilisation),
+    },
+    Saving: {"at": (Choice((Whole({"at_least": 2}), NumberArray())), _attribute("at"))},
+    Condition: {
+        "acts": (Part((Heating,)), _attribute("acts")),
+        "tolerance": (Number({"unit": "1", "above": 0}), _nothing),
+    },
+    Heating: {"expansion": (Choice((Number(EXPANSION), ByName(Number(EXPANSION)))), _expansion)},
+    Variable: {
+        "where": (Place(), _attribute("where")),
+        "tolerance": (Number({"unit": "1", "above": 0}), _nothing),
+        "derived": (None, _attribute("derived")),
+    },
+}
+# Classes that a file builds by other arguments than their own.
+INSTEAD: dict[type, tuple[Callable[..., Any], dict[str, Argument]]] = {
+    FromScipy: (
+        from_scipy,
+        {
+            "scipy": Argument(Text(), False, None, _nothing),
+            "numbers": Argument(ByName(Number({"unit": "1"})), False, None, _nothing),
+            "about": Argument(Number({"unit": "1"}), False, None, _nothing),
+            "table": Argument(ByName(NumberArray()), False, None, table_of),
+            "spread": Argument(
+                Number({"unit": "1", "above": 0}), False, None, _attribute("spread")
+            ),
+        },
+    ),
+    TimeTable: (
+        time_table,
+        {
+            "times": Argument(NumberArray(), False, None, _attribute("times")),
+            "values": Argument(NumberArray(), False, None, _attribute("values")),
+            "interpolation": Argument(Text(), False, None, _attribute("interpolation")),
+            "beyond": Argument(Text(), False, None, _attribute("beyond")),
+            "factor": Argument(Number({"unit": "1"}), False, None, _attribute("factor")),
+            "csv": Argument(FileName(), False, None, _nothing),
+            "columns": Argument(Listed(Text()), False, None, _nothing),
+        },
+    ),
+}
+# The class of a mapping that says no kind, where it is not the only one.
+USUAL: Mapping[Any, type] = MappingProxyType({AbstractMechanismVariable: Variable})
+# The argument for which a text alone stands.
+ALONE: Mapping[Any, str] = MappingProxyType({Marker: "body"})
+
+
+def members(families: tuple[type, ...]) -> dict[str, type]:
+    """Final classes of some families, by short name, in the order of their definition."""
+    found: dict[str, type] = {}
+    for family in families:
+        for kind in (family, *_below(family)):
+            if not kind.__name__.startswith(("Abstract", "_")) and _is_final(kind):
+                found.setdefault(kind.__name__, kind)
+    return found
+
+
+def _is_final(kind: Any) -> bool:
+    return dataclasses.is_dataclass(kind) and not inspect.isabstract(kind)
+
+
+def _below(family: Any) -> Iterator[type]:
+    own: list[type] = family.__subclasses__()
+    for kind in own:
+        yield kind
+        yield from _below(kind)
+
+
+@functools.cache
+def arguments(kind: Any) -> Mapping[str, Argument]:
+    """The arguments by which a class is told."""
+    if kind in INSTEAD:
+        return MappingProxyType(INSTEAD[kind][1])
+    fields = {field.name: field for field in dataclasses.fields(kind)}
+    own = TOLD.get(kind, {})
+    found = {}
+    for name, parameter in inspect.signature(kind).parameters.items():
+        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+            continue
+        needed, field = parameter.default is parameter.empty, fields.get(name)
+        metadata = {} if field is None else field.metadata
+        if name in own:
+            form, told = own[name]
+        else:
+            form = None if field is None else form_of(field.type, metadata)
+            told = _attribute(name)
+        left_out = LEFT_OUT.get(told)
+        default = _default(parameter, field)
+        found[name] = Argument(form, needed, default, told, left_out, metadata)
+    return MappingProxyType(found)
+
+
+def _default(parameter: inspect.Parameter, field: Any) -> Any:
+    if field is not None and field.default_factory is not dataclasses.MISSING:
+        return field.default_factory()
+    return parameter.default
+
+
+@functools.cache
+def builders(families: tuple[type, ...]) -> dict[str, tuple[Callable, dict[str, Argument]]]:
+    """Functions beside the classes of some families that a file may name: products of contact
+    laws, materials."""
+    found: dict[str, tuple[Callable, dict[str, Argument]]] = {}
+    if any(issubclass(AbstractNormalLaw, f) or issubclass(f, AbstractNormalLaw) for f in families):
+        for name in contact.__all__:
+            build = getattr(contact, name)
+            if inspect.isfunction(build):
+                found[name] = (build, _of_product(build))
+    if material.Material in families:
+        found |= {"steel": (material.steel, {}), "aluminium": (material.aluminium, {})}
+    return found
+
+
+def _of_product(build: Any) -> dict[str, Argument]:
+    return {
+        name: Argument(
+            form_of(field.type, field.metadata),
+            field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING,
+            field.default,
+            _nothing,
+            None,
+            field.metadata,
+        )
+        for name, field in build.fields.items()
+    }
+
+
+def form_of(declared: Any, metadata: Mapping[str, Any]) -> AbstractForm | None:
+    """The form of a field by its type and metadata; None where it has none. A function without
+    said arguments is one of time."""
+    kinds = [kind for kind in members_of_union(declared) if kind is not NoneType]
+    families = tuple(k for k in kinds if isinstance(k, type) and _is_a_part(k))
+    forms: list[AbstractForm] = []
+    if "unit" in metadata:
+        several = "counts" in metadata or tuple in kinds
+        forms.append(Numbers(metadata, metadata.get("counts", ())) if several else Number(metadata))
+    if Callable in kinds:
+        families = (*families, AbstractFunctionOfTime)
+    if families:
+        forms.append(Part(families))
+    if "unit" not in metadata:
+        plain = (_plain_form(kind, metadata) for kind in kinds if kind not in families)
+        forms += [form for form in plain if form is not None]
+    if not forms:
+        return None
+    return forms[0] if len(forms) == 1 else Choice(tuple(forms))
+
+
+def _is_a_part(kind: type) -> bool:
+    array = issubclass(kind, (jax.Array, jaxtyping.AbstractArray))
+    return not array and (issubclass(kind, eqx.Module) or dataclasses.is_dataclass(kind))
+
+
+def _plain_form(kind: Any, metadata: Mapping[str, Any]) -> AbstractForm | None:
+    """The form of what is neither a number with a unit nor a part."""
+    simple = {bool: Flag(), int: Whole(metadata), float: Number(UNMEASURED), str: Text()}
+    if kind in simple:
+        return simple[kind]
+    if kind is tuple:
+        return Numbers(UNMEASURED)
+    if isinstance(kind, type) and issubclass(kind, (jax.Array, jaxtyping.AbstractArray)):
+        return NumberArray()
+    inner = get_args(kind)
+    if get_origin(kind) is tuple:
+        entry = form_of(inner[0], {})
+        length = None if Ellipsis in inner else len(inner)
+        return None if entry is None else Listed(entry, length)
+    if get_origin(kind) is dict and inner[0] is str:
+        entry = form_of(inner[1], {})
+        return None if entry is None else ByName(entry)
+    return None
+
+
+class Called(NamedTuple):
+    """A class or function that makes a part: its `name`, what `build`s, and its arguments."""
+
+    name: str
+    build: Callable[..., Any]
+    arguments: Mapping[str, Argument]
+
+
+def _built(called: Called, given: dict, node: Node, path: str, folder: Path) -> Any:
+    """What a class or function, told by its name and arguments, makes of what is given."""
+    name, build, known = called
+    code = [word for word, own in known.items() if own.needed and own.form is None]
+    if code:
+        raise misread(
+            node, path, f"{name} takes a function ({listed(code)}); a file holds data, no code."
+        )
+    for word, entry in given.items():
+        if word not in known:
+            raise misread(entry, path, f"{name} {_has_no(word, known)}")
+        if known[word].form is None:
+            raise misread(entry, path, f"{name} takes {word} in Python only; leave it out.")
+    missing = [word for word, own in known.items() if own.needed and word not in given]
+    if missing:
+        raise misread(node, path, f"{name} needs {listed(missing)}.")
+    built: dict[str, Any] = dict.fromkeys(given)
+    for word, entry in given.items():
+        form = known[word].form
+        if entry.value is not None and form is not None:
+            built[word] = form.read(entry, _inner(path, word), folder)
+    try:
+        return build(**built)
+    except Misread:
+        raise
+    except REFUSALS as error:
+        raise misread(node, path, _one_line(error)) from None
+
+
+def _has_no(word: str, known: Mapping[str, Argument]) -> str:
+    text = unknown("argument", word, known)
+    return f"has {text[0].lower()}{text[1:]}"
+
+
+def _one_line(error: Exception) -> str:
+    said = " ".join(str(error).split())
+    return said if said.endswith((".", "?")) else f"{said}."
+
+
+def _inner(path: str, word: str) -> str:
+    return f"{path}.{word}" if path else word
+
+
+def _known(word: str, node: Node, known: dict, made: dict, path: str) -> Any:
+    """The class, or the name of the function, that a word names."""
+    place, _, last = word.removeprefix("jaxclear.").rpartition(".")
+    fits = lambda thing: not place or public_name(thing) == f"{place}.{last}"
+    if last in made and fits(made[last][0]):
+        return last
+    if last in known and fits(known[last]):
+        return known[last]
+    raise misread(node, path, unknown("kind", word, [*known, *made], " that fits here"))
+
+
+def _one_of(known: dict, made: dict) -> str:
+    return f"a mapping whose {KIND} is one of {listed([*known, *made])}"
+
+
+def _check_usual(own: Argument, value: Any, path: str) -> None:
+    """What a file cannot hold must be as it is unless told otherwise."""
+    if own.needed or not _is_same(value, own.default):
+        refuse(path, f"is {described(value)}, which a file cannot hold: it holds data, no code.")
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    return bool(one is other or eqx.tree_equal(one, other))
+
+
+def _no_data(thing: Any, known: dict[str, type]) -> str:
+    """Why a thing has no place in a file."""
+    names = listed(known)
+    if callable(thing) and not isinstance(thing, eqx.Module):
+        told = f"is {described(thing)}: a file holds data, no code. Take one of {names}"
+        if TimeTable.__name__ not in known:
+            return f"{told}."
+        return (
+            f"{told}; a function of time becomes data by jaxclear.TimeTable.sampled(function, "
+            "times)."
+        )
+    return f"is {described(thing)}; a file knows {names} there."
+
+
+def _is_ours(kind: type) -> bool:
+    return kind.__module__.partition(".")[0] == "jaxclear"
+
+
+def _spellings(name: str, full: str) -> tuple[str, ...]:
+    return (name, full, f"jaxclear.{full}")
+
+
+def _define(
+    place: str, name: str, full: str, own: Mapping[str, Argument], known: dict[str, Schema]
+) -> None:
+    """Puts the schema of a class or function by its arguments into `known`."""
+    if place in known:
+        return
+    known[place] = {}
+    properties: Schema = {KIND: {"enum": sorted(set(_spellings(name, full)))}}
+    for word, argument in own.items():
+        if argument.form is not None:
+            found = argument.form.schema(known)
+            properties[word] = found if argument.needed else {"anyOf": [found, {"type": "null"}]}
+    needed = [word for word, argument in own.items() if argument.needed]
+    known[place] = mapping(properties, needed)
+
+
+def mapping(properties: Schema, required: list[str]) -> Schema:
+    """The schema of a mapping whose names are known."""
+    found: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
+    return found | ({"required": required} if required else {})

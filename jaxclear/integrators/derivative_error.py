@@ -1,0 +1,165 @@
+"""When a derivative through impacts is to be trusted, and a nan that says why where it is not.
+
+A loop carries zeros beside the state, whose derivatives tell how much touches move: impacts make
+derivatives grow, and with them what errors of the motion make of them.
+
+Nor do steps that resolve a motion resolve its derivative: a controller sees the errors of the
+motion alone. Where that is at rest steps grow beyond what a stiff spring lets stand, and a
+derivative, which is at rest nowhere, grows with every one of them: from 1e-5 to 1e57 in a second.
+So errors of derivatives are followed along a run: they are the derivatives of the solver's own
+error estimate. None of this is in a program of which no derivative is asked.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxclear.ground.outcome import Unknown
+from jaxclear.ground.quantity import Scalar, constant
+from jaxclear.ground.tangents import derived, moved, moving_with
+from jaxclear.integrators.error_control import AbstractAround
+
+# What a second derivative through contacts is told.
+NO_SECOND = (
+    "a second derivative through contacts that open and close is not known: take differences of "
+    "first derivatives (jax.jvp, jax.jacfwd, jax.grad)."
+)
+# Of the derivative of a step its error estimate may be so large a share: beyond, steps that resolve
+# the motion do not resolve its neighbours (at rest they grow longer than a contact's period, and
+# derivatives with them).
+MOST_ERROR = 0.01
+# Beside a run the motion is differentiated as long as its places are no farther from the run's than
+# this share of the narrowest gap: contacts are then pressed in the same directions.
+PARTED = 0.03
+# So many numbers tell how derivatives through impacts of rigid contact go: how many impacts moved,
+# by how much [s] the first few of them and all of them did at most, whether one has none, to which
+# share of the gap a place was off at most, to which share of the fastest impact approach speeds
+# were, in all, and that [m/s].
+IMPACT_FIGURES = 7
+# Derivatives through impacts of rigid contact have grown too much where these shares, times their
+# growth, are beyond this. Slopes whose parts nearly cancel are off by more of themselves, which
+# slopes in other steps tell (`simulation.derivatives`): with this and that none of 3672 told in
+# steps of 1 to 20 us was off by a fiftieth (`benchmarks.claims.compared_slopes`).
+TRUSTED_IMPACTS = 1e-2
+# All errors of a derivative together may be as large a share of the largest that it has been as
+# that of one step may (`MOST_ERROR`); such a step there may be.
+# Not so many steps one behind the other: where something sets in, one step may be as coarse.
+IN_A_ROW = 3
+
+# Of a derivative: the sum of its errors, the largest that it has been, how many steps up to now had
+# too large an error, one behind the other, and how many at the most.
+Followed = Float[Array, "4"]
+
+
+def trusted(found: Any, growth: Array, limit: Scalar) -> Any:
+    """What was found of a run; its derivative is nan where touches move more than `limit` times as
+    much as the first of them did, and where a step did not resolve it.
+
+    `growth`: zeros, whose derivatives tell how many touches moved, by how much [s] the first few of
+    them and all of them did at most, and of which share the largest error of a step was."""
+
+    grown = lambda growth, limit: growth[2] <= limit * growth[1]
+    found = _where(grown, Unknown.GROWN, found, growth, limit)
+    return _where(lambda growth: growth[3] <= MOST_ERROR, Unknown.UNRESOLVED, found, growth)
+
+
+def trusted_impacts(found: Any, growth: Array) -> Any:
+    """What was found of a run; its derivative is nan where errors of the motion, grown as impacts
+    make them grow, decide it, and where an impact is not known to have one."""
+
+    def fine(growth):
+        _, first, most, _, place, speeds, _ = [growth[i] for i in range(IMPACT_FIGURES)]
+        return (place + speeds) * most <= TRUSTED_IMPACTS * first
+
+    found = _where(fine, Unknown.GROWN, found, growth)
+    return _where(lambda growth: growth[3] <= 0, Unknown.AT_ONCE, found, growth)
+
+
+def beside(found: Any, parted: Scalar) -> Any:
+    """What was found of a run; its derivative is nan where the motion of which it is the derivative
+    has `parted` from the run itself by too large a share of the gap."""
+    return _where(lambda parted: parted <= PARTED, Unknown.PARTED, found, parted)
+
+
+def _where(fine: Callable, why: Unknown, found: Any, growth: Array, *numbers: Scalar) -> Any:
+    """What was found; its derivative is nan, and says why, but where `fine(derivative of growth,
+    *numbers)`."""
+
+    def judged(numbers, tangents):
+        (_, _, *numbers), (found, growth, *_) = numbers, tangents
+        known = fine(moved(growth), *numbers)
+        return jax.tree.map(lambda each: jnp.where(known, moved(each), why.number), found)
+
+    return derived(lambda found, *_: found, judged)(found, growth, *map(constant, numbers))
+
+
+def unknown_way(numbers: Any) -> Any:
+    """The numbers; their derivative is nan wherever it is asked for."""
+    unknown = lambda way: jnp.full_like(moved(way), Unknown.NOT_FOLLOWED.number)
+    lost = lambda numbers, tangents: jax.tree.map(unknown, tangents[0])
+    return derived(lambda numbers: numbers, lost)(numbers)
+
+
+def unfollowed() -> Followed:
+    """At the start of a run. Only derivatives of these numbers are ever anything else than 0."""
+    return jnp.zeros(4)
+
+
+def followed(
+    ends: tuple[int, int], known: Followed, state: Array, error: Array, length: Scalar
+) -> Followed:
+    """What is known behind a step of this length [s], whose state is wrong by `error`; `ends` of
+    the coordinates and of the speeds in a state."""
+
+    def further(numbers, tangents):
+        known, state, error = map(moved, tangents[:3])
+        sums, largest, row, most = known
+        size, off = (_size(ends, each, numbers[3]) for each in (state, error))
+        row = jnp.where(off > MOST_ERROR * size, row + 1.0, 0.0)
+        return jnp.stack([sums + off, jnp.maximum(largest, size), row, jnp.maximum(most, row)])
+
+    same = lambda known, state, *_: moving_with(state[0], known)
+    return derived(same, further)(known, state, error, constant(length))
+
+
+def resolved(state: Array, known: Followed) -> Array:
+    """The state; its derivative is nan where it was not resolved."""
+
+    def judged(_, tangents):
+        state, (sums, largest, _, most) = map(moved, tangents)
+        fine = (sums <= MOST_ERROR * largest) & (most < IN_A_ROW)
+        return jnp.where(fine, state, Unknown.UNRESOLVED.number)
+
+    return derived(lambda state, known: state, judged)(state, known)
+
+
+def _size(ends: tuple[int, int], numbers: Array, length: Scalar) -> Scalar:
+    """Of a difference: of its places, and of the way that its speeds make in such a step."""
+    n, m = ends
+    way = jnp.concatenate([numbers[:n], length * numbers[n:m]])
+    return jnp.max(abs(way), initial=0.0)
+
+
+class FollowingErrors(
+    AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver
+):
+    """`solver`, whose state between steps ends with what is `followed` of the errors of
+    derivatives, of states with such `ends`."""
+
+    solver: diffrax.AbstractSolver  # type: ignore[misc]
+    ends: tuple[int, int] = eqx.field(static=True)
+    known: Any = None
+
+    def init(self, terms, t0, t1, y0, args):
+        return self.solver.init(terms, t0, t1, y0, args), self.known
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        own, known = solver_state
+        y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
+        known = followed(self.ends, known, y1, error, t1 - t0)
+        return y1, error, dense, (own, known), result

@@ -1,0 +1,257 @@
+"""A run as an xarray DataTree: every history by body and joint, with units and meaning as
+attributes.
+
+A run as a time series for ParaView and other viewers: bodies and worn walls, through meshio.
+
+Each saved instant is a file of its own (.vtu, VTK's unstructured grid), and `run.pvd` names them
+with their times.
+"""
+
+import functools
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+import jax
+import numpy as np
+
+from jaxclear.components.body import GROUND
+from jaxclear.components.joint.base import drive_of
+from jaxclear.ground.arguments import check_count
+from jaxclear.ground.datasets import provenance
+from jaxclear.ground.warning import warn
+from jaxclear.multibody.topology import coordinate_units, turns
+from jaxclear.results import histories
+from jaxclear.results.relative_motion import marker_frame
+from jaxclear.results.solids import checked_meshes, parts, size_of, wall
+from jaxclear.results.state_history import StateHistory
+
+XYZ = np.array(["x", "y", "z"], object)
+# Fields of each history with dimension, unit and meaning; {} is the name of the body or joint.
+BODY = {
+    "com": ("axis", "m", "centre of mass of {}"),
+    "quaternion": ("component", "1", "orientation of {}, scalar first"),
+    "velocity": ("axis", "m/s", "velocity of the centre of mass of {}"),
+    "spin": ("axis", "rad/s", "angular velocity of {}, ground axes"),
+    "acceleration": ("axis", "m/s^2", "acceleration of the centre of mass of {}"),
+    "angular_acceleration": ("axis", "rad/s^2", "angular acceleration of {}, ground axes"),
+}
+CONTACT = {
+    "offset": ("axis", "m", "journal against bearing of {}, bearing axes"),
+    "indentation": ("contact", "m", "overlap, positive in contact"),
+    "normal_force": ("contact", "N", "normal contact force"),
+    "slip_speed": ("contact", "m/s", "sliding speed at the contact"),
+    "traction": ("contact", "N", "friction force"),
+}
+REACTION = {
+    "force": ("axis", "N", "force on the child of {}, ground axes"),
+    "torque": ("axis", "N m", "torque on the child of {}, ground axes"),
+}
+
+
+def of_run(history: StateHistory, worn: dict, attributes: dict, flat: bool) -> Any:
+    """Body motion, contacts, reactions, wear maps and, if tracked, energies: as a tree by body,
+    joint and surface, or as one flat data set."""
+    import xarray
+
+    nodes = _nodes(history, worn)
+    coordinates = {
+        "time": ("time", np.asarray(history.time), {"units": "s"}),
+        "axis": ("axis", XYZ),
+        "component": ("component", np.array(["w", *XYZ], object)),
+    }
+    said = attributes | {"jax": jax.__version__, "mechanism": str(history.mechanism)}
+    said = {"what": "run"} | said | provenance()
+    if not flat:
+        root = {"/": xarray.Dataset(coords=coordinates, attrs=said)}
+        below = {"/".join(path): xarray.Dataset(own) for path, own in nodes.items()}
+        return _tree_class().from_dict(root | below)
+    columns = {}
+    for path, own in nodes.items():
+        above = ".".join(path)
+        for field, (dims, *rest) in own.items():
+            every = tuple(dim if dim in coordinates else f"{above}.{dim}" for dim in dims)
+            columns[f"{above}.{field}"] = (every, *rest)
+    return xarray.Dataset(columns, coordinates, said)
+
+
+def _nodes(history: StateHistory, worn: dict) -> dict[tuple[str, ...], dict[str, tuple]]:
+    """By body, joint, coupling or surface its variables: dimensions, values, attributes."""
+    nodes: dict[tuple[str, ...], dict[str, tuple]] = {}
+
+    def put(path, field, dims, values, unit, meaning):
+        told = {"units": unit, "long_name": meaning}
+        nodes.setdefault(path, {})[field] = (dims, np.asarray(values), told)
+
+    def put_all(names, read, fields):
+        for name in names:
+            found = read(history, name)
+            for field, (dim, unit, meaning) in fields.items():
+                values = getattr(found, field)
+                put((name,), field, ("time", dim), values, unit, meaning.format(name))
+
+    mechanism = history.mechanism
+    put_all(mechanism.bodies, histories.body, BODY)
+    put_all(history.formulation.contact_joints(mechanism), histories.contact, CONTACT)
+    for name in history.formulation.contact_joints(mechanism):
+        impulse = histories.contact_impulse(history, name)
+        put((name,), "contact_impulse", ("time",), impulse, "N s", "impulse of the normal forces")
+    put_all(mechanism.connections, histories.reaction, REACTION)
+    for name, unit in _single_coordinates(history).items():
+        what = "slides" if unit == "m" else "turns"
+        place, speed = (history.coordinate(name, speeds=own) for own in (False, True))
+        put((name,), "coordinate", ("time",), place, unit, f"how far {name} {what}")
+        put((name,), "speed", ("time",), speed, f"{unit}/s", f"how fast {name} {what}")
+    for name, coupling in mechanism.couplings.items():
+        unit = "N m" if turns(mechanism, coupling) else "N"
+        sent = histories.transmitted(history, name)
+        put((name,), "transmitted", ("time",), sent, unit, "what the coupling transmits")
+    for joint, surfaces in worn.items():
+        for surface, depth in surfaces.items():
+            where = joint, surface
+            put(where, "worn_depth", ("around", "along"), depth, "m", "worn depth at the end")
+            volume = histories.worn_volume(history, joint, surface)
+            put(where, "worn_volume", ("time",), volume, "m^3", "volume lost")
+    if history.balanced:
+        energies = histories.energies(history)
+        for name in energies.__dataclass_fields__:
+            values = getattr(energies, name)
+            put(("energy",), name, ("time",), values, "J", name.replace("_", " "))
+    return nodes
+
+
+def _single_coordinates(history: StateHistory) -> dict[str, str]:
+    """Joints with one coordinate, of the tree or driven, with its unit."""
+    mechanism = history.mechanism
+    known = {own.name for own in mechanism.topology.branches if own.speed_count}
+    known |= {n for n, own in mechanism.connections.items() if drive_of(own.joint) is not None}
+    units = {name: coordinate_units(mechanism, name) for name in mechanism.connections}
+    return {name: own[0] for name, own in units.items() if len(own) == 1 and name in known}
+
+
+@functools.cache
+def _tree_class() -> Any:
+    """The class of a run's tree; xarray is loaded where data are asked for."""
+    import xarray
+
+    class RunTree(xarray.DataTree):
+        """An xarray DataTree by body, joint and surface, whose root for one version answers to
+        "crank.com" as to "crank/com", with a warning."""
+
+        __slots__ = ()
+
+        def __getitem__(self, key: Any) -> Any:
+            path = self._path_of(key)
+            if path is None:
+                return xarray.DataTree.__getitem__(self, key)
+            warn(
+                f'the data of a run are a tree: "{key}" is now "{path}", and its flat name goes '
+                "with the next version. run.to_dataset(flat=True) has all flat names.",
+                DeprecationWarning,
+            )
+            return xarray.DataTree.__getitem__(self, path)
+
+        def __contains__(self, key: object) -> bool:
+            return xarray.DataTree.__contains__(self, key) or self._path_of(key) is not None
+
+        def __reduce__(self) -> tuple:
+            return xarray.DataTree.from_dict, (self.to_dict(),)
+
+        def _path_of(self, key: Any) -> str | None:
+            """The path that a flat name stands for; None for one that stands for none."""
+            if not isinstance(key, str) or "." not in key:
+                return None
+            for path, node in self.subtree_with_keys:
+                for field in node.data_vars:
+                    if key == f"{path.replace('/', '.')}.{field}":
+                        return f"{path}/{field}"
+            return None
+
+    return RunTree
+
+
+class _Solid(NamedTuple):
+    """What moves with a body: `points` in its frame, `cells` of them, `depth` of each cell [m]."""
+
+    body: str
+    points: np.ndarray
+    kind: str
+    cells: np.ndarray
+    depth: np.ndarray
+
+
+def write_vtk(run: Any, folder: Any, frames: int, meshes: Any) -> Path:
+    """Writes the series into a folder, which is made; the path of its `run.pvd`."""
+    import meshio
+
+    check_count("frames of to_vtk", frames)
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"the folder {folder} is a file; give a folder.")
+    solids = [*_bodies(run, meshes), *_walls(run)]
+    folder.mkdir(parents=True, exist_ok=True)
+    time = np.asarray(run.time)
+    last = int(np.sum(time <= float(run.ended) * (1 + 1e-12)))
+    chosen = np.unique(np.linspace(0, last - 1, min(frames, last)).round().astype(int))
+    numbers = {name: i for i, name in enumerate([GROUND, *run.mechanism.bodies])}
+    motions = {name: run.body(name) for name in run.mechanism.bodies}
+    cells, body, depth, begun = [], [], [], 0
+    for one in solids:
+        cells.append((one.kind, one.cells + begun))
+        body.append(np.full(len(one.cells), numbers[one.body]))
+        depth.append(one.depth)
+        begun += len(one.points)
+    root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
+    series = ElementTree.SubElement(root, "Collection")
+    for count, at in enumerate(chosen):
+        placed = [_placed(one, motions.get(one.body), at) for one in solids]
+        points, velocity = (np.concatenate(own) for own in zip(*placed, strict=True))
+        name = f"run_{count:05d}.vtu"
+        meshio.Mesh(
+            points,
+            cells,
+            point_data={"velocity": velocity},
+            cell_data={"body": body, "worn depth": depth},
+        ).write(folder / name)
+        ElementTree.SubElement(series, "DataSet", timestep=repr(float(time[at])), file=name)
+    path = folder / "run.pvd"
+    ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    return path
+
+
+def _bodies(run: Any, meshes: Any) -> list[_Solid]:
+    solids = parts(run, checked_meshes(run, meshes), size_of(run))
+    return [
+        _Solid(name, own.points, "triangle", own.corners, np.zeros(len(own.corners)))
+        for name, own in ((name, part.whole) for name, part in solids.items())
+        if len(own.points)
+    ]
+
+
+def _walls(run: Any) -> list[_Solid]:
+    """Every worn wall: of a bearing, socket or guide on the parent, of a journal, ball or slider on
+    the child."""
+    found = []
+    for name, surfaces in run.worn.items():
+        connection = run.mechanism.connections[name]
+        joint = getattr(connection.joint, "gap", connection.joint)
+        maps = joint.maps()
+        for surface, depth in surfaces.items():
+            own = wall(maps[surface][0], surface, np.asarray(depth)) if surface in maps else None
+            if own is None:
+                continue
+            inner = surface in joint.inner_surfaces()
+            marker = connection.child if inner else connection.parent
+            rotation, place = marker_frame(marker)
+            points = own.points @ rotation.T + place
+            found.append(_Solid(marker.body, points, "quad", own.corners, own.depth))
+    return found
+
+
+def _placed(solid: _Solid, motion: Any, at: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points [m] and their velocity [m/s] in the ground frame at a saving time."""
+    if motion is None:
+        return solid.points, np.zeros_like(solid.points)
+    points = solid.points @ np.asarray(motion.rotation[at]).T + np.asarray(motion.origin[at])
+    arms = points - np.asarray(motion.com[at])
+    return points, np.asarray(motion.velocity[at]) + np.cross(np.asarray(motion.spin[at]), arms)

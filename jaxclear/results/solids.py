@@ -1,0 +1,361 @@
+"""What a run looks like in space: bodies and joints as triangles, each in the frame of its body
+[m], and worn walls as quadrilaterals, one for each cell of a wear map.
+
+A body without a mesh is the cuboid that has its mass and moments of inertia, as far as that is no
+larger than its joints are apart, with a rod to each of its joints; in the plane, where only one
+moment is known, a slender bar, or a square plate where all joints are in one place. A joint is
+drawn by what it holds: a pin in a bush, a ball, a slider on its rail; one with clearance in its own
+size where it has one.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxclear.components.body import GROUND, Body, Connection
+from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.wording import described
+from jaxclear.results.relative_motion import marker_frame, relative_motion, seen
+
+AROUND = 24
+# A flat body is drawn at least so thick, and a rod so thin, as shares of the mechanism's size.
+THINNEST, ROD = 0.012, 0.008
+# Length over width of a bar in the plane, and the most of that size that it is wide; and what a
+# body measures where its joints are in one place.
+SLENDER, WIDEST, BLOCK = 10.0, 0.05, 0.1
+
+
+class Triangles(NamedTuple):
+    """`points` (n, 3) [m] and the three `corners` (m, 3) of each triangle, as indices of them."""
+
+    points: np.ndarray
+    corners: np.ndarray
+
+    def moved(self, rotation: np.ndarray, place: np.ndarray) -> "Triangles":
+        """In another frame."""
+        return Triangles(self.points @ np.asarray(rotation).T + place, self.corners)
+
+
+def joined(parts: Iterable[Triangles]) -> Triangles:
+    """All parts as one; none at all are no triangles."""
+    found, points, corners = 0, [np.zeros((0, 3))], [np.zeros((0, 3), int)]
+    for part in parts:
+        points.append(part.points)
+        corners.append(part.corners + found)
+        found += len(part.points)
+    return Triangles(np.concatenate(points), np.concatenate(corners))
+
+
+def box(sides: Any) -> Triangles:
+    """A cuboid about the origin. Faces have corners of their own, so that edges stay sharp."""
+    parts = []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            first, second = (axis + 1) % 3, (axis + 2) % 3
+            points = np.zeros((4, 3))
+            points[:, axis] = side
+            points[:, first] = [-side, side, side, -side]
+            points[:, second] = [-1, -1, 1, 1]
+            parts.append(Triangles(points, np.array([[0, 1, 2], [0, 2, 3]])))
+    whole = joined(parts)
+    return Triangles(0.5 * whole.points * np.asarray(sides, float), whole.corners)
+
+
+def _turned(profile: np.ndarray) -> Triangles:
+    """A closed outline of points (radius, z) turned about z; edges are sharp."""
+    angle = np.linspace(0, 2 * np.pi, AROUND + 1)
+    across = np.stack([np.cos(angle), np.sin(angle)], -1)
+    parts = []
+    for (r0, z0), (r1, z1) in zip(profile, np.roll(profile, -1, axis=0), strict=True):
+        rings = [np.c_[r * across, np.full(len(angle), z)] for r, z in ((r0, z0), (r1, z1))]
+        low = np.arange(AROUND)
+        high = low + AROUND + 1
+        corners = np.concatenate(
+            [np.stack([low, low + 1, high], -1), np.stack([low + 1, high + 1, high], -1)]
+        )
+        parts.append(Triangles(np.concatenate(rings), corners))
+    return joined(parts)
+
+
+def rod(radius: float, length: float) -> Triangles:
+    """A cylinder along z about the origin."""
+    half = 0.5 * length
+    return _turned(np.array([[0.0, -half], [radius, -half], [radius, half], [0.0, half]]))
+
+
+def tube(inner: float, outer: float, length: float) -> Triangles:
+    """A hollow cylinder along z about the origin."""
+    half = 0.5 * length
+    return _turned(np.array([[inner, -half], [outer, -half], [outer, half], [inner, half]]))
+
+
+def ball(radius: float) -> Triangles:
+    """A sphere about the origin."""
+    angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, AROUND // 2 + 1)
+    return _turned(radius * np.stack([np.cos(angle), np.sin(angle)], -1))
+
+
+def capsule(radius: float, length: float) -> Triangles:
+    """A cylinder along z about the origin, of this length between the half spheres at its ends."""
+    angle = np.linspace(0, 0.5 * np.pi, AROUND // 4 + 1)
+    upper = np.stack([radius * np.cos(angle), 0.5 * length + radius * np.sin(angle)], -1)
+    return _turned(np.concatenate([upper[::-1] * [1, -1], upper]))
+
+
+def between(start: np.ndarray, end: np.ndarray, radius: float) -> Triangles:
+    """A cylinder from one place to another."""
+    way = np.asarray(end) - start
+    length = float(np.linalg.norm(way))
+    return rod(radius, length).moved(_along(way / length), 0.5 * (np.asarray(start) + end))
+
+
+def _along(direction: np.ndarray) -> np.ndarray:
+    """A rotation that brings z into a direction."""
+    beside = np.eye(3)[np.argmin(np.abs(direction))]
+    first = np.cross(beside, direction)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first), direction], 1)
+
+
+def of_body(body: Body, joints: np.ndarray, size: float) -> Triangles:
+    """A body of a mechanism of this `size` [m], whose joints are in these places (n, 3) [m]."""
+    com = np.zeros(3)
+    if body.com is not None:
+        com[: len(body.com)] = [float(x) for x in body.com]
+    turn, sides = _cuboid(body, joints, size)
+    apart = np.ptp(joints @ turn, axis=0) if len(joints) else np.zeros(3)
+    sides = np.minimum(sides, np.maximum(apart, BLOCK * size))
+    solid = box(np.maximum(sides, THINNEST * size)).moved(turn, com)
+    ends = [end for end in joints if np.linalg.norm(end - com) > 1e-6 * size]
+    return joined([solid, *(between(com, end, ROD * size) for end in ends)])
+
+
+def _cuboid(body: Body, joints: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Axes (3, 3) and sides (3,) [m] of the cuboid with a body's mass and moments of inertia."""
+    moments = np.array(jax.tree.map(float, body.inertia_matrix())) / float(body.mass)
+    if len(body.inertia) > 1:
+        own, axes = np.linalg.eigh(moments)
+        return axes, np.sqrt(np.maximum(6.0 * (own.sum() - 2.0 * own), 0.0))
+    square = 12.0 * moments[2, 2]
+    way = np.zeros(3) if not len(joints) else joints[np.linalg.norm(joints, axis=1).argmax()]
+    spread = np.ptp(joints, axis=0) if len(joints) else np.zeros(3)
+    if np.linalg.norm(spread[:2]) < 0.1 * np.sqrt(square):
+        return np.eye(3), np.sqrt(0.5 * square) * np.array([1.0, 1.0, 0.4])
+    x, y = way[:2] / np.linalg.norm(way[:2])
+    length = np.sqrt(square)
+    width = min(length / SLENDER, WIDEST * size)
+    turn = np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
+    # Thin, so that what slides along it is seen.
+    return turn, np.array([length, width, 0.4 * width])
+
+
+# Radius of a pin or ball without a size of its own, and how much wider what is around it is; shares
+# of the mechanism's size.
+PIN, AROUND_IT, LONG = 0.016, 1.35, 0.06
+# A body of less than this share of the heaviest one's mass has no size of its own.
+NO_MASS = 1e-9
+
+
+class Part(NamedTuple):
+    """Triangles of a body, or of the ground: its `solid`, and what its `joints` are drawn by."""
+
+    solid: Triangles
+    joints: dict[str, Triangles]
+
+    @property
+    def whole(self) -> Triangles:
+        """All of them."""
+        return joined([*self.joints.values(), self.solid])
+
+
+def size_of(run: Any) -> float:
+    """The longest side [m] of the box in which all joints and centres of mass move."""
+    places = [np.asarray(run.body(name).com) for name in run.mechanism.bodies]
+    places += [seen(run, own.parent).place for own in run.mechanism.connections.values()]
+    every = np.concatenate(places)
+    every = every[np.isfinite(every).all(axis=1)]
+    return float(np.ptp(every, axis=0).max()) or 1.0
+
+
+def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, Part]:
+    """What every body, and the ground, is drawn by."""
+    ends: dict[str, list[np.ndarray]] = {name: [] for name in (GROUND, *run.mechanism.bodies)}
+    joints: dict[str, dict[str, Triangles]] = {name: {} for name in ends}
+    for name, connection in run.mechanism.connections.items():
+        outer, inner = _joint(connection, size, _travel(run, name))
+        for marker, part in ((connection.parent, outer), (connection.child, inner)):
+            rotation, place = marker_frame(marker)
+            if not len(part.points):
+                continue
+            ends[marker.body].append(place)
+            joints[marker.body][name] = part.moved(rotation, place)
+    solids = {name: joined([]) for name in ends} | dict(meshes)
+    heaviest = max(float(body.mass) for body in run.mechanism.bodies.values())
+    for name, body in run.mechanism.bodies.items():
+        # One without mass is only there to join others, such as one between two hinges: its joints
+        # are seen.
+        if name not in meshes and float(body.mass) >= NO_MASS * heaviest:
+            solids[name] = of_body(body, np.array(ends[name]).reshape(-1, 3), size)
+    return {name: Part(solids[name], joints[name]) for name in ends}
+
+
+def _joint(connection: Connection, size: float, travel: tuple[float, float]) -> tuple:
+    """(outer part, on the parent; inner part, on the child), each in its marker's frame."""
+    joint: Any = connection.joint
+    joint = getattr(joint, "gap", joint)
+    rows = set(getattr(joint, "rows", ()) or getattr(joint, "ideal_rows", ()))
+    empty = Triangles(np.zeros((0, 3)), np.zeros((0, 3), int))
+    if not {"x"} <= rows:
+        return empty, empty
+    if "z" not in rows and "x.z" in rows:
+        return _rail(joint, size, travel)
+    radius = float(getattr(joint, "bearing_radius", getattr(joint, "socket_radius", PIN * size)))
+    if rows == {"x", "y", "z"}:
+        ring = tube(1.02 * radius, AROUND_IT * radius, radius)
+        return ring, ball(radius)
+    long = float(getattr(joint, "length", None) or LONG * size)
+    return tube(radius, AROUND_IT * radius, 0.8 * long), rod(0.98 * radius, long)
+
+
+def _rail(joint: Any, size: float, travel: tuple[float, float]) -> tuple:
+    """Rails on both sides, as long as the slider travels, and the slider."""
+    width = float(getattr(joint, "width", 2 * PIN * size))
+    long = float(getattr(joint, "length", 2 * width))
+    gap, thick = float(getattr(joint, "clearance", 0.0)), 0.25 * width
+    low, high = travel[0] - 0.6 * long, travel[1] + 0.6 * long
+    bar = box((thick, width, high - low))
+    rails = [
+        bar.moved(
+            np.eye(3), np.array([side * (0.5 * (width + thick) + gap), 0.0, 0.5 * (low + high)])
+        )
+        for side in (-1, 1)
+    ]
+    return joined(rails), box((width, width, long))
+
+
+def _travel(run: Any, name: str) -> tuple[float, float]:
+    """Least and largest place [m] of a child's marker along the z axis of its parent's."""
+    along = relative_motion(run, name).offset[:, 2]
+    along = along[np.isfinite(along)]
+    return float(along.min()), float(along.max())
+
+
+def checked_meshes(run: Any, meshes: Any) -> dict[str, Triangles]:
+    """Meshes by body (and of the ground): of files (through meshio), or of points and triangles, or
+    several by name."""
+    if meshes is None:
+        return {}
+    expect(meshes, Mapping, "meshes", "a dictionary from names of bodies")
+    for name in meshes:
+        check_known("body", name, [*run.mechanism.bodies, GROUND], " in this mechanism")
+    found = {}
+    for name, given in meshes.items():
+        own = given if isinstance(given, Mapping) else {"": given}
+        parts = (_mesh(f"{name}, {part}" if part else name, one) for part, one in own.items())
+        found[name] = joined(parts)
+    return found
+
+
+def _mesh(name: str, given: Any) -> Triangles:
+    what = f'the mesh of "{name}"'
+    wanted = "the path of a file, or (points (n, 3) [m], triangles (m, 3))"
+    if isinstance(given, (str, Path)):
+        import meshio
+
+        if not Path(given).is_file():
+            raise ValueError(f"{what} is {str(given)!r}, and there is no such file.")
+        # meshio guesses whether an STL file is a text by a number that may overflow.
+        with np.errstate(over="ignore"):
+            read = meshio.read(given)
+        cells = [own.data for own in read.cells if own.type == "triangle"]
+        if not cells:
+            raise ValueError(f"{what}, {given}, holds no triangles.")
+        given = read.points, np.concatenate(cells)
+    if not isinstance(given, (tuple, list)) or len(given) != 2:
+        raise ValueError(f"{what} is {described(given)}; it must be {wanted}.")
+    points, corners = np.asarray(given[0], float), np.asarray(given[1])
+    shaped = points.ndim == 2 and points.shape[1] == 3 and corners.ndim == 2
+    inside = shaped and corners.shape[1] == 3 and corners.size and corners.min() >= 0
+    if not inside or corners.max() >= len(points) or not np.isfinite(points).all():
+        raise ValueError(
+            f"{what} has points of shape {points.shape} and triangles of shape {corners.shape}; "
+            f"it must be {wanted}, the triangles indices of the points."
+        )
+    return Triangles(points, corners.astype(int))
+
+
+class Wall(NamedTuple):
+    """`points` (n, 3) [m] of the worn wall, in the frame of its bearing, journal, socket, ball,
+    guide or slider;
+    `corners` (cells, 4) of each cell, and its `depth` (cells,) [m]."""
+
+    points: np.ndarray
+    corners: np.ndarray
+    depth: np.ndarray
+
+
+def _cylinder(wear_map: Any, reach: np.ndarray) -> np.ndarray:
+    angle, height = _grid(reach, (-0.5 * float(wear_map.length), 0.5 * float(wear_map.length)))
+    return np.stack([reach * np.cos(angle), reach * np.sin(angle), height], -1)
+
+
+def _sphere(wear_map: Any, reach: np.ndarray) -> np.ndarray:
+    angle, rise = _grid(reach, (-0.5 * np.pi, 0.5 * np.pi))
+    flat = reach * np.cos(rise)
+    return np.stack([flat * np.cos(angle), flat * np.sin(angle), reach * np.sin(rise)], -1)
+
+
+def _grid(reach: np.ndarray, ends: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    around, along = reach.shape
+    angle = np.linspace(0.0, 2 * np.pi, around, endpoint=False)
+    first, second = np.broadcast_arrays(angle[:, None], np.linspace(*ends, along)[None])
+    return first, second
+
+
+# The shape of a wall, and whether wear widens it, by the surface's name.
+SHAPES: dict[str, tuple[Callable, int]] = {
+    "bearing": (_cylinder, 1),
+    "journal": (_cylinder, -1),
+    "socket": (_sphere, 1),
+    "ball": (_sphere, -1),
+}
+
+
+def wall(wear_map: Any, surface: str, depth: np.ndarray) -> Wall | None:
+    """The worn wall of a surface; None of one whose shape is not known. `depth` (around, along)
+    [m]."""
+    if wear_map.flat:
+        return _flat(wear_map, 1 if surface == "guide" else -1, depth)
+    if surface not in SHAPES:
+        return None
+    shape, sign = SHAPES[surface]
+    around, along = depth.shape
+    ringed = np.concatenate([depth[-1:], depth])
+    columns = 0.5 * (ringed[1:] + ringed[:-1])
+    padded = np.pad(columns, ((0, 0), (1, 1)), mode="edge")
+    reach = float(wear_map.radius) + sign * 0.5 * (padded[:, 1:] + padded[:, :-1])
+    points = shape(wear_map, reach).reshape(-1, 3)
+    column, row = np.meshgrid(np.arange(around), np.arange(along), indexing="ij")
+    after = (column + 1) % around
+    place = lambda i, j: i * (along + 1) + j
+    corners = [place(column, row), place(after, row), place(after, row + 1), place(column, row + 1)]
+    return Wall(points, np.stack(corners, -1).reshape(-1, 4), depth.reshape(-1))
+
+
+def _flat(wear_map: Any, sign: int, depth: np.ndarray) -> Wall:
+    """The walls of a guide, or the faces of a slider, each as deep as its cells at their edges."""
+    along = depth.shape[1]
+    padded = np.pad(depth, ((0, 0), (1, 1)), mode="edge")
+    away = float(wear_map.distance) + sign * 0.5 * (padded[:, 1:] + padded[:, :-1])
+    ends = np.array([-0.5, 0.5])
+    x = (np.array([-1.0, 1.0])[:, None] * away)[..., None] * np.ones(2)
+    y = np.broadcast_to(float(wear_map.breadth) * ends, x.shape)
+    z = float(wear_map.middle) + float(wear_map.length) * np.linspace(-0.5, 0.5, along + 1)
+    points = np.stack([x, y, np.broadcast_to(z[:, None], x.shape)], -1).reshape(-1, 3)
+    side, row = np.meshgrid(np.arange(2), np.arange(along), indexing="ij")
+    first = 2 * (side * (along + 1) + row)
+    corners = np.stack([first, first + 1, first + 3, first + 2], -1).reshape(-1, 4)
+    return Wall(points, corners, depth.reshape(-1))

@@ -1,1 +1,0 @@
-"""What a run looks like in space: bodies, joints and worn walls as triangles and quadrilaterals."""

@@ -1,0 +1,191 @@
+"""Chunks of a campaign on the workers of Dask, which write them themselves.
+
+Dask decides who computes what, and asks again for what a lost worker was at. Only the problem
+travels (pickled by Dask, between processes of one user), once to each worker, and numbers of
+chunks; no samples do. A worker compiles the program once, for later campaigns of the same problem
+too. What Dask does for a task costs some milliseconds of three processes, so a task is a block of
+chunks that are quick; each of them is written by itself.
+"""
+
+import functools
+import secrets
+import threading
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxclear.ground.wording import described
+from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.campaign.samples import Plan, Samples
+from jaxclear.studies.campaign.threads import (
+    PATIENCE,
+    AbstractWork,
+    Evaluation,
+    done,
+    finer,
+)
+from jaxclear.studies.ledger.batch import Program
+from jaxclear.studies.ledger.ledger import STUDY
+from jaxclear.studies.ledger.pieces import address_of
+from jaxclear.studies.texts import in_texts
+
+# Blocks of chunks asked of the scheduler at a time, for each thread of the workers.
+ASKED_A_THREAD = 2
+# [s] after which a worker answers, whatever is left of its block: Dask's own work is little beside
+# it, and progress is still seen.
+WORTH = 1.0
+# [s] for the first worker to join.
+JOINING = 60.0
+# Held by the thread of a worker that makes what all its threads share.
+_MAKING = threading.Lock()
+
+
+def check_client(client: Any) -> None:
+    """Raises `ValueError` with a sentence for what is no client of Dask."""
+    kinds = {f"{kind.__module__}.{kind.__qualname__}" for kind in type(client).__mro__}
+    if "distributed.client.Client" not in kinds or client.asynchronous:
+        raise ValueError(
+            f"client of campaign is {described(client)}; it must be a dask.distributed.Client (not "
+            'asynchronous): python -m pip install "jaxclear[dask]".'
+        )
+
+
+class Workers(AbstractWork):
+    """All workers of a client. Interrupted, it asks for no more; blocks in work are finished.
+    Where none has joined, it waits for the first, for a minute."""
+
+    def __init__(self, problem: AbstractProblem, client: Any):
+        self.problem, self.client = problem, client
+        # The texts that a problem is known by tell a worker whether it has compiled it before.
+        self.token = address_of(in_texts(problem))
+        self.there = client.submit(_itself, problem, pure=False)
+
+    def compute(self, samples, numbers, heard):
+        """As of every work. Raises `RuntimeError` with a sentence where a chunk ends its
+        workers."""
+        import distributed
+
+        self._joined()
+        # What a worker knows of a folder is as it was when this began.
+        place, most = str(samples.folder.resolve()), samples.plan.samples
+        what = self.there, self.token, place, most, secrets.token_hex(8)
+        threads = max(sum(self.client.nthreads().values()), 1)
+        left, asked = deque(numbers), {}
+        running = distributed.as_completed()
+        try:
+            while left or asked:
+                while left and len(asked) < ASKED_A_THREAD * threads:
+                    # A block that takes too long comes back, so its size need only be fair.
+                    many = -(-len(left) // (ASKED_A_THREAD * threads))
+                    block = [left.popleft() for _ in range(many)]
+                    future = self.client.submit(_on_worker, *what, block, pure=False)
+                    asked[future.key] = block
+                    running.add(future)
+                future = next(running)
+                block = asked.pop(future.key)
+                answers = _answer(future, block)
+                for number, failed in zip(block, answers, strict=False):
+                    if failed is not None:
+                        heard(number, failed)
+                    else:
+                        left.append(number)
+                left.extend(block[len(answers) :])
+                time.sleep(PATIENCE if None in answers else 0)
+        finally:
+            self.client.cancel([*running.futures])
+
+    def replicated(self, plan, values):
+        self._joined()
+        asked = self.client.submit(_finer, self.there, self.token, plan, values, pure=False)
+        return asked.result()
+
+    def _joined(self) -> None:
+        """Waits for a worker. Raises `RuntimeError` with a sentence where none comes."""
+        try:
+            self.client.wait_for_workers(1, timeout=JOINING)
+        except TimeoutError as reason:
+            raise RuntimeError(
+                f"no worker has joined the client's cluster in {JOINING:.0f} s; start workers, "
+                "and ask the same again."
+            ) from reason
+
+    def close(self) -> None:
+        """The workers let go of the problem."""
+        self.client.cancel([self.there])
+
+
+def _answer(future: Any, block: list[int]) -> list[int | None]:
+    """What a worker says of a block."""
+    import distributed
+
+    try:
+        return future.result()
+    except distributed.KilledWorker as reason:
+        several = f"one of {len(block)} chunks from {min(block)} to {max(block)}"
+        which = several if len(block) > 1 else f"chunk {block[0]}"
+        raise RuntimeError(
+            f"{which} of the campaign ended every worker that computed it, for want of memory "
+            "maybe; finished chunks are kept. Give workers more memory, or a smaller chunk."
+        ) from reason
+
+
+def _itself(problem: AbstractProblem) -> AbstractProblem:
+    """The problem, as something that Dask holds for all workers."""
+    return problem
+
+
+def _finer(problem: AbstractProblem, token: str, plan: Plan, values: np.ndarray) -> SampleResult:
+    """What samples of these values give in finer runs, on a worker, by the program of its own."""
+    with _MAKING:
+        program = _program(_Once(token, problem))
+    return finer(program.problem, plan, values)
+
+
+def _on_worker(
+    problem: AbstractProblem, token: str, folder: str, most: int, campaign: str, block: list[int]
+) -> list[int | None]:
+    """Computes and keeps chunks of a block, on a worker, for as long as a task is to take: what
+    `done` says of each."""
+    with _MAKING:
+        samples, evaluation = _ready(_Once(token, problem), folder, most, campaign)
+    ends, failed = time.perf_counter() + WORTH, [done(samples, evaluation, block[0])]
+    for number in block[1:]:
+        if time.perf_counter() > ends:
+            break
+        failed.append(done(samples, evaluation, number))
+    return failed
+
+
+class _Once:
+    """A problem that counts as the one that came first with the same token: its program is compiled
+    once, however often Dask sends it."""
+
+    def __init__(self, token: str, problem: AbstractProblem):
+        self.token, self.problem = token, problem
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Once) and self.token == other.token
+
+    def __hash__(self) -> int:
+        return hash(self.token)
+
+
+@functools.lru_cache(maxsize=4)
+def _program(known: _Once) -> Program:
+    """The program of the problem that came first: it serves later campaigns too."""
+    return Program(known.problem, wide=True)
+
+
+@functools.lru_cache(maxsize=4)
+def _ready(known: _Once, folder: str, most: int, campaign: str) -> tuple[Samples, Evaluation]:
+    """The folder and the program of a campaign on this worker."""
+    if not (Path(folder) / STUDY).exists():
+        raise ValueError(
+            f"a worker does not see the folder {folder} of the campaign; give one that all workers "
+            "share."
+        )
+    samples = Samples.opened(folder).view(most)
+    return samples, Evaluation(_program(known), samples.plan)

@@ -1,0 +1,275 @@
+"""Rates of wear on the surfaces that the steps of a life ask for, each from where the motion
+settled before, and what surfaces become by what contacts lose.
+
+Where a motion settles on a surface worn further is carried on in a straight line from the last two
+surfaces on which it settled: a journal follows the wall as that wears. Begun where the wall was, it
+would fall, and a cycle would go to its settling.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from jaxclear.integrators.checks import Check, Checks
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.system import prepare
+from jaxclear.results.state_history import SavedMotion
+from jaxclear.simulation.wear import Worn
+from jaxclear.studies.ledger.ledger import Ledger
+from jaxclear.studies.life.cycle import (
+    Cycle,
+    asked_of,
+    cycle,
+    cycles,
+    first_state,
+    kind_of_cycle,
+    worn_again,
+    worst_of,
+)
+from jaxclear.studies.life.settling import Patience, Settling, settle, settle_side_by_side
+from jaxclear.studies.life.steps import Cells, CycleFailed, Losses, Rate
+from jaxclear.studies.problem import Problem
+
+# What a narrow contact makes of depths.
+NARROW = (Check.WEAR_BY_CELLS,)
+# So many cycles of a motion that does not settle are simulated side by side where patience lasts
+# for so many times as many: then a life has enough of them to be worth a second program.
+LANES, WORTH = 8, 4
+# So many times the way between two surfaces a line is carried on at the most.
+FURTHEST = 4.0
+# Power by which the parts of a step are shorter towards its end (a graded mesh).
+GRADING = 2
+# Places that so follow upon each other lie as evenly as they can, however many they are.
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+
+class Rates:
+    """Of a machine: its problem, the cycles simulated so far, where the motion settled."""
+
+    def __init__(self, problem: Problem, values: Any, patience: Patience, store: Ledger | None):
+        self.problem, self.patience, self.store = problem, patience, store
+        self.asked = asked_of(problem, values)
+        self.motion, self.worn = first_state(problem, values)
+        depth, self.unflat = flattened(self.worn)
+        self.cells = _cells(problem, self.worn)
+        self.count = len(depth)
+        self.first_row = np.concatenate([depth, np.zeros(len(self.cells.surfaces))])
+        seen = problem.integrator.formulation.seen(problem.mechanism)
+        self.units = units_of_coordinates(seen)
+        self.places: list[Place] = []
+        # Where lanes go on from, of a motion that does not settle.
+        self.begins: list[Any] = []
+        # False from when lanes have gone in file to the end.
+        self.by_lanes = True
+        self.settlings: list[Settling] = []
+        self.simulated = 0
+        self.last_run: Any = None
+        self.kind: Any = None
+        if store is not None:
+            self.kind = kind_of_cycle(self.asked, self.motion, self.worn)
+
+    def evaluate(self, row: np.ndarray, set_down: bool = False) -> Rate:
+        """What a cycle wears on surfaces of these depths; not the one in which the machine is
+        `set_down`. Raises `CycleFailed`."""
+        depth, found = row[: self.count], None
+        if self.begins:
+            found = settle_side_by_side(
+                self._cycles, self.begins, self.unflat(depth), self.patience, self._is_known
+            )
+            self.by_lanes = found is not None
+        if found is None:
+            begin = predicted(self.places, depth, self.units) if self.places else self.motion
+            least = 2 if set_down else 1
+            found = settle(self._cycle, begin, self.unflat(depth), self.patience, least=least)
+        if found.last.fault:
+            raise CycleFailed(found.last.fault)
+        if not found.periodic:
+            # States of a motion that does not settle follow no line.
+            self.places.clear()
+        self.places.append(Place(depth, found.last.end))
+        self.settlings.append(found)
+        self.begins = self._begins_after(found)
+        wear = self._row(found.wear, found.lost)
+        return Rate(wear, self._row(found.noise, found.noise_of_lost), len(found.cycles), found)
+
+    def carry(self, row: np.ndarray, losses: Losses, parts: int) -> np.ndarray:
+        """What is left of these depths by so many cycles of each of some rates, in so many `parts`,
+        the shorter the nearer they are to the end: of the former ones walls forget. In each the
+        cycles go by in their order and backwards, from another place on than in the one before, so
+        that no loss of a cycle comes before the others."""
+        worn = self.unflat(row[: self.count])
+        cycles = [
+            (length / len(rate.settled.taken), one.losses)
+            for length, rate in losses
+            for one in rate.settled.taken
+        ]
+        saves = len(self.asked.times) - 1
+        means: Any = sum(length * self.cells.means(rate.wear) for length, rate in losses)
+        for i, part in enumerate(-np.diff((1.0 - np.arange(parts + 1) / parts) ** GRADING)):
+            begin = np.asarray(int(saves * (i * GOLDEN % 1.0)))
+            for order, way in ((cycles, 0.5), (cycles[::-1], -0.5)):
+                for share, lost in order:
+                    given = lost, np.asarray(way * share * part), begin
+                    worn = worn_again(self.asked, worn, *given)
+        return np.concatenate([flattened(worn)[0], self.cells.means(row) + means])
+
+    def halves(self, rate: Rate) -> tuple[Rate, Rate] | None:
+        """Of a mean over cycles two rates, by the former and the latter half of these (of lanes: by
+        half of the lanes), by which each surface loses as much; None of a periodic cycle."""
+        taken = rate.settled.taken
+        if rate.settled.periodic or len(taken) < 2:
+            return None
+        middle, lost = len(taken) // 2, rate.settled.lost
+        former, latter = _as_much(taken[:middle], lost), _as_much(taken[middle:], lost)
+        return rate._replace(settled=former), rate._replace(settled=latter)
+
+    def _begins_after(self, found: Settling) -> list[Any]:
+        """Where lanes go on from after such cycles; none where they have settled, or would go in
+        file."""
+        if found.periodic or not self.by_lanes or self.patience.most < WORTH * LANES:
+            return []
+        ends = found.ends if found.lanes > 1 else found.cycles[-LANES:]
+        settled = all(one.distance <= self.patience.within for one in ends)
+        return [] if settled or len(ends) < LANES else [one.end for one in ends]
+
+    def _is_known(self, found: Settling) -> bool:
+        """Whether all that steps carry on is known as well as is asked for."""
+        noise = self._row(found.noise, found.noise_of_lost)
+        wear = self._row(found.wear, found.lost)
+        shares = [
+            self.cells.shares(of(noise), of(wear)) for of in (self.cells.sizes, self.cells.means)
+        ]
+        return bool(np.max(shares, initial=0.0) <= self.patience.noise)
+
+    def _row(self, depths: Worn, volumes: Worn) -> np.ndarray:
+        """Depths of all cells, and behind them those of each surface as its volume has it."""
+        return np.concatenate([flattened(depths)[0], flattened(volumes)[0] / self.cells.whole])
+
+    def checks(self) -> Checks:
+        """The worst of every figure over all cycles that were taken as the motion. How wide scars
+        are beside cells is that of the last ones: in a new wall every contact is narrow, and what
+        was worn there too shallow is worn on."""
+        worst = worst_of([one.checks for s in self.settlings for one in s.taken])
+        last = worst_of([one.checks for one in self.settlings[-1].taken])
+        by_cells = {check: last.figures[check] for check in NARROW if check in last.figures}
+        return Checks.of(worst.figures | by_cells)
+
+    def _cycle(self, motion: Any, worn: Worn) -> Cycle:
+        """A cycle, from the store where it is there."""
+        known = self._taken(motion, worn)
+        if known is None:
+            known, self.last_run = cycle(self.asked, motion, worn)
+            self._keep(motion, worn, known)
+        self.simulated += 1
+        return known
+
+    def _cycles(self, motions: Any, worn: Worn) -> list[Cycle]:
+        """A cycle of each lane, from the store where all are there."""
+        self.simulated += len(motions)
+        known = [self._taken(motion, worn) for motion in motions]
+        if all(one is not None for one in known):
+            return known
+        found = cycles(self.asked, motions, worn)
+        for motion, before, one in zip(motions, known, found, strict=True):
+            if before is None:
+                self._keep(motion, worn, one)
+        return found
+
+    def _taken(self, motion: Any, worn: Worn) -> Any:
+        """A cycle from the store; None where it is not there."""
+        if self.store is None:
+            return None
+        return self.store.taken(flattened((motion, worn))[0], self.kind)
+
+    def _keep(self, motion: Any, worn: Worn, one: Cycle) -> None:
+        if self.store is not None:
+            self.store.add(flattened((motion, worn))[0], one)
+
+
+def flattened(tree: Any) -> tuple[np.ndarray, Any]:
+    """All numbers in a row, and the way back."""
+    flat, back = ravel_pytree(tree)
+    return np.asarray(flat), back
+
+
+class Half(NamedTuple):
+    """Some of the cycles that are taken as the motion."""
+
+    taken: tuple[Cycle, ...]
+
+
+def _as_much(half: Sequence[Cycle], lost: Worn) -> Half:
+    """These cycles with as much lost by each surface as a mean over them all."""
+    found = []
+    for one in half:
+        losses = dict(one.losses)
+        for (joint, surface), (volumes, places) in one.losses.items():
+            own = np.mean([float(each.lost[joint][surface]) for each in half])
+            share = lost[joint][surface] / own if own > 0 else 1.0
+            losses[joint, surface] = share * volumes, places
+        found.append(dataclasses.replace(one, losses=losses))
+    return Half(tuple(found))
+
+
+def _cells(problem: Problem, worn: Worn) -> Cells:
+    """How depths of these surfaces stand in a row."""
+    connections = problem.mechanism.connections
+    areas = {
+        joint: {s: np.asarray(connections[joint].joint.maps()[s][0].areas()) for s in surfaces}
+        for joint, surfaces in worn.items()
+    }
+    rows = [own.ravel() for own in jax.tree.leaves(areas)]
+    ends = np.cumsum([own.size for own in rows])
+    parts = tuple(slice(int(end - own.size), int(end)) for own, end in zip(rows, ends, strict=True))
+    return Cells(parts, np.concatenate(rows))
+
+
+class Place(NamedTuple):
+    """A motion settled on surfaces of these depths [m], all cells in a row."""
+
+    depth: np.ndarray
+    motion: SavedMotion
+
+
+def units_of_coordinates(mechanism: Mechanism) -> tuple[str, ...]:
+    """Unit of each coordinate of the tree."""
+    return tuple(
+        unit
+        for link, branch in zip(prepare(mechanism).links, mechanism.topology.branches, strict=True)
+        for unit in link.joint.units[: branch.coordinate_count]
+    )
+
+
+def predicted(places: Sequence[Place], depth: np.ndarray, units: tuple[str, ...]) -> SavedMotion:
+    """Where a motion begins on surfaces of this depth: at the end of the last one that settled,
+    moved as the surfaces have moved since."""
+    last = places[-1].motion
+    before = next((p for p in places[-2::-1] if np.any(p.depth != places[-1].depth)), None)
+    if before is None:
+        return last
+    way = places[-1].depth - before.depth
+    share = float(np.dot(depth - places[-1].depth, way) / np.dot(way, way))
+    share = float(np.clip(share, -FURTHEST, FURTHEST))
+    coordinates = np.asarray(last.coordinates - before.motion.coordinates)
+    turns = np.array([unit == "rad" for unit in units])
+    # Whole turns are no change of place.
+    coordinates = coordinates - np.where(turns, 2 * np.pi * np.round(coordinates / 2 / np.pi), 0.0)
+    # So is a quaternion's opposite.
+    quaternion = np.array([unit == "1" for unit in units])
+    if np.any(np.abs(coordinates[quaternion]) > 0.5):
+        return last
+    speeds = last.speeds - before.motion.speeds
+    return SavedMotion(
+        last.time,
+        jnp.asarray(last.coordinates + share * coordinates),
+        jnp.asarray(last.speeds + share * speeds),
+        last.remembered,
+        last.names,
+        last.remembered_names,
+        last.redundancy,
+    )

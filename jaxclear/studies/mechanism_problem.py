@@ -1,0 +1,146 @@
+"""A question about a mechanism: which of its numbers vary, which responses are wanted of it, by
+name, and what they may answer.
+
+What is done with the mechanism, a run in time (`Problem`) or positions (`PositionProblem`), tells
+its own class.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxclear.errors.verification import thinned
+from jaxclear.ground.arguments import expect
+from jaxclear.ground.quantity import inside, is_one_number, numbers
+from jaxclear.ground.warning import asked, shape_of
+from jaxclear.ground.wording import described
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.results.response import unit_of
+from jaxclear.studies.base import AbstractProblem, check_names_differ, stacked
+from jaxclear.studies.inputs import correlation_matrix
+from jaxclear.studies.variable import (
+    AbstractMechanismVariable,
+    check_variables,
+    places_of,
+    with_values,
+)
+
+__all__ = ["Thinned", "answer", "by_name", "check_answers", "check_responses"]
+
+
+class AbstractMechanismProblem(AbstractProblem):
+    """A mechanism whose `variables` vary, and the responses wanted of it."""
+
+    mechanism: eqx.AbstractVar[Mechanism]
+    response: eqx.AbstractVar[dict[str, Callable]]
+    variables: eqx.AbstractVar[dict[str, AbstractMechanismVariable]]
+
+    def nominal(self) -> Float[Array, " variables"]:
+        """Nominal value of each variable."""
+        return stacked([self.variables[n].nominal_in(self.mechanism) for n in self.names])
+
+    def units(self) -> dict[str, str]:
+        """Unit of each response."""
+        return {n: unit_of(self.response[n], self.mechanism) for n in self.response_names}
+
+    def _varied(self, values: Float[Array, " variables"]) -> Mechanism:
+        """The mechanism with its variables set, and what follows from them."""
+        return with_values(self.mechanism, [self.variables[n] for n in self.names], values)
+
+    def _told(self, *fields: str) -> dict[str, Any]:
+        """These of its fields, and what its variables point at: all that tells it from another."""
+        own = {what: getattr(self, what) for what in fields}
+        return own | places_of(self.mechanism, self.variables)
+
+
+def responses_of(problem: AbstractMechanismProblem, found: Any) -> dict[str, Array]:
+    """The responses of what a problem's mechanism does, by name."""
+    return {name: answer(name, own, found) for name, own in problem.response.items()}
+
+
+class Wanted(NamedTuple):
+    """What is asked of a mechanism, by name and checked: `response`, `variables`, their units and
+    the correlation of their normal scores."""
+
+    response: dict[str, Callable]
+    variables: dict[str, AbstractMechanismVariable]
+    units: tuple[str, ...]
+    correlation: Float[Array, "variables variables"] | None
+
+
+def wanted_of(
+    mechanism: Mechanism, response: Any, variables: Any, correlation: Any, owner: str, of: str
+) -> Wanted:
+    """What a user asks of a mechanism; responses are functions `of` something. Raises `ValueError`
+    with a sentence for what cannot be asked."""
+    expect(mechanism, Mechanism, f"the mechanism of a {owner}", "a jaxclear.Mechanism")
+    own, varied = by_name("response", response), by_name("variables", variables)
+    check_responses(own, varied, of)
+    check_variables(varied, mechanism)
+    units = tuple(variable.unit_in(mechanism) for variable in varied.values())
+    return Wanted(own, varied, units, correlation_matrix(correlation, tuple(varied)))
+
+
+def in_range(*parts: Any) -> Array:
+    """Whether all numbers of parts, as of a mechanism, are within their ranges."""
+    known = [inside(leaf, metadata) for part in parts for _, leaf, metadata in numbers(part)]
+    return jnp.all(jnp.stack(known))
+
+
+class Thinned(eqx.Module):
+    """A response of a run whose saving intervals were cut into `parts`: it sees the run at the ends
+    of whole ones."""
+
+    function: Callable
+    parts: int = eqx.field(static=True)
+
+    def __call__(self, run: Any) -> Any:
+        """The response of such a run."""
+        return self.function(thinned(run, self.parts))
+
+
+def by_name(what: str, given: Any) -> dict[str, Any]:
+    """What varies or is wanted, by name; a response alone is called "response"."""
+    if what == "response" and not isinstance(given, Mapping):
+        return {what: given}
+    expect(given, Mapping, f"{what} of a Problem", "a dictionary from names")
+    if what == "response" and not given:
+        raise ValueError("response of a Problem is empty; it must hold at least one.")
+    for name in given:
+        expect(name, str, f"a name in {what} of a Problem", "a text")
+    return dict(given)
+
+
+def answer(name: str, response: Callable, run: Any) -> Array:
+    """A response of a run (of positions, a life) as one number. Raises `ValueError` with a sentence
+    that names it where it fails, leaves JAX, or gives something else."""
+    value = asked(f'response "{name}"', response, run)
+    if not is_one_number(value):
+        hint = " It returns nothing: is a `return` missing?" if value is None else ""
+        raise ValueError(
+            f'response "{name}" gives {described(value)} for a run; it must be one number, such as '
+            f"a mean or the largest.{hint}"
+        )
+    return jnp.asarray(value, float)
+
+
+def check_answers(response: dict[str, Callable], seen: Callable[[], Any]) -> None:
+    """Raises `ValueError` with a sentence where a response does not give one number; `seen` makes
+    what it is asked of. Nothing is compiled."""
+    for name, own in response.items():
+        shape_of(lambda name=name, own=own: answer(name, own, seen()))
+
+
+def check_responses(response: dict[str, Any], variables: dict[str, Any], of: str) -> None:
+    """Responses are functions `of` something, and share no name with a variable."""
+    for name, wanted in response.items():
+        if not callable(wanted) or isinstance(wanted, type):
+            hint = f": build one, {wanted.__name__}(...)" if isinstance(wanted, type) else ""
+            raise ValueError(
+                f'response "{name}" is {described(wanted)}; it must be a function of {of}, such as '
+                f"one of jaxclear.response{hint}."
+            )
+    check_names_differ(response, variables)

@@ -1,0 +1,281 @@
+"""Folders of studies that a disk or a person has damaged, that nothing can be written into, and
+those of earlier versions.
+"""
+
+import errno
+import json
+import shutil
+import warnings
+import zipfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import filelock
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.studies.campaign.samples import Samples
+from jaxclear.studies.ledger import batch
+from jaxclear.studies.ledger.earlier import RECORDS, SAMPLES
+from jaxclear.studies.ledger.ledger import RESULT, STUDY, Ledger
+from jaxclear.studies.ledger.pieces import PIECES, Unwritable
+from jaxclear.studies.texts import in_texts
+from tests.rigs.wearing_ring import problem as ring
+from tests.rigs.wearing_ring import wearing_ring
+from tests.studies import test_design as designed
+from tests.studies.test_campaign import assert_same_study, contents, kept_at, problem
+
+EARLIER = Path(__file__).parents[1] / "refdata" / "folders_0_32"
+
+
+def ask(place, samples=10_000):
+    return jc.campaign(problem(), samples, folder=place, seed=3, chunk=4096)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return kept_at(tmp_path_factory.mktemp("campaign") / "kept")
+
+
+@pytest.fixture
+def folder(whole, tmp_path):
+    return Path(shutil.copytree(whole, tmp_path / "kept"))
+
+
+@pytest.fixture
+def computed(monkeypatch):
+    """Values of all chunks that are computed."""
+    found, run = [], batch.Program.run
+    monkeypatch.setattr(
+        batch.Program, "run", lambda *own, **how: (found.append(own[1]), run(*own, **how))[1]
+    )
+    return found
+
+
+def flipped(content, share):
+    """One bit, at this share of the file."""
+    changed = bytearray(content)
+    changed[int(share * (len(content) - 1))] ^= 4
+    return bytes(changed)
+
+
+DAMAGES = {
+    "deleted": None,
+    "garbage": lambda content: b"nothing that anybody wrote" * 40,
+    "empty": lambda content: b"",
+    "half": lambda content: content[: len(content) // 2],
+    "a bit of what it tells": lambda content: flipped(content, 60 / len(content)),
+    "a bit of its values": lambda content: flipped(content, 0.1),
+    "a bit of its responses": lambda content: flipped(content, 0.8),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_a_damaged_chunk_is_computed_again_and_said(whole, folder, computed, name):
+    """Opened, it is not counted; asked again, the folder is what it was, byte for byte."""
+    files = Samples.opened(folder)
+    path, damage = files.pieces.path(files.address(1)), DAMAGES[name]
+    if damage is None:
+        path.unlink()
+    else:
+        path.write_bytes(damage(path.read_bytes()))
+    found = jc.open_campaign(folder)
+    assert not found.is_complete and found.finished == 10_000 - 4096
+    said = f"1 of 3 chunks in .*kept are missing or do not match .*{path.name}.*computed again"
+    with pytest.warns(UserWarning, match=said):
+        assert ask(folder).is_complete
+    assert [len(own) for own in computed] == [4096]
+    assert contents(folder) == contents(whole)
+
+
+def test_every_flipped_bit_is_seen_or_does_no_harm(folder):
+    """At 300 places of a file: its numbers are right, or it counts for nothing."""
+    files = Samples.opened(folder)
+    path = files.pieces.path(files.address(2))
+    content, right = path.read_bytes(), files.chunk(2)
+    seen = 0
+    for share in np.linspace(0, 1, 300):
+        path.write_bytes(flipped(content, share))
+        found = files.chunk(2)
+        seen += found is None
+        if found is not None:
+            assert found.about == right.about and found.arrays.keys() == right.arrays.keys()
+            for name, own in found.arrays.items():
+                assert np.array_equal(own, right.arrays[name], equal_nan=True)
+    assert seen > 290
+
+
+def test_what_is_damaged_while_it_is_read_is_named(folder):
+    found = jc.open_campaign(folder)
+    path = found._samples.pieces.path(found._samples.address(0))
+    path.write_bytes(flipped(path.read_bytes(), 0.5))
+    with pytest.raises(ValueError, match=f"{path.name} is missing or does not match its checksum"):
+        found.summary()
+
+
+@pytest.mark.parametrize("damage", [lambda text: text[:-9], lambda text: text.replace("1", "2")])
+def test_a_damaged_plan_is_written_again(whole, folder, computed, damage):
+    (folder / STUDY).write_text(damage((folder / STUDY).read_text()))
+    with pytest.raises(ValueError, match=r"study.json does not match its checksum; ask the same"):
+        jc.open_campaign(folder)
+    with pytest.warns(UserWarning, match="study.json does not match its checksum; it is written"):
+        ask(folder)
+    assert not computed
+    assert contents(folder) == contents(whole)
+
+
+def test_a_damaged_file_of_a_kept_study_is_computed_again(tmp_path, computed):
+    kept = Ledger.opened(tmp_path, "records", {})
+    numbers = [np.full(2, float(i)) for i in range(3)]
+    for i, own in enumerate(numbers):
+        kept.add(own, (np.zeros(3) + i, np.array(i)))
+    path = sorted((tmp_path / PIECES).iterdir())[0]
+    path.write_bytes(flipped(path.read_bytes(), 0.5))
+    kind = (np.zeros(3), np.array(0))
+    kept = Ledger.opened(tmp_path, "records", {})
+    with pytest.warns(UserWarning, match=f"{path.name} does not match its checksum"):
+        found = [kept.taken(own, kind) for own in numbers]
+    assert sum(own is None for own in found) == 1
+    for i, own in enumerate(found):
+        assert own is None or (np.array_equal(own[0], kind[0] + i) and own[1] == i)
+    assert kept.taken(numbers[0], np.zeros(4)) is None
+
+
+def full(*_, **__):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def read_only(*_, **__):
+    raise OSError(errno.EROFS, "Read-only file system")
+
+
+def test_a_full_disk_costs_nothing_that_is_finished(whole, tmp_path, monkeypatch):
+    place, write, count = tmp_path / "kept", Path.write_bytes, iter(range(100))
+    monkeypatch.setattr(batch, "threads_of", lambda: 1)
+    with monkeypatch.context() as patched:
+        fills = lambda *own: full() if next(count) >= 3 else write(*own)
+        patched.setattr(Path, "write_bytes", fills)
+        said = r"written into the folder .*kept \(No space left on device\).*make room, ask the sam"
+        with pytest.raises(Unwritable, match=said):
+            ask(place)
+    assert jc.open_campaign(place).finished == 2 * 4096
+    assert ask(place).is_complete
+    assert contents(place) == contents(whole)
+
+
+def test_a_finished_folder_that_is_read_only_answers(folder, monkeypatch, computed):
+    before = contents(folder)
+    for kind, name in ((Path, "write_bytes"), (Path, "mkdir"), (filelock.FileLock, "acquire")):
+        monkeypatch.setattr(kind, name, read_only)
+    assert ask(folder).is_complete
+    assert jc.open_campaign(folder, problem()).rerun(3)
+    assert len(jc.open_campaign(folder).to_dataset()["fit"].to_numpy()) == 10_000
+    said = r"\(Read-only file system\). What was finished is kept there; let it be written, ask"
+    with pytest.raises(Unwritable, match=said):
+        ask(folder, 20_000)
+    assert contents(folder) == before and not computed
+
+
+def test_a_result_that_cannot_be_written_is_said_where_something_is_new(tmp_path):
+    result = SimpleNamespace(to_zarr=read_only)
+    kept = Ledger.opened(tmp_path, "records", {})
+    with pytest.raises(Unwritable, match="Read-only file system"):
+        kept.conclude(result)
+    (tmp_path / RESULT).mkdir()
+    kept.conclude(result)
+    kept.add(np.zeros(1), np.zeros(1))
+    with pytest.raises(Unwritable, match="Read-only file system"):
+        kept.conclude(result)
+
+
+def of_0_32(name, place, asked):
+    """A folder that 0.32 wrote. How it tells of functions depends on the version of Python."""
+    zipfile.ZipFile(EARLIER / f"{name}.zip").extractall(place)
+    texts = json.dumps(in_texts(asked))
+    for path in [*place.glob(f"**/{RECORDS}/zarr.json"), *place.glob(f"{SAMPLES}/zarr.json")]:
+        told = json.loads(path.read_text())
+        told["attributes"]["problem"] = texts
+        path.write_text(json.dumps(told))
+    return place
+
+
+def change_told(place, **changes):
+    """Attributes of an earlier campaign; those that are None go."""
+    path = place / SAMPLES / "zarr.json"
+    told = json.loads(path.read_text())
+    own = told["attributes"] | changes
+    told["attributes"] = {name: value for name, value in own.items() if value is not None}
+    path.write_text(json.dumps(told))
+
+
+def test_a_campaign_of_0_32_is_read_and_goes_on(tmp_path, computed, recwarn):
+    """Two of its three chunks were finished; asked again, it is a folder of today."""
+    place = of_0_32("campaign", tmp_path / "old", problem())
+    before = contents(place)
+    plain = jc.monte_carlo(problem(), 90, seed=3, scramblings=8)
+    computed.clear()
+    for found in (jc.open_campaign(place), jc.open_campaign(place, problem())):
+        assert (found.finished, found.count) == (64, 90)
+        assert np.array_equal(found.values, plain.values[:64])
+        np.testing.assert_allclose(found.responses["area"], plain.responses["area"][:64])
+        assert np.isnan(found.to_dataset()["fit"][64:]).all()
+        assert found.versions[0]["jaxclear"] == "0.32.0"
+    assert contents(place) == before
+    found = jc.campaign(problem(), 90, folder=place, seed=3)
+    assert not any("missing" in str(own.message) for own in recwarn)
+    assert [len(own) for own in computed] == [32]
+    assert found.is_complete and np.array_equal(found.values, plain.values)
+    shutil.rmtree(place / SAMPLES)
+    assert_same_study(jc.open_campaign(place).sample, found.sample)
+    assert jc.open_campaign(place).is_complete
+
+
+def test_a_campaign_of_0_29_says_what_it_had_found(tmp_path):
+    place = of_0_32("campaign", tmp_path / "old", problem())
+    change_told(place, second_look=[["PLACE_IN_GAP", [0.07], [0.5], ["B"]]])
+    said = ('Second look: place in gap in "B": 0.07 (limit 0.03), told by an earlier version.',)
+    assert jc.open_campaign(place).sample.doubts == said
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert jc.campaign(problem(), 90, folder=place, seed=3).sample.doubts == said
+    change_told(place, order=None)
+    with pytest.raises(ValueError, match="samples came in another order"):
+        jc.open_campaign(place)
+
+
+def test_a_sensitivity_of_0_32_computes_nothing(tmp_path, computed, monkeypatch):
+    asked = jc.FunctionProblem(
+        lambda a, b: a**2 * b, {n: jc.Dimension(2.0, jc.distribution.Normal(0.1)) for n in "ab"}
+    )
+    monkeypatch.setattr(batch, "threads_of", lambda: 2)
+    how = {"sample": 64, "difference_samples": 32}
+    plain = jc.sensitivity(asked, **how)
+    place = of_0_32("sensitivity", tmp_path / "old", asked)
+    computed.clear()
+    found = jc.campaign(asked, folder=place, study=jc.sensitivity, **how)
+    assert str(found.table()) == str(plain.table())
+    assert not computed
+    for old in place.glob("asked-*"):
+        shutil.rmtree(old)
+    assert str(jc.campaign(asked, folder=place, study=jc.sensitivity, **how)) == str(found)
+    assert not computed
+
+
+@pytest.mark.slow
+def test_a_design_and_a_life_of_0_32_compute_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(jc.FunctionProblem, "most_together", lambda _: 32)
+    asked = designed.problem()
+    place = of_0_32("design", tmp_path / "design", asked)
+    settings = jc.DesignSettings(surface=True, samples=64)
+    how = {"tolerance": designed.WIDE, "settings": settings, "store": place}
+    for _ in range(2):
+        found = jc.design(asked, designed.reciprocal(), designed.MEAN, **how)
+        assert found.computed == 0 and found.cost == pytest.approx(44.60038895511303, rel=1e-12)
+        shutil.rmtree(place / RECORDS, ignore_errors=True)
+    asked = ring(wearing_ring())
+    place = of_0_32("wear_life", tmp_path / "life", asked)
+    shutil.rmtree(place / RESULT)
+    life = jc.wear_life(asked, cycles=100, store=place)
+    assert life.simulated == len(list((place / PIECES).iterdir())) == 8
+    assert life.at_end("depth") == pytest.approx(2.2725736468912787e-09, rel=1e-12)
