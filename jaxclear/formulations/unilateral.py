@@ -29,6 +29,7 @@ from jaxclear.formulations.contact_rows import (
     ContactPoint,
     MiddleOfStep,
     TimeStep,
+    combined,
     split,
 )
 from jaxclear.formulations.delassus import DelassusOperator
