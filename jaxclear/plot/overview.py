@@ -65,7 +65,7 @@ def overview(run: Trajectory, *, ax: Any = None) -> Any:
     factor, unit = readable(np.concatenate(list(ways.values())), "m")
     for name, way in ways.items():
         places.plot(time, factor * way, lw=1.0, label=name)
-    places.set_ylabel(f"way from the start [{unit}]")
+    places.set_ylabel(f"displacement from the start [{unit}]")
     turns.set_ylabel("angular velocity [rad/s]")
     draw_forces(forces, run, *run.formulation.contact_joints(run.mechanism))
     forces.set_xlabel("time [s]")

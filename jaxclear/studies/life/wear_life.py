@@ -8,7 +8,6 @@ worn surfaces and numbers are inputs of it.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,12 +15,10 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
-from jaxclear.ground.shown import AbstractShown
-from jaxclear.ground.table import as_table
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
-from jaxclear.studies.datasets import of_rows
+from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
 from jaxclear.studies.ledger.ledger import Ledger
 from jaxclear.studies.life.cycle import as_problem, check_period
 from jaxclear.studies.life.rates import Rates
@@ -182,7 +179,7 @@ def _check_wears(problem: Problem) -> None:
             )
 
 
-class WearLives(AbstractShown):
+class WearLives(AbstractAnswer):
     """Lives of a sample. `values` (samples, variables) are the varied numbers, `lives` the life of
     each sample, None for one without a first cycle, `failed` why, by its index; `seed` of the
     sample."""
@@ -225,29 +222,22 @@ class WearLives(AbstractShown):
     def _shown(self):
         return self.sentence()
 
-    def to_dataset(self) -> Any:
-        """The table as an xarray Dataset over the lives, with provenance."""
-        return of_rows(
-            "wear lives", "life", self.table(), self.problem, result=str(self), seed=self.seed
-        )
-
-    def table(self) -> Any:
-        """A pandas table, a row a life: variables, cycles reached, the quantities at the end, the
-        error of the depth, how it ended, warnings."""
-        rows = []
-        ended = self.ended
-        for i, (values, life) in enumerate(zip(self.values, self.lives, strict=True)):
-            row = dict(zip(self.problem.names, map(float, values), strict=True))
-            if life is not None:
-                row["cycles"] = float(life.cycles[-1])
-                for name, unit in life.quantities.items():
-                    label = name if unit == "1" else f"{name} [{unit}]"
-                    row[label] = life.at_end(name)
-                row["error of depth"] = life.error
-            warnings = " ".join(life.warnings) if life else ""
-            rows.append(row | {"ended": ended.get(i, ""), "warnings": warnings})
-        units = dict(zip(self.problem.names, self.problem.variable_units, strict=True))
-        return as_table(rows, units=units | {"error of depth": "1"})
+    def _stated(self):
+        over, ended, names = ("life",), self.ended, self.problem.names
+        units = self.problem.variable_units
+        each = lambda read: [np.nan if life is None else read(life) for life in self.lives]
+        columns = {n: Column(over, self.values[:, i], units[i]) for i, n in enumerate(names)}
+        first = next(filter(None, self.lives), None)
+        if first is not None:
+            columns["cycles"] = Column(over, each(lambda life: float(life.cycles[-1])))
+            for name, unit in first.quantities.items():
+                own = each(lambda life, name=name: life.at_end(name))
+                columns[name] = Column(over, own, unit, label=with_unit(name, unit))
+            columns["error of depth"] = Column(over, each(lambda life: life.error), "1")
+        said = [" ".join(life.warnings) if life else "" for life in self.lives]
+        columns["ended"] = Column(over, [ended.get(i, "") for i in range(len(self.lives))])
+        columns["warnings"] = Column(over, said)
+        return Stated("wear lives", columns, self.problem, (), {"seed": self.seed})
 
 
 @answering
