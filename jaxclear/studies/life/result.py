@@ -111,7 +111,9 @@ class WearLife(AbstractAnswer):
         some of it."""
         shares = []
         for stage in self.stages:
-            other = np.asarray(ravel_pytree(stage.settled.by_saves)[0])
+            other = np.concatenate(
+                [np.ravel(own) for own in jax.tree.leaves(stage.settled.by_saves)]
+            )
             sizes = self.cells.sizes(other), self.cells.sizes(stage.node.rate.wear)
             shares.append(float(self.cells.shares(*sizes).max(initial=0.0)))
         return np.array(shares)
@@ -160,7 +162,8 @@ class WearLife(AbstractAnswer):
         a number."""
         at = self.cycles[-1] if cycles is None else cycles
         flat, back = ravel_pytree(self.new)
-        return jax.tree.map(np.asarray, back(self._row_at()(self._within(at))[: len(flat)]))
+        row: Any = self._row_at()(self._within(at))[: len(flat)]
+        return jax.tree.map(np.asarray, back(row))
 
     def state(self, cycles: float | None = None) -> State:
         """A start of a run on surfaces worn so far."""
