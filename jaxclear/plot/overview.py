@@ -33,9 +33,9 @@ from jaxclear.studies.advice import Advice
 from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.design.result import Design
 from jaxclear.studies.fidelity.result import MultiFidelity
-from jaxclear.studies.life.lives import WearLives
 from jaxclear.studies.life.result import WearLife
 from jaxclear.studies.life.settled import Settled
+from jaxclear.studies.life.wear_life import WearLives
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.reliability.result import Reliability
 from jaxclear.studies.sensitivity.derivative import Sensitivity

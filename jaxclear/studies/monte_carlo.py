@@ -28,14 +28,21 @@ from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
 from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
 from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, responses_of, until_accurate
-from jaxclear.studies.statistics.accuracy import asked_of
-from jaxclear.studies.statistics.error_budget import error_budget
-from jaxclear.studies.statistics.limits import Limits, check_limits, yield_of
-from jaxclear.studies.statistics.numerical_error import NumericalError
+from jaxclear.studies.statistics.accuracy import NumericalError, asked_of
+from jaxclear.studies.statistics.limits import (
+    SIDES,
+    Limits,
+    ToleranceInterval,
+    check_limits,
+    free_interval,
+    normal_interval,
+    yield_of,
+)
 from jaxclear.studies.statistics.scrambled import (
     Statistic,
     capability,
     deviation,
+    error_budget,
     jackknifed,
     quantile,
 )
@@ -47,12 +54,6 @@ from jaxclear.studies.statistics.summary import (
     summary_of,
     summary_row,
     warnings_of,
-)
-from jaxclear.studies.statistics.tolerance_interval import (
-    SIDES,
-    ToleranceInterval,
-    free_interval,
-    normal_interval,
 )
 from jaxclear.studies.warned import any_warning, counted, in_words, warned_of
 

@@ -29,7 +29,7 @@ from jaxclear.studies.design.population import Points, points
 from jaxclear.studies.design.question import Question
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.endless import bounded
-from jaxclear.studies.sensitivity.direction import Direction, weights
+from jaxclear.studies.sensitivity.estimand import Direction, weights
 
 # How often multipliers are set anew, steps between, and new runs of each step.
 ROUNDS, STEPS, RUNS = 6, 60, 64

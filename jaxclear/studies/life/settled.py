@@ -9,7 +9,6 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxclear.components.joint.base import drive_of
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.ground.shown import AbstractShown
@@ -22,12 +21,13 @@ from jaxclear.simulation.simulate import SimulationError
 from jaxclear.simulation.wear import Worn
 from jaxclear.studies.datasets import of_rows
 from jaxclear.studies.life.cycle import (
-    Cycle,
     as_problem,
     as_state,
     asked_of,
+    check_period,
     cycle,
     first_state,
+    restless,
     worst_of,
 )
 from jaxclear.studies.life.settling import (
@@ -39,10 +39,6 @@ from jaxclear.studies.life.settling import (
     total,
 )
 from jaxclear.studies.problem import Problem
-
-# A place within this of where it was [rad, m] is the same place; a period is written with so many
-# digits.
-SAME_PLACE = 1e-5
 
 
 class Settled(AbstractShown):
@@ -175,6 +171,7 @@ def settled(
     values = problem.nominal()
     begin, worn = first_state(problem, values)
     needed = asked_of(problem, values)
+    check_period("settled", problem, float(begin.time), cycles)
     runs: list[Trajectory] = []
 
     def one(motion, surfaces):
@@ -184,42 +181,13 @@ def settled(
         return kept
 
     with progress.bar(progress_bar, "settling"):
-        found = settle(
-            one, begin, worn, Patience(tolerance, 1.0, cycles), lambda c: not restless(problem, c)
-        )
+        ready = lambda c: not restless(problem, float(c.end.time) - float(problem.duration))
+        found = settle(one, begin, worn, Patience(tolerance, 1.0, cycles), ready)
     run = eqx.tree_at(lambda r: r.history.mechanism, runs[0], problem.seen(values))
     result = Settled(problem, found, run, worn, tolerance)
     if found.last.fault:
         if throw:
             raise SimulationError(result.sentence(), runs[0])
         return result
-    check_period("settled", problem, found.last)
+    check_period("settled", problem, float(found.last.end.time) - float(problem.duration))
     return result
-
-
-def restless(problem: Problem, one: Cycle) -> dict[str, tuple[float, float]]:
-    """The drives that do not repeat over a cycle: by joint, what they move it by [rad, m], and how
-    far that is from where it was."""
-    end, found = one.end.time, {}
-    for name in problem.mechanism.driven:
-        joint = problem.mechanism.connections[name].joint
-        drive = drive_of(joint)
-        assert drive is not None
-        before, after = (drive.motion(t)[0] for t in (end - problem.duration, end))
-        poses = [joint.motion((q,)) for q in (before, after)]
-        parts = [np.array([[*p.rotation[i], p.translation[i]] for i in range(3)]) for p in poses]
-        away = float(np.linalg.norm(parts[1] - parts[0]))
-        if away > SAME_PLACE:
-            found[name] = float(after - before), away
-    return found
-
-
-def check_period(owner: str, problem: Problem, one: Cycle) -> None:
-    """Raises `ValueError` where a drive does not repeat over a cycle."""
-    for name, (moved, away) in restless(problem, one).items():
-        unit = problem.mechanism.connections[name].joint.units[0]
-        raise ValueError(
-            f'the drive of joint "{name}" moves it by {moved:.6g} {unit} in a period of '
-            f"{float(problem.duration):.6g} s, which leaves it {away:.2g} from where it was: give "
-            f"{owner} the period after which the drives repeat."
-        )

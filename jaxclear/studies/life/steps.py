@@ -58,7 +58,7 @@ MOST_FAILURES = 6
 PARTS, MOST_PARTS, OF_TOLERANCE = 8, 64, 0.1
 ORDERS = np.sqrt(2.0), 4.0
 # Where a step is looked at on its way: more often where a new wall wears fast.
-ON_THE_WAY = (0.0625, 0.25, 0.5625)
+ON_THE_WAY = (4**-4, 4**-3, 4**-2, 4**-1, 9 / 16)
 # A surface that wears less than this share of the one that wears most is judged beside that.
 NEGLIGIBLE = 0.01
 # A normal variable stays within this many deviations in 95 % of cases; errors told are that many.

@@ -39,15 +39,19 @@ from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
-from jaxclear.studies.statistics.scrambled import ROUNDING, UNKNOWN, Statistic, jackknifed
+from jaxclear.studies.statistics.scrambled import (
+    ROUNDING,
+    SAMPLES_A_TERM,
+    UNKNOWN,
+    Statistic,
+    jackknifed,
+)
 from jaxclear.studies.surface.fitting import HIGHEST
 from jaxclear.studies.surface.polynomials import levels, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.surface.variances import Expansion
 from jaxclear.studies.warned import told
 
-# Runs for each term of a polynomial: as in `jaxclear.sensitivity`.
-RUNS_A_TERM = 6
 # Parts beyond the outermost of n independent runs are more than this over n once in 2000 samples.
 MOST_OUTSIDE = 10.0
 # Terms at the most: their equations are solved once for each scrambling.
@@ -245,7 +249,7 @@ class _Polynomial(NamedTuple):
         """Of the degree that predicts the left out scramblings best, for each response; None where
         runs are too few for a line."""
         runs = rows.shape[0] * (rows.shape[1] - max(int(own.sum()) for own in scramblings))
-        most = min(runs // RUNS_A_TERM, MOST_TERMS)
+        most = min(runs // SAMPLES_A_TERM, MOST_TERMS)
         if len(scramblings) < 2 or most < at.shape[2] + 1:
             return None
         polynomials = orthonormal(at[:2].reshape(-1, at.shape[2]), HIGHEST)

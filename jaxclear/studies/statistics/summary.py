@@ -7,8 +7,8 @@ import numpy as np
 
 from jaxclear.ground.table import as_table
 from jaxclear.integrators import Outcome
+from jaxclear.studies.statistics.accuracy import NumericalError
 from jaxclear.studies.statistics.limits import Limits
-from jaxclear.studies.statistics.numerical_error import NumericalError
 from jaxclear.studies.statistics.scrambled import UNKNOWN, deviation, standard_error
 
 # Columns of means and deviations, and those of their errors, in tables of other studies.
