@@ -158,6 +158,14 @@ BUILT = {
         connections=RIG.connections
         | {"A": jc.Connection(jc.joint.Revolute(), "crank", "rod", at=(0.05, 0.0, 0.01))},
     ),
+    "an arm with upright axes, drawn in space": lambda: jc.Mechanism(
+        {"upper": jc.Body(2.0, 0.02, (0.15, 0.0)), "lower": jc.Body(1.0, 0.01, (0.1, 0.0))},
+        {
+            "shoulder": jc.Connection(jc.joint.Revolute(), "ground", "upper", at=(0.0, 0.0, 0.4)),
+            "elbow": jc.Connection(jc.joint.Revolute(), "upper", "lower", at=(0.3, 0.0, 0.0)),
+        },
+        {"g": jc.load.Gravity((0.0, 0.0, -9.81))},
+    ),
     "a boom": lambda: jc.Mechanism(
         {"boom": jc.Body(290.0, 3e5, (30.0, 0.0))},
         {"hinge": jc.Connection(jc.joint.Revolute(), "ground", "boom")},
