@@ -122,10 +122,10 @@ def _pose_in_gap(
     """(offset [m] of the journal's centre in the gap, its axes on which the gap depends)."""
     share = 1 / len(ends)
     offset = sp.scale(share, sp.plus(sp.ZERO, *(end.offset for end in ends)))
-    closes = held.loop is not None
-    pose: Any = (
-        kinematics.relative_motion(system.closures[held.loop], motions)[1] if closes else None
-    )
+    pose: Any = None
+    if held.loop is not None:
+        pose = kinematics.relative_motion(system.closures[held.loop], motions)[1]
+    closes = pose is not None
     if held.joint.gap_axes == (0, 1, 2):
         if not closes and system.topology.branches[held.link].reversed:
             return offset, held.joint.motion(q[held.link]).rotation
@@ -141,7 +141,7 @@ def _pose_in_gap(
     # Turns of the journal are large, leans of the order of clearance over length.
     found = {2: (lean[0], lean[1], 1)}
     if 0 in held.joint.gap_axes:
-        turned = None if closes else q[held.link][0]
+        turned: Any = 0.0 if closes else q[held.link][0]
         found[0] = (
             sp.transpose(pose.rotation)[0] if closes else (jnp.cos(turned), jnp.sin(turned), 0)
         )
