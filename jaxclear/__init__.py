@@ -76,11 +76,9 @@ from jaxclear.studies.design.search import DesignSettings
 from jaxclear.studies.fidelity.multi_fidelity import multi_fidelity
 from jaxclear.studies.function_problem import Dimension, FunctionProblem
 from jaxclear.studies.life.derivative import wear_life_derivatives
-from jaxclear.studies.life.life_problem import LifeProblem
-from jaxclear.studies.life.life_response import AbstractLifeResponse, LifeEnd, LifeUntil
-from jaxclear.studies.life.lives import wear_lives
+from jaxclear.studies.life.life_problem import AbstractLifeResponse, LifeEnd, LifeProblem, LifeUntil
 from jaxclear.studies.life.settled import settled
-from jaxclear.studies.life.wear_life import wear_life
+from jaxclear.studies.life.wear_life import wear_life, wear_lives
 from jaxclear.studies.monte_carlo import monte_carlo
 from jaxclear.studies.position_problem import PositionProblem
 from jaxclear.studies.problem import Problem

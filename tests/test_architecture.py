@@ -35,6 +35,20 @@ FLOORS = (
     ("commands",),
 )
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
+# Floors of the room of studies, from below; files, or folders, on one floor may import each other.
+STUDIES = (
+    # What a study asks, and what it answers.
+    "base distribution inputs variable limit_state texts answer endless warned",
+    "ledger",
+    "mechanism_problem function_problem position_problem problem "
+    "chosen_integrator usual_integrator",
+    "sampling scrambling sequential replicas statistics",
+    "monte_carlo sweep worst_case advice",
+    "campaign.result campaign.samples campaign.dataset campaign.recorded",
+    "surface",
+    "statistics.shapley statistics.sobol_indices sensitivity fidelity reliability design life",
+    "campaign",
+)
 LONGEST_FILE, LONGEST_FUNCTION, MOST_ARGUMENTS, LONGEST_LINE = 600, 80, 9, 100
 # What users call with names; each argument is a question that many ask.
 FRONT_DOORS = {("simulation/simulate.py", "simulate"): 10}
@@ -94,6 +108,28 @@ def test_imports_point_downward(path):
         assert module != "jaxclear" or here == "commands", (
             f"{identify(path)} imports the whole package"
         )
+
+
+def floor_of_studies(module):
+    """The floor of a module of the room of studies, that of the longest name given; None of others
+    and of the room's own face."""
+    own = module.removeprefix("jaxclear.studies.")
+    known = {name: number for number, names in enumerate(STUDIES) for name in names.split()}
+    fits = [name for name in known if f"{own}.".startswith(f"{name}.")]
+    return known[max(fits, key=len)] if own != module and fits else None
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "studies").rglob("*.py")), ids=identify)
+def test_imports_between_studies_point_downward(path):
+    name, stated = module_name(path), {own for names in STUDIES for own in names.split()}
+    here = floor_of_studies(name)
+    assert here is not None or name == "jaxclear.studies", "the file stands on no floor"
+    # `from file import name` is the file; a name in it has its file's floor too.
+    for module in imports(path):
+        there = floor_of_studies(module)
+        assert there is None or there <= here, f"{identify(path)} imports {module}"
+    files = {module_name(file).removeprefix("jaxclear.studies.") for file in FILES}
+    assert stated <= files
 
 
 def test_no_circle_of_imports():

@@ -171,5 +171,13 @@ def test_completion_shows_public_names_alone_and_families_are_imported_by_name()
         assert importlib.import_module(path) is place
 
 
+def test_signatures_name_types_as_they_are_typed():
+    """A user reads them by `help`; the room of a class is no business of his."""
+    functions = [f for f in vars(jaxclear).values() if inspect.isfunction(f)]
+    shown = [str(inspect.signature(f)) for f in functions if f.__name__ in jaxclear.__all__]
+    assert shown and not re.findall(r"jaxclear(?:\.[a-z_]+){2,}", " ".join(shown))
+    assert "mechanism: jaxclear.Mechanism" in " ".join(shown)
+
+
 if __name__ == "__main__":
     PINNED.write_text(json.dumps(surface(), indent=1, sort_keys=True) + "\n")

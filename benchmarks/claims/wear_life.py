@@ -1,5 +1,5 @@
-"""What a wear life costs at which error: on loads that fall with wear, whose depth has a closed
-form, beside the fixed factor of the papers; lives of a million cycles of the four-bar and of the
+"""What a wear life costs at which error: on closed forms, and on loads that fall with wear also
+beside the fixed factor of the papers; lives of a million cycles of the four-bar and of the
 3RSR, judged by one with a tighter tolerance; and whether the error told of chaotic motion is that
 by which lives from other starts differ.
 
@@ -9,7 +9,7 @@ warm program; "first time": with compiling.
 
 import math
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,7 +18,8 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.measure import arguments, report, sign
-from tests.rigs.wearing_ring import ClosedForm, problem, wearing_ring
+from tests.rigs.wearing_ring import FORCE, SLOPE, STIFFNESS, ClosedForm, problem, wearing_ring
+from tests.rigs.worn_scar import crescent, lost, scar
 
 # Depth [m] at which the force has fallen to about a half, by law.
 LAWS = {"exponential": (False, 5e-6), "square root": (True, 1e-5)}
@@ -32,6 +33,8 @@ PARALLEL = {"quiet": (1.0, 5e-5), "rattling": (0.3, 2e-5)}
 # Cycles a rate at the most: by default, and as many as run side by side.
 MOST = {"quiet": (12,), "rattling": (12, 48)}
 WEAR_COEFFICIENT, MILLION, STARTS = 2e-5, 1e6, 12
+# Radial clearances [m] of a bushing that wears 127 um deep; jumps of a life for comparison.
+BUSHINGS, BUSHED, FINE = (100e-6, 50e-6, 25e-6), 127e-6, 300
 
 
 def timed(*args: Any, **kwargs: Any) -> tuple[Any, float]:
@@ -39,6 +42,103 @@ def timed(*args: Any, **kwargs: Any) -> tuple[Any, float]:
     begun = time.process_time()
     life = jc.wear_life(*args, **kwargs)
     return life, time.process_time() - begun
+
+
+class Form(NamedTuple):
+    """A problem with a closed form, the `turns` until a `depth` [m] (nan: only its volume has one);
+    `even`: all cells wear alike, so that cells decide nothing."""
+
+    problem: jc.Problem
+    turns: float
+    depth: float
+    even: bool = True
+
+
+def forms() -> dict[str, Form]:
+    """Closed forms by name."""
+    falling, root, growing, flat = (
+        ClosedForm(**own) for own in ({}, {"hyperbolic": True}, {"slope": -SLOPE}, {"slope": 0.0})
+    )
+    ring = lambda **own: problem(wearing_ring(**own))
+    found = {
+        "load falls, exponential": Form(ring(), falling.turns(5e-6), 5e-6),
+        "load falls, square root": Form(ring(hyperbolic=True), root.turns(1e-5), 1e-5),
+        "load grows, unbalance": Form(ring(slope=-SLOPE), growing.turns(5e-6), 5e-6),
+        "constant load": Form(ring(slope=0.0), 2e-5 / flat.rate(0.0), 2e-5),
+        "crescent, spring relaxes": Form(
+            ring(worn=("journal",), cells=288), falling.turns_of_crescent(5e-6), 5e-6, False
+        ),
+    }
+    for clearance in BUSHINGS:
+        turns = crescent(BUSHED, clearance) / lost(clearance)
+        name = f"bushing, {1e6 * clearance:.0f} um clearance"
+        found[name] = Form(scar(clearance, 36), turns, BUSHED, False)
+    # The journal, which turns, wears evenly by as much and leaves the bearing more clearance.
+    both = crescent(60e-6, BUSHINGS[1]) / lost(BUSHINGS[1])
+    found["bushing, both wear"] = Form(scar(BUSHINGS[1], 36, journal=True), both, math.nan, False)
+    return found
+
+
+def form_rows() -> list[dict[str, Any]]:
+    """A row for each closed form, at 1 %: how far the deepest cell is from it. The true error is
+    that where cells wear alike; of a crescent, whose depth hangs on their number, it is how far all
+    cells are from a life by many small steps on the same ones."""
+    rows = []
+    for name, form in forms().items():
+        life = jc.wear_life(form.problem, cycles=form.turns)
+        deepest = life.at_end("depth") / form.depth - 1
+        true = abs(deepest)
+        if not form.even:
+            fine = jc.wear_life(form.problem, cycles=form.turns, jump=form.turns / FINE)
+            true = _off(life, fine)
+        rows.append(
+            {
+                "closed form": name,
+                "cycles": life.simulated,
+                "steps taken back": life.rejected,
+                "deepest, off closed form [%]": None if math.isnan(deepest) else 100 * deepest,
+                "true error [%]": 100 * true,
+                "error told [%]": 100 * life.error,
+                "told / true": life.error / true,
+                "volume told [%]": 100 * float(life.errors_of_volume[-1]),
+            }
+        )
+    return rows
+
+
+def _off(life: Any, other: Any) -> float:
+    """Root mean square over the cells, of the worst surface, as a share of that of their depth."""
+    shares = []
+    for joint, surface in life.surfaces:
+        mine, theirs = (np.asarray(each.worn()[joint][surface]) for each in (life, other))
+        shares.append(math.sqrt(np.mean((mine - theirs) ** 2) / np.mean(theirs**2)))
+    return max(shares)
+
+
+def derivative_rows() -> list[dict[str, Any]]:
+    """Derivatives of lives beside those of their closed forms."""
+    law, limit = ClosedForm(), 4e-6
+    life = jc.wear_life(problem(wearing_ring()), cycles=1.2 * law.turns(limit))
+    stiff = 1 / (1 + FORCE * SLOPE / STIFFNESS)
+    exact = {"hardness": law.turns(limit) / 2e9, "load": -law.turns(limit) / FORCE * stiff}
+    found = {
+        f"load falls: life by {name}": (own, exact[name])
+        for name, own in jc.wear_life_derivatives(life, "depth", limit).items()
+    }
+    clearance, step = BUSHINGS[1], 1e-7
+    worn = jc.wear_life(scar(clearance, 288), cycles=1e4)
+    limit = 0.7 * worn.at_end("depth")
+    own = jc.wear_life_derivatives(worn, "depth", limit)["clearance"]
+    turns = [crescent(limit, c) / lost(c) for c in (clearance + step, clearance - step)]
+    found["bushing: life by clearance"] = own, (turns[0] - turns[1]) / (2 * step)
+    return [
+        {
+            "derivative": name,
+            "off [%]": 100 * abs(own.value / wanted - 1),
+            "error told [%]": 100 * own.error / abs(wanted),
+        }
+        for name, (own, wanted) in found.items()
+    ]
 
 
 def closed_form_rows(laws: dict) -> list[dict[str, Any]]:
@@ -176,6 +276,8 @@ def chaotic_rows() -> list[dict[str, Any]]:
 def _chaotic_row(most: int) -> dict[str, Any]:
     rig, period = jc.scenes.slider_crank(wear=True), 2 * math.pi / 50
     state, volumes, told, cycles = None, [], [], []
+    depths: list[np.ndarray] = []
+    of_depth: list[float] = []
     for _ in range(STARTS):
         settled = jc.settled(rig, period, cycles=5, state=state)
         state = settled.state
@@ -189,14 +291,20 @@ def _chaotic_row(most: int) -> dict[str, Any]:
         )
         volumes.append(float(life.over_life("volume")[-1]))
         told.append(float(life.errors_of_volume[-1]))
+        depths.append(np.asarray(life.worn()["B"]["bearing"]))
+        of_depth.append(life.error)
         cycles.append(life.simulated)
     scatter = np.std(volumes, ddof=1) / np.mean(volumes)
+    mean = np.mean(depths, axis=0)
+    apart = np.sqrt(np.mean(np.square(depths - mean)) / np.mean(mean**2) * STARTS / (STARTS - 1))
     return {
         "cycles a rate, at most": most,
         "lives": STARTS,
         "cycles each, mean": float(np.mean(cycles)),
         "scatter of volume, 1.96 sigma [%]": 196 * float(scatter),
         "error told, mean [%]": 100 * float(np.mean(told)),
+        "scatter of depths, 1.96 sigma [%]": 196 * float(apart),
+        "error of depth told, mean [%]": 100 * float(np.mean(of_depth)),
         "within what they tell": int(
             sum(abs(v / np.mean(volumes) - 1) <= t for v, t in zip(volumes, told, strict=True))
         ),
@@ -207,13 +315,20 @@ def main() -> None:
     more = {"only": {"default": "", "help": "only tables whose title holds this"}}
     options = arguments(__doc__, **more)
     laws = {"exponential": LAWS["exponential"]} if options.quick else LAWS
+    forms_at_once = {
+        "Closed forms at 1 %": form_rows,
+        "Derivatives of lives beside closed forms": derivative_rows,
+    }
+    measured = []
+    for title, rows_of in forms_at_once.items():
+        if options.only in title:
+            report(title, rows_of(), options)
+            measured.append(title)
     if not options.only:
         rows = closed_form_rows(laws)
         report("A load that falls with wear: error and cost", rows, options)
         report("Cycles for an error", cost_rows(rows), options)
-        measured = ["A load that falls with wear: error and cost", "Cycles for an error"]
-    else:
-        measured = []
+        measured += ["A load that falls with wear: error and cost", "Cycles for an error"]
     lives = {
         "A million cycles of the planar four-bar": million_rows,
         "A million cycles of the 3RSR": parallel_rows,

@@ -263,17 +263,17 @@ def chosen(
     spent, found = search.spent, search.best or search.nearest
     if found is None:
         usual = Adaptive() if rungs[0].controlled else rungs[0].first
-        why = f"Run with integrator.{as_typed(usual)}: of the settings tried none tells."
+        why = f"Run with integrator.{as_typed(usual)}: no setting tried gives an estimate."
         return Chosen(usual, why, math.inf, 0, spent)
     if search.best is not None:
         why = (
-            f"the cheapest setting tried that keeps the accuracy asked (told {found.told:.0%} of "
-            f"it), {found.work} evaluations of forces a run"
+            f"the cheapest setting tried that keeps the accuracy asked (estimated error "
+            f"{found.told:.0%} of it), {found.work} evaluations of forces a run"
         )
     else:
         why = (
             f"nothing within {search.budget:.2g} evaluations of forces keeps the accuracy asked; "
-            f"{found.worst} is told to {found.told:.2g} times that"
+            f"the error of {found.worst} is {found.told:.2g} times that"
         )
     why = f"Run with integrator.{as_typed(found.integrator)}: {why}."
     return Chosen(found.integrator, why, found.told, found.work, spent)

@@ -25,6 +25,9 @@ LONGEST_NUMBER = 400
 LONGEST_PLACE, LONGEST_SENTENCE = 300, 1500
 # So PyYAML (6.0.4 on) tells that lists open far deeper than that, before it hands them on.
 TOO_DEEP = "maximum nesting depth"
+TOO_MANY = f"holds more than {MOST_VALUES} values"
+# A text of JSON, and a list or mapping without values.
+QUOTED, EMPTY = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"'), re.compile(r"[\[{]\s*[\]}]")
 YAML, JSON = (".yaml", ".yml"), (".json",)
 # YAML 1.2.2, section 10.3.2, https://yaml.org/spec/1.2.2/.
 NULLS = {"", "~", "null", "Null", "NULL"}
@@ -94,6 +97,9 @@ def parsed(text: str, suffix: str) -> Node:
 
 
 def _of_json(text: str) -> Node:
+    # Before anything is built: millions of values take minutes and gigabytes.
+    if _most_values(text) > MOST_VALUES and values_of(text) > MOST_VALUES:
+        raise Misread(f"{TOO_MANY}.")
     try:
         found = json.loads(text, object_pairs_hook=_Pairs, parse_constant=_no_number)
     except json.JSONDecodeError as error:
@@ -105,6 +111,18 @@ def _of_json(text: str) -> Node:
     except ValueError:
         raise Misread("holds a whole number of thousands of digits.") from None
     return _of_value(found, 0)
+
+
+def _most_values(text: str) -> int:
+    """A bound of the values in a text of JSON: each but the outermost follows a comma or opens a
+    list or mapping."""
+    return 1 + sum(map(text.count, ",[{"))
+
+
+def values_of(text: str) -> int:
+    """The values in a text of JSON, names not counted."""
+    bare = QUOTED.sub('"', text)
+    return _most_values(bare) - len(EMPTY.findall(bare))
 
 
 class _Pairs(list):
@@ -190,9 +208,7 @@ def _built(events: Any, yaml: Any) -> Node:
         if node is None:
             continue
         if node.size > MOST_VALUES or (stack and stack[-1].size > MOST_VALUES):
-            raise Misread(
-                f"line {node.line}: holds more than {MOST_VALUES} values, aliases written out."
-            )
+            raise Misread(f"line {node.line}: {TOO_MANY}, aliases written out.")
         if stack:
             stack[-1].take(node)
         elif found is not None:

@@ -103,6 +103,15 @@ def lightness(row: ContactJacobianRow, diagonal: list) -> Any:
     return sp.total(entry * entry / diagonal[j] for j, entry in row.items())
 
 
+def combined(rows: Sequence[ContactJacobianRow], weights: Sequence[Any]) -> ContactJacobianRow:
+    """The sum of rows with these weights."""
+    out: ContactJacobianRow = {}
+    for row, weight in zip(rows, weights, strict=True):
+        for j, entry in row.items():
+            out[j] = sp.add(out.get(j, 0), sp.mul(weight, entry))
+    return {j: entry for j, entry in out.items() if not sp.is_zero(entry)}
+
+
 def split(values: Any, counts: Sequence[int]) -> list[tuple]:
     """The parts of a list, one after the other."""
     out, start = [], 0

@@ -169,13 +169,17 @@ class PermanentContact(AbstractFormulation):
         found = response.at(friction)
         after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
         mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]
-        sliding = _sliding(held, slips, mean)
+        pairs = list(zip(held, slips, strict=True))
+        sliding = [one.joint.arm * slip.at(mean) for one, own in pairs for slip in own]
         ends = ends_that_wear(system, found, friction)
         centres = centres_of(system, ends)
         goes = _rates_of(centres, last[len(v) : -1], h)
         worn = wear_rates(model, motions, motion[0], ends, sliding, goes)
         gained = [h * rate for rate in (*angle_rates(system, layout, motions), *worn)]
-        gained += [h * x for x in _acting(held, found.reactions, friction)]
+        for one, reaction, place in zip(held, found.reactions, placed(held), strict=True):
+            pressed = pressing(one, reaction, own_part(friction, place))
+            acting = [*reaction.force, *reaction.torque, *friction[place], pressed]
+            gained += [h * x for x in acting]
         if layout.energies:
             rates = _powers(model, forces, found, friction, sliding)
             gained += [h * rate for rate in rates]
@@ -209,24 +213,6 @@ def _rates_of(centres: Centres, before: Any, h: Any) -> Centres:
             way = sp.minus(centre, known)
             rates[name].append(tuple(jnp.where(there, x / h, 0.0) for x in way))
     return rates
-
-
-def _acting(held: tuple, reactions: tuple, friction: Any) -> list:
-    """Reaction, friction and sum of the normal forces of each joint."""
-    out: list[Any] = []
-    for one, reaction, place in zip(held, reactions, placed(held), strict=True):
-        pressed = pressing(one, reaction, own_part(friction, place))
-        out += [*reaction.force, *reaction.torque, *friction[place], pressed]
-    return out
-
-
-def _sliding(held: tuple, slips: list, speeds: list) -> list:
-    """Sliding speeds [m/s] of the joints at these speeds, of a ball three components."""
-    return [
-        one.joint.arm * slip.at(speeds)
-        for one, own in zip(held, slips, strict=True)
-        for slip in own
-    ]
 
 
 def _powers(model: Model, forces: Forces, found: Answer, friction: Any, slips: list) -> list:

@@ -213,16 +213,14 @@ def friction_response(model: Model, forces: Forces, q: tuple) -> FrictionRespons
     """How the mechanism answers friction [N] in its touching joints, at coordinates `q`."""
     held = touching(model.system)
     rest = jnp.zeros(sum(one.joint.components for one in held))
-    without, push = jax.linearize(
-        lambda friction: sp.dense(_answer(model, forces, q, held, friction)), rest
-    )
+
+    def answer(friction):
+        acting = with_friction(model.system, forces, friction)
+        solution = dynamics.forward_dynamics(model.system, acting, model.stabilisation)
+        return sp.dense(answer_to(model.system, acting, q, held, solution))
+
+    without, push = jax.linearize(answer, rest)
     return FrictionResponse(without, [push(rest.at[k].set(1.0)) for k in range(len(rest))])
-
-
-def _answer(model: Model, forces: Forces, q: tuple, touching_joints: tuple, friction) -> Answer:
-    forces = with_friction(model.system, forces, friction)
-    solution = dynamics.forward_dynamics(model.system, forces, model.stabilisation)
-    return answer_to(model.system, forces, q, touching_joints, solution)
 
 
 def answer_to(

@@ -122,45 +122,27 @@ def _pose_in_gap(
     """(offset [m] of the journal's centre in the gap, its axes on which the gap depends)."""
     share = 1 / len(ends)
     offset = sp.scale(share, sp.plus(sp.ZERO, *(end.offset for end in ends)))
+    pose: Any = None
+    if held.loop is not None:
+        pose = kinematics.relative_motion(system.closures[held.loop], motions)[1]
+    closes = pose is not None
     if held.joint.gap_axes == (0, 1, 2):
-        return offset, _ball_axes(system, motions, q, held)
+        if not closes and system.topology.branches[held.link].reversed:
+            return offset, held.joint.motion(q[held.link]).rotation
+        turn = pose.rotation if closes else held.joint.motion(q[held.link]).rotation
+        return offset, sp.transpose(turn)
     lean: sp.Vec = sp.ZERO
     if held.joint.gap_axes and len(ends) == 2:
         between = sp.minus(ends[1].offset, ends[0].offset)
         lean = sp.scale(1 / (ends[1].height - ends[0].height), between)
     if held.joint.units == ("m",):
-        place = (*offset[:2], _slid_to(system, motions, q, held))
+        place = (*offset[:2], pose.translation[2] if closes else q[held.link][0])
         return place, ((1, 0, sp.neg(lean[0])), (lean[0], lean[1], 1))
     # Turns of the journal are large, leans of the order of clearance over length.
     found = {2: (lean[0], lean[1], 1)}
     if 0 in held.joint.gap_axes:
-        found[0] = _journal_x(system, motions, q, held)
+        turned: Any = 0.0 if closes else q[held.link][0]
+        found[0] = (
+            sp.transpose(pose.rotation)[0] if closes else (jnp.cos(turned), jnp.sin(turned), 0)
+        )
     return offset, tuple(found[axis] for axis in held.joint.gap_axes)
-
-
-def _slid_to(system: System, motions: tuple, q: tuple, held: PermanentJoint) -> Any:
-    """Where along the guide the slider's marker is [m]."""
-    if held.loop is not None:
-        pose = kinematics.relative_motion(system.closures[held.loop], motions)[1]
-        return pose.translation[2]
-    (place,) = q[held.link]
-    return place
-
-
-def _journal_x(system: System, motions: tuple, q: tuple, held: PermanentJoint) -> sp.Vec:
-    """The x axis of the journal's marker in the bearing's axes."""
-    if held.loop is not None:
-        pose = kinematics.relative_motion(system.closures[held.loop], motions)[1]
-        return sp.transpose(pose.rotation)[0]
-    (turned,) = q[held.link]
-    return (jnp.cos(turned), jnp.sin(turned), 0)
-
-
-def _ball_axes(system: System, motions: tuple, q: tuple, held: PermanentJoint) -> tuple:
-    """The axes of the ball's marker in the socket's axes."""
-    if held.loop is not None:
-        pose = kinematics.relative_motion(system.closures[held.loop], motions)[1]
-        return sp.transpose(pose.rotation)
-    rotation = held.joint.motion(q[held.link]).rotation
-    turned_round = system.topology.branches[held.link].reversed
-    return rotation if turned_round else sp.transpose(rotation)

@@ -177,7 +177,9 @@ class RigidContact(AbstractFormulation):
         if settings.project and contacts and not settings.gentle:
             before = (end.coordinates, v)
             end = project(model, time_step, middle, contacts, delassus, before, settings)
-        after = [*end.coordinates, *v, *_memories(model, entries)]
+        # What compliant laws would remember; nothing reads it here.
+        remembered = model.layout.memory_start + model.layout.memory_count
+        after = [*end.coordinates, *v, *entries[model.layout.memory_start : remembered]]
         over = None if rubbed is None else rubbed_over(model, middle, joints, rubbed, mean)
         passive = _passive(model, time_step, middle, delassus, impact, mean, end, over)
         after += [x + change for x, change in zip(entries[len(after) :], passive, strict=True)]
@@ -196,12 +198,6 @@ def _begun(model: Model, time_step: TimeStep, state: State, last: Float[Array, "
     names = [name for name, own in model.system.bearings.items() for _ in own.contact_laws]
     contacts = unilateral_contacts(middle.free_motion.contacts, names, handed[count:-1])
     return entries, handed, middle, contacts
-
-
-def _memories(model: Model, entries: list) -> list:
-    """What compliant laws would remember; nothing reads it here."""
-    layout = model.layout
-    return entries[layout.memory_start : layout.memory_start + layout.memory_count]
 
 
 def check_friction(mechanism: Mechanism, integrator: str) -> None:

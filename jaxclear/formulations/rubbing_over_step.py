@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from jaxclear.complementarity.joint_friction import across
 from jaxclear.components.clearance import carried_load
-from jaxclear.formulations.contact_rows import ContactJacobianRow, MiddleOfStep, lightness
+from jaxclear.formulations.contact_rows import ContactJacobianRow, MiddleOfStep, combined, lightness
 from jaxclear.formulations.joint_friction import passive_of
 from jaxclear.formulations.laws_over_step import Averaging
 from jaxclear.formulations.model import Model
@@ -62,7 +62,9 @@ def joints_over_step(
     for held, reaction in zip(touching(system), reactions, strict=True):
         slips, arm = slips_of(system, motions, held, middle.predicted), held.joint.arm
         directions = _directions(held, reaction)
-        rows = tuple(_combined(direction, arm, slips) for direction in directions)
+        own = [slip.row for slip in slips]
+        weights = [tuple(sp.mul(arm, part) for part in direction) for direction in directions]
+        rows = tuple(combined(own, each) for each in weights)
         begun = tuple(
             sp.mul(arm, sp.dot(direction, [slip.at(middle.v) for slip in slips]))
             for direction in directions
@@ -84,14 +86,6 @@ def _directions(held: PermanentJoint, reaction: Reaction) -> tuple[tuple, ...]:
         return ((1,),)
     size = sp.norm(reaction.force)
     return across(tuple(safe_divide(x, size) for x in reaction.force))
-
-
-def _combined(direction: tuple, arm: Any, slips: tuple[Slip, ...]) -> ContactJacobianRow:
-    row: dict[int, Any] = {}
-    for part, slip in zip(direction, slips, strict=True):
-        for j, entry in slip.row.items():
-            row[j] = sp.add(row.get(j, 0), sp.mul(sp.mul(arm, part), entry))
-    return row
 
 
 def _taken_at(held: PermanentJoint, load: Any, lightnesses: list, averaging: Averaging) -> Any:

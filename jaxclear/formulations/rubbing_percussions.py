@@ -169,7 +169,11 @@ def _problem(
     unknowns: list[dict] = [{i: 1} for i in range(first)]
     for own in joints:
         unknowns += own.unknowns()
-    rows = [[_between(search.matrix, a, b) for b in unknowns] for a in unknowns]
+    # How the rate along one combination of rows answers a unit force along another.
+    answer = lambda a, b: sp.total(
+        sp.mul(sp.mul(x, y), search.matrix[i][j]) for i, x in a.items() for j, y in b.items()
+    )
+    rows = [[answer(a, b) for b in unknowns] for a in unknowns]
     lifted, mu, sizes, closed = ([], [], (), ()) if asked is None else asked[:4]
     lifted, mu, guess, k = [*lifted], [*mu], [z[i] for i in range(first)], first
     for own in joints:
@@ -195,11 +199,6 @@ def _problem(
         return sp.stack(out)
 
     return problem, sp.stack(guess), back
-
-
-def _between(matrix: list[list], a: dict, b: dict) -> Any:
-    """How the rate along one combination of rows answers a unit force along another."""
-    return sp.total(sp.mul(sp.mul(x, y), matrix[i][j]) for i, x in a.items() for j, y in b.items())
 
 
 def _unsettled(

@@ -29,6 +29,7 @@ from jaxclear.formulations.contact_rows import (
     ContactPoint,
     MiddleOfStep,
     TimeStep,
+    combined,
     split,
 )
 from jaxclear.formulations.delassus import DelassusOperator
@@ -124,7 +125,7 @@ def unilateral_contacts(
         rows = [{j: sp.neg(entry) for j, entry in point.rows[0].items()}]
         velocities = [sp.neg(point.rates[0])]
         for weights in slips:
-            rows.append(_combined(point.rows[1:], weights))
+            rows.append(combined(point.rows[1:], weights))
             velocities.append(sp.dot(weights, point.rates[1:]))
         own = 0 if friction is None else len(point.rows) - 1
         shares = [[weights[k] for weights in slips] for k in range(own)]
@@ -147,14 +148,6 @@ def _slip_directions(point: ContactPoint) -> list[tuple]:
     first = sp.cross(normal, aside)
     first = sp.scale(safe_divide(1.0, safe_sqrt(sp.dot(first, first))), first)
     return [first, sp.cross(normal, first)]
-
-
-def _combined(rows: tuple[ContactJacobianRow, ...], weights: tuple) -> ContactJacobianRow:
-    out: ContactJacobianRow = {}
-    for row, weight in zip(rows, weights, strict=True):
-        for j, entry in row.items():
-            out[j] = sp.add(out.get(j, 0), sp.mul(weight, entry))
-    return {j: entry for j, entry in out.items() if not sp.is_zero(entry)}
 
 
 class ContactDemands(NamedTuple):
@@ -185,24 +178,31 @@ def demands(
     before = [contact.velocities_at(start) for contact in contacts]
     unhindered = [contact.velocities_at(ahead) for contact in contacts]
     opening = sp.stack([velocities[0] for velocities in before])
+    size = lambda slips: safe_sqrt(sp.total(sp.mul(slip, slip) for slip in slips) + 0.0)
     mu = [
-        0 if contact.friction is None else contact.friction.bound(_size(velocities[1:]))
+        0 if contact.friction is None else contact.friction.bound(size(velocities[1:]))
         for contact, velocities in zip(contacts, before, strict=True)
     ]
     sizes = tuple(len(contact.rows) for contact in contacts)
     lifted = []
     for contact, (normal, *slips), (u, *_) in zip(contacts, unhindered, before, strict=True):
         lifted += [normal + contact.restitution * u, *slips]
-    closed = _forecast_closed(middle, opening, unhindered, h, settings)
+    depths = sp.stack([c.gap_function.indentation for c in middle.free_motion.contacts])
+    pressed = positive_part(opening - sp.stack([normal for normal, *_ in unhindered]))
+    # Closed is g_N + gamma h u_N <= 0, the gap being known half a step ahead.
+    ahead_of = depths + (0.5 - settings.gamma) * h * opening
+    if settings.project:
+        # A resting contact that rounding has opened falls shut within the step: it has not opened.
+        fallen = 0.5 * h * settings.gamma**2 * pressed
+        ahead_of = ahead_of + jnp.where(jnp.abs(opening) < pressed, fallen, 0.0)
+    closed = ahead_of >= 0
     joints = [len(list(own)) for _, own in groupby(contact.joint for contact in contacts)]
     if max(joints) == 1 and not settings.gentle:
         return ContactDemands(lifted, mu, sizes, closed)
     # What had a percussion in the step before does not strike, nor what loads press shut.
-    pressed = positive_part(opening - sp.stack([normal for normal, *_ in unhindered]))
     apart = sp.stack([contact.last for contact in contacts]) <= 0
     strikes = closed & apart & (-opening > pressed)
     if max(joints) > 1:
-        depths = sp.stack([c.gap_function.indentation for c in middle.free_motion.contacts])
         waiting = put_off(strikes, depths, -opening, h, joints)
         strikes, closed = strikes & ~waiting, closed & ~waiting
     if settings.gentle:
@@ -245,22 +245,6 @@ def in_own_directions(contacts: list[UnilateralContact], flat: list) -> list[tup
     ]
 
 
-def _forecast_closed(
-    middle: MiddleOfStep, opening: Any, unhindered: list, h: Any, settings: MoreauJeanSettings
-) -> Any:
-    """Which contacts count as closed: g_N + gamma h u_N <= 0, the gap being known half a step
-    ahead."""
-    indentations = sp.stack([c.gap_function.indentation for c in middle.free_motion.contacts])
-    depths = indentations + (0.5 - settings.gamma) * h * opening
-    if settings.project:
-        # A resting contact that rounding has opened falls shut within the step: it has not opened.
-        pressed = positive_part(opening - sp.stack([velocities[0] for velocities in unhindered]))
-        depths = depths + jnp.where(
-            jnp.abs(opening) < pressed, 0.5 * h * settings.gamma**2 * pressed, 0.0
-        )
-    return depths >= 0
-
-
 def first_guess(contacts: list[UnilateralContact], last: list) -> list:
     """From components in the state's order to those of percussions, contact by contact."""
     counts = [1 + len(contact.shares) for contact in contacts]
@@ -272,10 +256,6 @@ def first_guess(contacts: list[UnilateralContact], last: list) -> list:
         ]
         out.append(sp.stack([normal, *slips]))
     return out
-
-
-def _size(slips: list) -> Any:
-    return safe_sqrt(sp.total(sp.mul(slip, slip) for slip in slips) + 0.0)
 
 
 class Projected(NamedTuple):

@@ -39,7 +39,6 @@ SIMPLE: dict[Any, tuple[tuple[type, ...], str]] = {
     bool: ((bool, np.bool_), "True or False"),
     int: ((int, np.integer), "a whole number"),
 }
-NUMBER_WORDS = {1: "one number", 2: "2 numbers", 3: "3 numbers"}
 
 
 class FieldRule(NamedTuple):

@@ -216,14 +216,21 @@ def in_few(value: float, digits: int) -> str:
     return f"{float(told):.0f}" if "e+" in told and abs(value) < PLAIN else told
 
 
+def error_told(error: float) -> float:
+    """An error as it is shown: one without a bound is not known."""
+    return abs(error) if math.isfinite(error) else math.nan
+
+
 def with_error(value: float, error: float) -> str:
     """A number beside its error, with so many digits that two of the error are among them; one
-    exponent for both."""
+    exponent for both; – for an error that is not bounded."""
+    if math.isinf(value):
+        return in_few(value, 4)
     size = max(abs(value), error)
     if not (math.isfinite(size) and error > GIVEN * size):
         known = error > 0 and math.isfinite(size)
         digits = GIVEN_DIGITS if known else 4 if error else 6
-        return f"{in_few(value, digits)} ± {in_few(abs(error), 2)}"
+        return f"{in_few(value, digits)} ± {in_few(error_told(error), 2)}"
     power = math.floor(math.log10(size))
     power = 0 if SMALL <= size < PLAIN else power
     places = power + 1 - math.floor(math.log10(error))

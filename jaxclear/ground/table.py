@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxclear.ground.shown import PLAIN, SMALL, WIDTH, in_few, with_error
+from jaxclear.ground.shown import PLAIN, SMALL, WIDTH, error_told, in_few, with_error
 
 # Spaces between columns; where the names of rows, and heads over narrow columns, are broken.
 APART, NAMES, HEAD = 2, 40, 12
@@ -249,7 +249,9 @@ def _with_error(cell: str, value: Any, error: Any) -> str:
     """A cell, with the error of its value where there is one."""
     if not (_floats([value]) or value == 0) or not isinstance(error, float) or math.isnan(error):
         return cell
-    told = with_error(value, error) if _floats([error]) else f"{cell} ± {in_few(error, 2)}"
+    told = (
+        with_error(value, error) if _floats([error]) else f"{cell} ± {in_few(error_told(error), 2)}"
+    )
     return told.replace(" ", FIRM)
 
 

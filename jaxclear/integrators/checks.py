@@ -200,7 +200,7 @@ class Check(AbstractCheck):
         0.1,
         "worn depth",
         SURFACES,
-        'the deepest scar of joint "{place}" is hardly wider than a cell and told too shallow '
+        'the deepest scar of joint "{place}" is hardly wider than a cell, its depth underestimated '
         "({figure:.2g}, limit {limit:g}): give its Wearing more cells",
     )
     # What the model leaves out.

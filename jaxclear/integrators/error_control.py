@@ -57,10 +57,6 @@ class AbstractAround:
     def error_order(self, terms):
         return self.solver.error_order(terms)
 
-    @property
-    def interpolation_cls(self):
-        return self.solver.interpolation_cls
-
     def func(self, terms, t0, y0, args):
         return self.solver.func(terms, t0, y0, args)
 
@@ -75,6 +71,10 @@ class Stages(AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWra
 
     solver: diffrax.AbstractERK  # type: ignore[misc]
     written_out: bool = eqx.field(static=True)
+
+    @property
+    def interpolation_cls(self):
+        return self.solver.interpolation_cls
 
     def func(self, terms, t0, y0, args):
         return terms.vf(t0, y0, args)
@@ -330,6 +330,10 @@ class TakingImpactSpeeds(
     so_far: Any = None  # Peaks
     damped: bool = eqx.field(static=True, default=False)
     events: int = eqx.field(static=True, default=0)
+
+    @property
+    def interpolation_cls(self):
+        return self.solver.interpolation_cls
 
     @property
     def scan_kind(self):

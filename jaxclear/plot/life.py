@@ -11,9 +11,9 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import expect
 from jaxclear.plot.canvas import Roomy, key, panels, readable, volume
 from jaxclear.studies.design.result import Design
-from jaxclear.studies.life.lives import WearLives
 from jaxclear.studies.life.result import CONFIDENCE, DEPTH, VOLUME, WearLife
 from jaxclear.studies.life.settled import Settled
+from jaxclear.studies.life.wear_life import WearLives
 
 
 @answering

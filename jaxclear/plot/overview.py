@@ -33,9 +33,9 @@ from jaxclear.studies.advice import Advice
 from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.design.result import Design
 from jaxclear.studies.fidelity.result import MultiFidelity
-from jaxclear.studies.life.lives import WearLives
 from jaxclear.studies.life.result import WearLife
 from jaxclear.studies.life.settled import Settled
+from jaxclear.studies.life.wear_life import WearLives
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.reliability.result import Reliability
 from jaxclear.studies.sensitivity.derivative import Sensitivity
@@ -65,7 +65,7 @@ def overview(run: Trajectory, *, ax: Any = None) -> Any:
     factor, unit = readable(np.concatenate(list(ways.values())), "m")
     for name, way in ways.items():
         places.plot(time, factor * way, lw=1.0, label=name)
-    places.set_ylabel(f"way from the start [{unit}]")
+    places.set_ylabel(f"displacement from the start [{unit}]")
     turns.set_ylabel("angular velocity [rad/s]")
     draw_forces(forces, run, *run.formulation.contact_joints(run.mechanism))
     forces.set_xlabel("time [s]")

@@ -39,22 +39,16 @@ SEEN, MOST_HELD = 0.02, 10**6
 def functions_of_time(mechanism: Mechanism) -> dict[str, Any]:
     """Of a mechanism the functions of time of loads, and drives, by name of the load or joint."""
     values = {
-        name: getattr(load, field.name)
+        name: value
         for name, load in mechanism.loads.items()
         for field in dataclasses.fields(load)
-        if _is_of_time(getattr(load, field.name), field)
+        # A callable in the place of a number, of which a load of the user's own may have others.
+        if callable(value := getattr(load, field.name))
+        and ("unit" in field.metadata or isinstance(value, AbstractFunctionOfTime))
     }
     joints = ((name, each.joint) for name, each in mechanism.connections.items())
     drives = ((name, drive_of(joint)) for name, joint in joints)
     return values | {name: drive for name, drive in drives if drive is not None}
-
-
-def _is_of_time(value: Any, field: dataclasses.Field) -> bool:
-    """Whether a field of a load holds a function of time: a callable in the place of a number, of
-    which a load of the user's own may have others."""
-    return callable(value) and (
-        "unit" in field.metadata or isinstance(value, AbstractFunctionOfTime)
-    )
 
 
 def changes(function: Any) -> bool:
@@ -93,7 +87,7 @@ def passed_over(functions: Mapping[str, Any], edges: np.ndarray) -> dict[str, fl
     return {
         name: max(
             (
-                _share(_missed(rate, impulse, steps, parts), impulse)
+                _share(rate, impulse, steps, parts)
                 for rate, impulse in zip(rates[name], impulses[name], strict=True)
             ),
             default=0.0,
@@ -102,14 +96,12 @@ def passed_over(functions: Mapping[str, Any], edges: np.ndarray) -> dict[str, fl
     }
 
 
-def _missed(rate: np.ndarray, impulse: np.ndarray, steps: np.ndarray, parts: int) -> np.ndarray:
-    """By the end of each step what Simpson's rule over all of them is off by."""
+def _share(rate: np.ndarray, impulse: np.ndarray, steps: np.ndarray, parts: int) -> float:
+    """The largest error of an impulse, beside how far it goes: by the end of each step what
+    Simpson's rule over all of them is off by."""
     begin, middle, end = rate[:-1:parts], rate[parts // 2 :: parts], rate[parts::parts]
     seen = np.cumsum(steps * (begin + 4 * middle + end) / 6)
-    return seen - (impulse[parts::parts] - impulse[0])
-
-
-def _share(missed: np.ndarray, impulse: np.ndarray) -> float:
+    missed = seen - (impulse[parts::parts] - impulse[0])
     # What the next step makes up for is nothing that a body feels.
     lasting = np.minimum(np.abs(missed), np.abs(np.append(missed[1:], missed[-1])))
     largest, whole = lasting.max(), np.ptp(impulse)

@@ -109,16 +109,6 @@ def check_duration(duration: Any) -> Any:
     return duration
 
 
-def _check_compiling() -> None:
-    # Not every version of JAX names its settings to type checkers.
-    settings: Any = jax.config
-    if settings.jax_disable_jit:
-        raise ValueError(
-            "simulate compiles its loop, and jax.disable_jit is on; look into a law or a joint by "
-            "calling it alone."
-        )
-
-
 def _check_end(trajectory: Trajectory) -> None:
     """Raises `SimulationError` for a run that ended early, `ValueError` for one that is traced."""
     if isinstance(trajectory.outcome, jax.core.Tracer):
@@ -202,7 +192,13 @@ def _check_asked(duration: Any, how: How, throw: bool) -> None:
     check_flags("simulate", balance=how.balance, progress_bar=how.progress_bar, throw=throw)
     if how.verify is not None:
         check_flags("simulate", verify=how.verify)
-    _check_compiling()
+    # Not every version of JAX names its settings to type checkers.
+    settings: Any = jax.config
+    if settings.jax_disable_jit:
+        raise ValueError(
+            "simulate compiles its loop, and jax.disable_jit is on; look into a law or a joint by "
+            "calling it alone."
+        )
 
 
 def _simulated(

@@ -264,8 +264,8 @@ class Advice(AbstractAnswer):
         found = f"{text} keeps {asked}:" if self.met else f"Nothing tried keeps {asked}; {text}:"
         seconds = f"{self.cost * float(self.asked.duration):.2g} s"
         return (
-            f"{found} error told {_percent(error)}{named}, {trial.work} evaluations of forces a "
-            f"run, {seconds} here."
+            f"{found} estimated error {_percent(error)}{named}, {trial.work} evaluations of forces "
+            f"a run, {seconds} here."
         )
 
     def _models(self) -> Iterator[str]:

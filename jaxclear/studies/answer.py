@@ -5,7 +5,7 @@ these.
 
 import itertools
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,16 +46,21 @@ class Column(NamedTuple):
 
 class Stated(NamedTuple):
     """All that an answer holds: what study it is of, its columns by name, of which those over the
-    dimensions of the first make its table, the problem, sentences that warn, and more numbers that
-    a Dataset has as attributes. `labelled`: whether the labels of the rows are the index of the
-    table, or columns of it."""
+    dimensions of the first make its table, the problem, sentences that warn (or a function that
+    gives them), and more numbers that a Dataset has as attributes. `labelled`: whether the labels
+    of the rows are the index of the table, or columns of it."""
 
     what: str
     columns: Mapping[str, Column]
     problem: AbstractProblem | None = None
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] | Callable[[], tuple[str, ...]] = ()
     numbers: Mapping[str, Any] = {}
     labelled: bool = True
+
+    @property
+    def warned(self) -> tuple[str, ...]:
+        """The sentences that warn."""
+        return self.warnings() if callable(self.warnings) else self.warnings
 
 
 class AbstractAnswer(AbstractShown):
@@ -71,7 +76,7 @@ class AbstractAnswer(AbstractShown):
 
     def _shown(self):
         stated = self._stated()
-        return *filter(None, [self.sentence()]), table_of(stated), *stated.warnings
+        return *filter(None, [self.sentence()]), table_of(stated), *stated.warned
 
     def table(self) -> Any:
         """The answer as a pandas table, numbers beside their errors."""
@@ -81,7 +86,7 @@ class AbstractAnswer(AbstractShown):
         """The answer as an xarray Dataset: columns by name with units, sentences, what was asked
         and by what it was computed as attributes."""
         stated = self._stated()
-        said = {"result": self.sentence(), "warnings": " ".join(stated.warnings)}
+        said = {"result": self.sentence(), "warnings": " ".join(stated.warned)}
         return dataset_of(stated, **(said | dict(stated.numbers)))
 
 
@@ -93,6 +98,11 @@ def with_interval(
     read = lambda part: {key: float(getattr(one, part)) for key, one in found.items()}
     ends = {f"{name} {end}": Column(dims, read(end), unit, only=DATASET) for end in ("low", "high")}
     return {name: Column(dims, read("value"), unit, error=read("error"))} | ends
+
+
+def with_unit(name: str, unit: str) -> str:
+    """What a column is called that tells its unit in a table."""
+    return "" if unit == "1" else f"{name} [{unit}]"
 
 
 def means_and_deviations(

@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.distribution.discrete import Discrete
 
 __all__ = [
     "answered",
@@ -23,6 +24,8 @@ __all__ = [
     "why_unanswered",
 ]
 
+# What has a share of 3 / n is missing from n samples once in twenty times.
+RULE_OF_THREE = 3.0
 INSTEAD = "ask for a quantile, or for the share of samples beyond a limit"
 
 
@@ -58,6 +61,30 @@ def refuse_endless(
         words = _words(problem, name, values)
         if words:
             raise ValueError(f'"{name}" {words}: there is no {what} of it; {instead}.')
+
+
+def undrawn_levels(problem: AbstractProblem, values: np.ndarray) -> dict[str, str]:
+    """Variables of a few levels of which runs (runs, variables) have not seen one, and a sentence
+    for each: what such a level does is in no share of a variance."""
+    found = {}
+    for i, (name, nominal) in enumerate(zip(problem.names, problem.nominal(), strict=True)):
+        own = problem.variables[name].distribution
+        if not isinstance(own, Discrete):
+            continue
+        levels = np.asarray(own.deviations, float)
+        weights = np.ones(len(levels)) if own.shares is None else np.asarray(own.shares, float)
+        shares = weights / weights.sum()
+        seen = np.argmin(np.abs(values[:, i, None] - float(nominal) - levels), axis=1)
+        rare = [k for k in np.flatnonzero(shares) if k not in seen]
+        if rare:
+            level, share = float(nominal) + levels[rare[0]], shares[rare[0]]
+            told = f"{level:.6g} {problem.variable_units[i]}".removesuffix(" 1")
+            found[name] = (
+                f'No run has "{name}" = {told}, which {100 * share:.2g} % of the parts have: what '
+                f"that does to the variance is not known. About {RULE_OF_THREE / share:.2g} "
+                "samples would meet it."
+            )
+    return found
 
 
 def check_told(problem: AbstractProblem, name: str, *limits: Any) -> None:

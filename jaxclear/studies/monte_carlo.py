@@ -34,14 +34,21 @@ from jaxclear.studies.sampling import (
     groups,
 )
 from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, responses_of, until_accurate
-from jaxclear.studies.statistics.accuracy import asked_of
-from jaxclear.studies.statistics.error_budget import error_budget
-from jaxclear.studies.statistics.limits import Limits, check_limits, yield_of
-from jaxclear.studies.statistics.numerical_error import NumericalError
+from jaxclear.studies.statistics.accuracy import NumericalError, asked_of
+from jaxclear.studies.statistics.limits import (
+    SIDES,
+    Limits,
+    ToleranceInterval,
+    check_limits,
+    free_interval,
+    normal_interval,
+    yield_of,
+)
 from jaxclear.studies.statistics.scrambled import (
     Statistic,
     capability,
     deviation,
+    error_budget,
     jackknifed,
     quantile,
 )
@@ -49,16 +56,11 @@ from jaxclear.studies.statistics.summary import (
     doubtful_of,
     ends_of,
     failure,
+    remarks_of,
     spread_of,
     summary_of,
     summary_row,
     warnings_of,
-)
-from jaxclear.studies.statistics.tolerance_interval import (
-    SIDES,
-    ToleranceInterval,
-    free_interval,
-    normal_interval,
 )
 from jaxclear.studies.warned import any_warning, counted, in_words, warned_of
 
@@ -169,7 +171,8 @@ class MonteCarlo(AbstractAnswer):
 
     def _shown(self):
         lost = [f"The first that failed: {failure(self, int(i))}" for i in self.failed[:1]]
-        return self.sentence(), *lost, *spread_of(self.summary())
+        summary = self.summary()
+        return self.sentence(), *lost, *spread_of(summary), *remarks_of(self, summary)
 
     def _stated(self):
         problem, over = self.problem, ("sample",)
@@ -198,7 +201,9 @@ class MonteCarlo(AbstractAnswer):
             for n, values in self.replicas.responses.items():
                 columns[finer_name(n)] = Column(("replica",), values, units[n], FINER)
         numbers = {"seed": self.seed, "chunk": self.chunk}
-        return Stated("Monte Carlo", columns, problem, (), numbers)
+        return Stated(
+            "Monte Carlo", columns, problem, lambda: remarks_of(self, self.summary()), numbers
+        )
 
     def good(self, response: str) -> tuple[np.ndarray, np.ndarray]:
         """A response of the samples that did not fail, and their scramblings."""

@@ -21,7 +21,7 @@ import numpy as np
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
-from jaxclear.studies.statistics.numerical_error import NumericalError, bias_of
+from jaxclear.studies.statistics.accuracy import NumericalError, bias_of
 
 # So many of a study's samples, its first, have replicas.
 MOST_REPLICAS = 16
@@ -86,32 +86,32 @@ def replicas_of(
 ) -> Replicas | None:
     """Replicas of the first samples of a study in chunks of this size, whose values (samples,
     variables) gave what was `found`; None where the problem has none."""
-    replica = problem.replica()
-    if replica is None:
-        return None
     count = min(MOST_REPLICAS, len(values))
-    together = replica_chunk(problem, replica, count, chunk)
-    asked = np.asarray(values[:count])
-    if replica.compiled():
-        # Filled up with copies, so that they run the study's own program.
-        asked = np.concatenate([asked, np.repeat(asked[-1:], -count % together, axis=0)])
-    finer = evaluate_all(
-        replica,
-        jnp.asarray(asked),
-        chunk=together,
-        progress_bar=progress_bar,
-        label="replicas",
-    )
+    finer = finer_runs(problem, values[:count], chunk, progress_bar)
+    if finer is None:
+        return None
     return together_with(problem.response_names, found, finer, count)
 
 
-def replica_chunk(
-    problem: AbstractProblem, replica: AbstractProblem, count: int, chunk: int
-) -> int:
-    """How many replicas are run together: as many as samples are, where they are one program."""
+def finer_runs(
+    problem: AbstractProblem, values: np.ndarray, chunk: int, progress_bar: bool = False
+) -> SampleResult | None:
+    """What samples of these values (samples, variables) of a study in chunks of this size give in
+    finer runs: by the study's own program, where that serves. None where the problem has none."""
+    replica = problem.replica()
+    if replica is None:
+        return None
     numbers = [eqx.filter(own, eqx.is_array) for own in (problem, replica)]
     shapes = [[jnp.shape(leaf) for leaf in jax.tree.leaves(own)] for own in numbers]
-    return chunk if shapes[0] == shapes[1] else chunk_size(replica, count)
+    count = len(values)
+    together = chunk if shapes[0] == shapes[1] else chunk_size(replica, count)
+    if replica.compiled():
+        # Filled up with copies: else a chunk would be as small as the samples are few.
+        values = np.concatenate([values, np.repeat(values[-1:], -count % together, axis=0)])
+    finer = evaluate_all(
+        replica, values, chunk=together, progress_bar=progress_bar, label="replicas"
+    )
+    return jax.tree.map(lambda own: own[:count], finer)
 
 
 def together_with(

@@ -108,7 +108,7 @@ def test_volume_is_conserved(wear_map, events):
     "wear_map, events",
     [
         pytest.param(CYLINDER, cylinder_events(), marks=pytest.mark.slow),
-        (SPHERE, sphere_places(sphere_events())),
+        pytest.param(SPHERE, sphere_places(sphere_events()), marks=pytest.mark.slow),
         pytest.param(WIDE, sphere_places(sphere_events()), marks=pytest.mark.slow),
         pytest.param(HIGH, sphere_places(sphere_events()), marks=pytest.mark.slow),
         pytest.param(WALLS, wall_events(), marks=pytest.mark.slow),

@@ -99,7 +99,7 @@ def test_a_setting_that_fails_is_passed_over():
 def test_what_is_not_reached_is_said():
     found = choice([ladder(0.1)], by_order(1, 0.5), 1e-9, budget=1000)
     assert not found.reached and found.spent <= 1000
-    assert "answer is told to" in found.why and len(found.why.split()) <= 25
+    assert "the error of answer is" in found.why and len(found.why.split()) <= 25
     # The finest of which a finer one tells: 10 + 20 + ... + 320 evaluations are 630.
     assert float(found.integrator.step) == 0.1 / 2**4
 

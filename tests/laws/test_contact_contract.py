@@ -1,6 +1,12 @@
 """Every contact law and every product of elastic force and dissipation factor keeps the contract;
 Hertz, Kelvin-Voigt and the exact rebound are oracles.
+
+What rigid contact takes from laws that are functions: their coefficients of friction.
+
+How deep a force presses is the law of contact the other way round.
 """
+
+import dataclasses
 
 import equinox as eqx
 import jax
@@ -11,7 +17,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from jaxclear.laws import contact
+import jaxclear as jc
+from jaxclear.laws import contact, friction
+from jaxclear.laws.contact.base import SHALLOWEST, indentation_under
 from jaxclear.laws.material import Material, combined_modulus, steel
 from jaxclear.laws.stiffness import HertzStiffness, LengthOf, Shape, fitted
 from tests.laws.contracts import (
@@ -22,7 +30,7 @@ from tests.laws.contracts import (
     contact_stiffness_is_the_slope,
     rebound,
 )
-from tests.laws.law_family import contact_laws, contact_products, shape
+from tests.laws.law_family import contact_laws, contact_products, members, shape
 
 LAWS = contact_laws()
 PRODUCTS = contact_products()
@@ -194,3 +202,67 @@ def test_extreme_parameters_stay_finite(stiffness, depth, rate, restitution, exp
         value, slopes = _value_and_slopes(law, indentation, jnp.asarray(rate))
         assert np.isfinite(value) and value >= 0
         assert all(np.isfinite(leaf) for leaf in jax.tree.leaves(slopes))
+
+
+FRICTION = [
+    law
+    for base in (friction.AbstractSlipFriction, friction.AbstractBristleFriction)
+    for law in members(base)
+] + members(friction.AbstractSetValuedFriction)
+
+
+def fields(law):
+    return {field.name for field in dataclasses.fields(law)}
+
+
+@pytest.mark.parametrize("kind", FRICTION, ids=lambda kind: kind.__name__)
+def test_every_friction_law_of_the_package_gives_its_coefficients(kind):
+    static = {"mu_static": 0.4} if "mu_static" in fields(kind) else {}
+    found = kind(mu_kinetic=0.2, **static).coulomb()
+    assert float(found.mu_kinetic) == 0.2
+    assert float(found.bound(1.0)) == 0.2
+    assert float(found.bound(0.0)) == (0.4 if static else 0.2)
+
+
+def test_a_restitution_above_one_is_refused():
+    with pytest.raises(ValueError, match=r"contact.Rigid has restitution = 1.5; .* at most 1"):
+        contact.Rigid(restitution=1.5)
+
+
+SHAPE = Shape(9.95e-3, 10e-3, 20e-3)
+PRESSED = [
+    jc.contact.Hertz(stiffness=1e10),
+    jc.contact.Hertz(stiffness=1e10, exponent=1.1),
+    jc.contact.Hertz(stiffness=1e10, exponent=2.2),
+    jc.contact.Liu(),
+    jc.contact.BaiZhao(),
+    jc.contact.Johnson(),
+    jc.contact.Radzimovsky(),
+    jc.contact.Goldsmith(),
+    jc.contact.BallInSocket(),
+    jc.contact.KelvinVoigt(),
+    jc.contact.AdamsImpact(),
+]
+
+
+@pytest.mark.parametrize("law", PRESSED, ids=str)
+def test_the_law_gives_the_force_back_and_its_slope(law):
+    law = fitted(law, SHAPE)
+    force = jnp.asarray([100.0, 1e3, 1e4, 1e6])
+    depth = jax.vmap(lambda f: indentation_under(law, f))(force)
+    least = law.elastic_force(jnp.asarray(SHALLOWEST))
+    np.testing.assert_allclose(jax.vmap(law.elastic_force)(depth), force + least, rtol=1e-6)
+    slope = jax.vmap(jax.grad(lambda f: indentation_under(law, f)))(force)
+    steep = jax.vmap(jax.grad(law.elastic_force))(depth)
+    np.testing.assert_allclose(slope, 1 / steep, rtol=1e-5)
+
+
+@pytest.mark.parametrize("law", PRESSED, ids=str)
+def test_no_force_presses_next_to_nothing_with_a_finite_slope(law):
+    law = fitted(law, SHAPE)
+    depth, slope = jax.value_and_grad(lambda f: indentation_under(law, f))(0.0)
+    assert depth == pytest.approx(SHALLOWEST, rel=1e-9) and np.isfinite(slope) and slope > 0
+
+
+def test_rigid_parts_do_not_overlap():
+    assert indentation_under(jc.contact.Rigid(), 1e3) == 0.0

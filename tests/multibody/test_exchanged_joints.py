@@ -1,8 +1,13 @@
-"""`mechanism.with_joint`: an ideal joint becomes one with clearance, and the rest stays."""
+"""`mechanism.with_joint`: an ideal joint becomes one with clearance, and the rest stays.
+
+Coordinates and speeds of a connection are its child's, seen from its parent, whichever way the
+tree goes through it: against the pose and the twist that they say, by hand.
+"""
 
 import equinox as eqx
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import jaxclear as jc
 
@@ -96,3 +101,65 @@ def test_a_driven_joint_gets_no_play():
 def test_a_bearing_of_the_plane_does_not_hold_a_body_in_space():
     with pytest.raises(ValueError, match='acts in a plane, and nothing else holds body "fore"'):
         arm(spatial=True).with_joint("elbow", PLANAR)
+
+
+TURN = Rotation.from_rotvec([0.3, -0.5, 0.8])
+QUATERNION = tuple(TURN.as_quat(scalar_first=True))
+PLACE = np.array([0.2, -0.1, 0.4])
+# Joint, start, speeds, and what these say: rotation, place, velocity and spin of the child's marker
+# in the parent's, velocity and spin in the child's axes.
+FLAT = Rotation.from_rotvec([0.0, 0.0, 0.7])
+CASES = {
+    "Spherical": (
+        (jc.joint.Spherical(), QUATERNION, (1.0, 2.0, 3.0)),
+        (TURN, np.zeros(3), np.zeros(3), np.array([1.0, 2.0, 3.0])),
+    ),
+    "Planar": (
+        (jc.joint.Planar(), (0.2, -0.1, 0.7), (0.5, 0.3, 2.0)),
+        (FLAT, np.array([0.2, -0.1, 0.0]), np.array([0.5, 0.3, 0.0]), np.array([0.0, 0.0, 2.0])),
+    ),
+    "Free": (
+        (jc.joint.Free(), (*PLACE, *QUATERNION), (0.5, 0.3, -0.2, 1.0, 2.0, 3.0)),
+        (TURN, PLACE, np.array([0.5, 0.3, -0.2]), np.array([1.0, 2.0, 3.0])),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", CASES)
+def test_a_joint_whose_child_is_the_ground_begins_as_its_child_is_told(kind):
+    (joint, start, speeds), (turn, place, velocity, spin) = CASES[kind]
+    rig = jc.Mechanism(
+        {"top": jc.Body(1.0, (0.01, 0.02, 0.03))},
+        {"S": jc.Connection(joint, "top", "ground")},
+        start={"S": start},
+        speeds={"S": speeds},
+    )
+    run = jc.simulate(rig, 0.2, save=3)
+    body = run.body("top")
+    # The ground as seen from the body is told; the body as seen from the ground is its inverse.
+    back = turn.inv()
+    np.testing.assert_allclose(body.rotation[0], back.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(body.com[0], -back.apply(place), atol=1e-12)
+    turning = -spin
+    moving = -velocity + np.cross(turning, body.com[0])
+    np.testing.assert_allclose(body.spin[0], turning, atol=1e-12)
+    np.testing.assert_allclose(body.velocity[0], moving, atol=1e-12)
+    # What is told of the connection is what was given for it, and its rate.
+    np.testing.assert_allclose(run.coordinate("S")[0], start, atol=1e-12)
+    np.testing.assert_allclose(run.speed("S")[0], speeds, atol=1e-12)
+    if kind == "Spherical":
+        seen = Rotation.from_quat(np.asarray(run.coordinate("S")), scalar_first=True)
+        np.testing.assert_allclose(seen.inv().as_matrix(), body.rotation, atol=1e-9)
+
+
+def test_a_joint_of_one_coordinate_is_the_same_either_way():
+    """Its markers are turned instead."""
+    rig = jc.Mechanism(
+        {"top": jc.Body(1.0, 0.02)},
+        {"R": jc.Connection(jc.joint.Revolute(), "top", "ground")},
+        start={"R": 0.4},
+        speeds={"R": 2.0},
+    )
+    run = jc.simulate(rig, 1e-3, save=2)
+    np.testing.assert_allclose(run.body("top").spin[0], [0.0, 0.0, -2.0], atol=1e-12)
+    np.testing.assert_allclose((run.coordinate("R")[0], run.speed("R")[0]), (0.4, 2.0))

@@ -51,7 +51,13 @@ PAIRS = {
 }
 
 
-@pytest.mark.parametrize("name", PAIRS)
+# The others differ from these by a sign or a radius.
+SHORT = ("gear", "ring", "crossed")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n in SHORT else pytest.mark.slow) for n in PAIRS]
+)
 def test_wheels_turn_by_their_ratio(name):
     coupling, distance, share = PAIRS[name]
     run = jc.simulate(pair(coupling, distance), 0.4, save=5, balance=True, integrator=STEPS)

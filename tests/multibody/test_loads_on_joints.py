@@ -1,6 +1,12 @@
 """Loads on a joint's coordinate mean the same whether the tree carries it, it closes a loop, or it
-has clearance."""
+has clearance.
 
+Stops, dry friction and rotor inertia on the coordinate of a joint: closed forms, energy, and
+what they may act on.
+"""
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -132,3 +138,144 @@ def test_a_run_that_goes_on_keeps_the_turns_of_a_spring():
     np.testing.assert_allclose(
         two.history.states[-1, first], whole.history.states[-1, first], atol=1e-6
     )
+
+
+MASS, STIFFNESS, SPEED = 2.0, 8e4, 1.5
+STEP = jc.integrator.FixedStep(1e-4)
+STOPPED = jc.clearance.PlanarJournalBearing(jc.contact.Hertz(stiffness=1e9), clearance=1e-4)
+
+
+def slide(*loads, speed=SPEED):
+    """A mass on a slide, 0.1 m before its stop if it has one there."""
+    return jc.Mechanism(
+        {"mass": jc.Body(MASS, 1e-3)},
+        {"slide": jc.Connection(jc.joint.Prismatic(), "ground", "mass", axis="x")},
+        {type(load).__name__: load for load in loads},
+        start={"slide": -0.1},
+        speeds={"slide": speed},
+    )
+
+
+def arm(*loads, **joints):
+    """Two links on hinges, 1 m each, hanging from gravity."""
+    kinds = {"shoulder": jc.joint.Revolute(), "elbow": jc.joint.Revolute()} | joints
+    link = jc.Body(1.0, 0.1, (0.5, 0.0))
+    return jc.Mechanism(
+        {"upper": link, "fore": link},
+        {
+            "shoulder": jc.Connection(kinds["shoulder"], "ground", "upper"),
+            "elbow": jc.Connection(kinds["elbow"], "upper", "fore", at=(1.0, 0.0)),
+        },
+        {"gravity": jc.load.Gravity((0.0, -9.81))}
+        | {f"load {i}": load for i, load in enumerate(loads)},
+        guess={"shoulder": -0.5, "elbow": -0.3},
+    )
+
+
+def test_a_mass_comes_back_from_a_stop_after_half_a_period():
+    """Without damping: depth v sqrt(m/k), there for pi sqrt(m/k), as fast back as it came; with a
+    rotor on the slide m is the sum."""
+    stop = jc.load.JointStop("slide", upper=0.0, stiffness=STIFFNESS)
+    run = jc.simulate(
+        slide(stop, jc.load.RotorInertia("slide", 3.0)), 0.2, save=2001, integrator=STEP
+    )
+    place = np.asarray(run.coordinate("slide"))
+    slowness = np.sqrt((MASS + 3.0) / STIFFNESS)
+    np.testing.assert_allclose(place.max(), SPEED * slowness, rtol=1e-4)
+    back = 0.1 / SPEED + np.pi * slowness
+    np.testing.assert_allclose(place[-1], -SPEED * (0.2 - back), rtol=1e-3)
+
+
+def test_energy_is_accounted_for_by_stops_friction_and_rotors():
+    """An arm swings against a stop of its elbow, which takes energy, as friction does."""
+    loads = (
+        jc.load.JointStop("elbow", -0.2, 0.3, stiffness=500.0, damping=5.0),
+        jc.load.JointFriction("shoulder", 0.7, 0.05),
+        jc.load.RotorInertia("elbow", 0.4),
+    )
+    run = jc.simulate(arm(*loads), 2.0, save=201, balance=True, integrator=STEP)
+    angle, balance = np.asarray(run.coordinate("elbow")), run.energy_balance()
+    assert angle.min() < -0.2 and angle.max() > 0.3
+    assert balance.damping_loss[-1] > 2.0
+    assert np.all(np.diff(balance.damping_loss) > -1e-9)
+    assert np.abs(balance.error).max() < 1e-4 * np.ptp(balance.potential)
+
+
+@pytest.mark.parametrize("beyond", [1e-5, 2e-4, 1e-3, 0.01])
+def test_a_stop_pushes_and_never_pulls(beyond):
+    stop = jc.load.JointStop("a", -1.0, 1.0, stiffness=100.0, damping=30.0)
+    for speed in (-10.0, -0.1, 0.0, 0.1, 10.0):
+        upper, energy, lost, _ = stop.force(0.0, 1.0 + beyond, speed)
+        lower = stop.force(0.0, -1.0 - beyond, -speed)[0]
+        assert upper <= 0 and lower == -upper and lost >= -1e-15
+        # What it gives and what it takes: power = -d(energy)/dt - loss.
+        np.testing.assert_allclose(upper * speed, -100.0 * beyond * speed - lost, atol=1e-12)
+        np.testing.assert_allclose(energy, 50.0 * beyond**2)
+    assert stop.force(0.0, 1.0 - beyond, 10.0)[0] == 0
+
+
+@pytest.mark.slow
+def test_a_mass_slides_to_rest_by_dry_friction_at_a_constant_rate():
+    friction = jc.load.JointFriction("slide", 5.0, 1e-3)
+    run = jc.simulate(slide(friction), 0.5, save=51, integrator=STEP)
+    speed = np.asarray(run.speed("slide"))
+    np.testing.assert_allclose(
+        speed[:-1], SPEED - 5.0 / MASS * np.asarray(run.time)[:-1], rtol=1e-6
+    )
+
+
+@pytest.mark.slow
+def test_derivatives_pass_through_a_damped_stop():
+    """Of the place after the stop by the speed before: as differences of neighbouring runs."""
+    stop = jc.load.JointStop("slide", upper=0.0, stiffness=STIFFNESS, damping=200.0)
+
+    @jax.jit
+    def end(speed):
+        rig = slide(stop, speed=speed)
+        run = jc.simulate(rig, 0.12, save=3, integrator=STEP, throw=False)
+        return run.coordinate("slide")[-1]
+
+    near = 1e-4
+    by_difference = (end(SPEED + near) - end(SPEED - near)) / (2 * near)
+    slope = jax.jvp(end, (jnp.asarray(SPEED),), (jnp.ones(()),))[1]
+    np.testing.assert_allclose(slope, by_difference, rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (
+            lambda: arm(jc.load.RotorInertia("elbow", 0.1), elbow=STOPPED),
+            'inertia on the coordinate of joint "elbow", which has clearance',
+        ),
+        (
+            lambda: jc.scenes.slider_crank("ideal").with_loads(
+                {"rotor": jc.load.RotorInertia("B", 0.1)}
+            ),
+            'inertia on the coordinate of joint "B", which closes a loop',
+        ),
+        (lambda: jc.load.JointStop("elbow", stiffness=1.0), "needs lower or upper, or both"),
+        (
+            lambda: jc.load.JointStop("elbow", 0.3, 0.2, stiffness=1.0),
+            "lower 0.3 and upper 0.2; lower must be below upper",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused(make, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        make()
+
+
+def test_a_drive_takes_the_place_of_what_acts_on_the_coordinate():
+    before = arm(jc.load.JointSpring("elbow", 3.0), jc.load.JointSpring("shoulder", 2.0))
+    driven = before.with_joint("elbow", jc.joint.Revolute(jc.drive.ConstantSpeed(speed=1.0)))
+    assert set(driven.loads) == {"gravity", "load 1"}
+    assert not driven.guess.keys() & {"elbow"}
+
+
+@pytest.mark.slow
+def test_positions_are_told_whatever_acts_on_a_joint_that_is_held():
+    loads = (jc.load.JointSpring("elbow", 3.0), jc.load.RotorInertia("shoulder", 0.1))
+    found = jc.positions(arm(*loads), {"shoulder": [0.0, 0.5], "elbow": [0.1, 0.2]})
+    tip = np.asarray(found.marker("fore", (1.0, 0.0)).position)
+    np.testing.assert_allclose(tip[1, 1], np.sin(0.5) + np.sin(0.7), rtol=1e-12)

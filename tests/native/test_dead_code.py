@@ -19,16 +19,6 @@ LONG = jnp.linspace(-1.0, 1.0, 200)
 ROUNDING = 1e-12
 
 
-@pytest.fixture
-def built(monkeypatch):
-    """The loops that become kernels."""
-    out, build = [], loop.kernels.build
-    monkeypatch.setattr(
-        loop.kernels, "build", lambda program, lanes: out.append(program) or build(program, lanes)
-    )
-    return out
-
-
 def swung(p):
     """A damped swing, its largest speed, and a sum along a long array that only that sum reads."""
     sums = p[2] * LONG

@@ -92,12 +92,6 @@ def test_a_kernel_can_be_written(joint, rung, monkeypatch):
     assert any(program.length == 1 for program in written) or joint != "journal_that_wears"
 
 
-@pytest.fixture
-def checked(monkeypatch):
-    """One turn of every kernel is compared with JAX, operation by operation."""
-    monkeypatch.setenv("JAXCLEAR_CHECK_KERNELS", "1")
-
-
 @pytest.mark.parametrize(
     ("joint", "rung"),
     [

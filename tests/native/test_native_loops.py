@@ -288,12 +288,6 @@ def test_a_kernel_that_cannot_be_written_costs_a_warning_not_the_run(monkeypatch
     np.testing.assert_allclose(found, by_jax(jnp.array([0.3, 0.7])), rtol=ROUNDING)
 
 
-@pytest.fixture
-def checked(monkeypatch):
-    """New kernels are compared with JAX before they are used."""
-    monkeypatch.setenv("JAXCLEAR_CHECK_KERNELS", "1")
-
-
 def test_kernels_are_checked_where_that_is_asked_for(monkeypatch):
     looks, compared = [], check.compared
     monkeypatch.setattr(
@@ -397,3 +391,35 @@ def test_adaptive_loops_of_diffrax(caplog):
     assert np.abs(steps - wanted_steps).max() <= 1
     slope = jax.jvp(lambda r: with_fast_loops(solve)(r)[0], (2.0,), (1.0,))[1]
     np.testing.assert_allclose(slope, jax.jvp(lambda r: solve(r)[0], (2.0,), (1.0,))[1], rtol=1e-9)
+
+
+def test_what_is_written_is_read_within_its_region_alone():
+    text = writer.Writer(4)
+    product = text.put("fmul double %a, %b")
+    outer = text.enter()
+    assert text.put("fmul double %a, %b") == product
+    inside = text.put("fmul double %a, %c")
+    assert text.put("fmul double %a, %c") == inside
+    text.leave(outer)
+    assert text.put("fmul double %a, %c") != inside
+    assert len(text.lines) == 3
+
+
+def test_memory_that_changes_is_read_anew():
+    text = writer.Writer(1)
+    changing, fixed = "load double, ptr %a", "load double, ptr %a, !invariant.load !0"
+    assert text.put(changing) != text.put(changing)
+    assert text.put(fixed) == text.put(fixed)
+
+
+def test_equations_that_stand_in_a_program_several_times_are_one_in_its_kernel(built):
+    rate = lambda x: jnp.tanh(x) * jnp.cosh(x)
+
+    def run(x, times):
+        turn = lambda s: (s[0] + 1, s[1] + sum(1e-3 * rate(s[1]) for _ in range(times)))
+        return while_loop(lambda s: s[0] < 5, turn, (jnp.zeros((), int), x))[1]
+
+    once, often = (jax.jit(run, static_argnums=1)(0.3, times) for times in (1, 7))
+    texts = [kernel.text_of(program, 1) for program in built]
+    assert [text.count("call double @tanh") for text in texts] == [1, 1]
+    assert np.isfinite(once) and often > once

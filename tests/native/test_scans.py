@@ -88,11 +88,7 @@ QUICK = ("values", "of a batch", "slopes in a batch", "as a linear map")
 @pytest.mark.parametrize(
     "way", [pytest.param(w, marks=() if w in QUICK else pytest.mark.slow) for w in WAYS]
 )
-def test_a_scan_is_that_of_jax_through_one_kernel(way, monkeypatch):
-    built, build = [], loop.kernels.build
-    monkeypatch.setattr(
-        loop.kernels, "build", lambda program, lanes: built.append(program) or build(program, lanes)
-    )
+def test_a_scan_is_that_of_jax_through_one_kernel(way, built):
 
     def told(p):
         found = WAYS[way](OWN)(p)
@@ -131,20 +127,12 @@ def test_what_has_no_machine_code_keeps_its_inner_kernels():
     assert explain(number) == KERNELS
 
 
-def test_a_kernel_that_leaves_no_rows_is_not_taken_where_it_is_checked(monkeypatch):
-    monkeypatch.setenv("JAXCLEAR_CHECK_KERNELS", "1")
+def test_a_kernel_that_leaves_no_rows_is_not_taken_where_it_is_checked(monkeypatch, built, checked):
     monkeypatch.setattr(loop.kernels.Tables, "leave", lambda self, row: None)
-    tried, build = [], loop.kernels.build
-
-    def watched(program, lanes):
-        tried.append(program.length)
-        return build(program, lanes)
-
-    monkeypatch.setattr(loop.kernels, "build", watched)
     shifted = lambda p: through(scan, while_loop, p + 0.125)
     same(jax.jit(shifted)(PLACE), jax.jit(lambda p: JAXS(p + 0.125))(PLACE))
     # The scan's kernel, then that of the loop within its turns.
-    assert tried == [30, 0]
+    assert [program.length for program in built] == [30, 0]
 
 
 def test_nothing_that_was_stopped_looks_like_an_answer():

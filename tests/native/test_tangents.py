@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxclear  # noqa: F401  (float64)
-from jaxclear.native import explain, forwards_only, loop, scan, verdict, while_loop
+from jaxclear.native import explain, forwards_only, scan, verdict, while_loop
 from jaxclear.native.verdicts import KERNELS
 
 # Sums of products in another order.
@@ -63,11 +63,7 @@ def test_derivatives_are_those_of_jaxs_own_loop(way):
     np.testing.assert_allclose(found, wanted, rtol=ROUNDING, atol=ROUNDING)
 
 
-def test_all_tangents_go_through_one_kernel_whose_motion_is_shared(monkeypatch):
-    built, build = [], loop.kernels.build
-    monkeypatch.setattr(
-        loop.kernels, "build", lambda program, lanes: built.append(program) or build(program, lanes)
-    )
+def test_all_tangents_go_through_one_kernel_whose_motion_is_shared(built):
 
     @jax.jit
     def slopes(p):
@@ -170,12 +166,8 @@ def test_what_is_forwards_only_says_so_backwards_and_is_itself_forwards():
 
 
 @pytest.mark.parametrize(("count", "together"), [(2, 2), (4, 4), (6, 3)])
-def test_in_a_batch_the_motion_is_shared_by_tangents_as_well(monkeypatch, count, together):
+def test_in_a_batch_the_motion_is_shared_by_tangents_as_well(built, count, together):
     """Up to four stand side by side in one body, in even portions, whichever map comes first."""
-    built, build = [], loop.kernels.build
-    monkeypatch.setattr(
-        loop.kernels, "build", lambda program, lanes: built.append(program) or build(program, lanes)
-    )
     directions = jnp.asarray(np.random.default_rng(1).normal(size=(count, 4)))
 
     def slopes(p):

@@ -25,9 +25,9 @@ from jaxclear.scenes.slider_crank import bearing
 from jaxclear.statics.positions import Positions
 from jaxclear.studies.advice import Advice
 from jaxclear.studies.design.result import Design
-from jaxclear.studies.life.lives import WearLives
 from jaxclear.studies.life.result import WearLife
 from jaxclear.studies.life.settled import Settled
+from jaxclear.studies.life.wear_life import WearLives
 from jaxclear.studies.sensitivity.derivative import Derivative, Estimate, Sensitivity
 
 CRANK, ROD, SLIDER = (

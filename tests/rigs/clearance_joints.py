@@ -36,122 +36,82 @@ def _wearing():
     )
 
 
+def _static(p, **numbers):
+    return {"mu_static": 1.5 * p["mu"], "mu_kinetic": p["mu"], **numbers}
+
+
+def _step(p):
+    """Speeds of a law that steps from static to kinetic friction."""
+    return {"static_speed": p["transition_speed"], "kinetic_speed": 10 * p["transition_speed"]}
+
+
+def _lugre(p):
+    speed = p["transition_speed"]
+    return jc.friction.LuGre(**_static(p, stribeck_speed=10 * speed, presliding=1e-3 * speed))
+
+
+def _bearing(kind, p, law, friction, **more):
+    size = {"bearing_radius": RADIUS, "clearance": p["clearance"], "length": LENGTH}
+    return kind(law, friction, **size, **more)
+
+
+def _ball(p, law, friction, **more):
+    return jc.clearance.BallSocket(
+        law, friction, socket_radius=RADIUS, clearance=p["clearance"], **more
+    )
+
+
 def planar(p):
     law = jc.contact.CarvalhoMartins(stiffness=p["stiffness"], restitution=0.8)
-    friction = jc.friction.ThreeZone(
-        mu_static=1.5 * p["mu"],
-        mu_kinetic=p["mu"],
-        static_speed=p["transition_speed"],
-        kinetic_speed=10 * p["transition_speed"],
-    )
-    return jc.clearance.PlanarJournalBearing(
-        law,
-        friction,
-        bearing_radius=RADIUS,
-        clearance=p["clearance"],
-        length=LENGTH,
-        bearing_wear=_wearing(),
-        journal_wear=_wearing(),
-    )
+    friction = jc.friction.ThreeZone(**_static(p, **_step(p)))
+    wear = {"bearing_wear": _wearing(), "journal_wear": _wearing()}
+    return _bearing(jc.clearance.PlanarJournalBearing, p, law, friction, **wear)
 
 
 def planar_conformal(p):
     law = jc.contact.Liu(modulus=p["stiffness"], restitution=0.8)
-    return jc.clearance.PlanarJournalBearing(
-        law,
-        jc.friction.Dahl(mu_kinetic=p["mu"], presliding=p["transition_speed"] * 1e-3),
-        bearing_radius=RADIUS,
-        clearance=p["clearance"],
-        length=LENGTH,
-    )
+    friction = jc.friction.Dahl(mu_kinetic=p["mu"], presliding=p["transition_speed"] * 1e-3)
+    return _bearing(jc.clearance.PlanarJournalBearing, p, law, friction)
 
 
 def journal(p):
     law = jc.contact.Johnson(modulus=p["stiffness"], restitution=0.8)
-    friction = jc.friction.Stribeck(
-        mu_static=1.5 * p["mu"],
-        mu_kinetic=p["mu"],
-        stribeck_speed=10 * p["transition_speed"],
-        transition_speed=p["transition_speed"],
-    )
-    return jc.clearance.JournalBearing(
-        law, friction, bearing_radius=RADIUS, clearance=p["clearance"], length=LENGTH
-    )
+    speed = p["transition_speed"]
+    friction = jc.friction.Stribeck(**_static(p, stribeck_speed=10 * speed, transition_speed=speed))
+    return _bearing(jc.clearance.JournalBearing, p, law, friction)
 
 
 def journal_that_wears(p):
     law = jc.contact.Gonthier(stiffness=p["stiffness"], restitution=0.8)
     friction = jc.friction.Threlfall(mu_kinetic=p["mu"], transition_speed=p["transition_speed"])
-    return jc.clearance.JournalBearing(
-        law,
-        friction,
-        bearing_radius=RADIUS,
-        clearance=p["clearance"],
-        length=LENGTH,
-        bearing_wear=_wearing(),
-        journal_wear=_wearing(),
-    )
+    wear = {"bearing_wear": _wearing(), "journal_wear": _wearing()}
+    return _bearing(jc.clearance.JournalBearing, p, law, friction, **wear)
 
 
 def journal_with_collars(p):
     law = jc.contact.Flores(stiffness=p["stiffness"], restitution=0.8)
-    friction = jc.friction.LuGre(
-        mu_static=1.5 * p["mu"],
-        mu_kinetic=p["mu"],
-        stribeck_speed=10 * p["transition_speed"],
-        presliding=1e-3 * p["transition_speed"],
-    )
-    collar = jc.clearance.Flange(
-        law,
-        jc.friction.CoulombTanh(mu_kinetic=p["mu"], transition_speed=p["transition_speed"]),
-        radius=1.4 * RADIUS,
-        clearance=p["clearance"],
-    )
-    return jc.clearance.JournalBearing(
-        law, friction, bearing_radius=RADIUS, clearance=p["clearance"], length=LENGTH, flange=collar
-    )
+    rub = jc.friction.CoulombTanh(mu_kinetic=p["mu"], transition_speed=p["transition_speed"])
+    collar = jc.clearance.Flange(law, rub, radius=1.4 * RADIUS, clearance=p["clearance"])
+    return _bearing(jc.clearance.JournalBearing, p, law, _lugre(p), flange=collar)
 
 
 def ball(p):
     law = jc.contact.ModifiedFlores(modulus=p["stiffness"], restitution=0.8)
-    friction = jc.friction.BengisuAkay(
-        mu_static=1.5 * p["mu"],
-        mu_kinetic=p["mu"],
-        peak_speed=p["transition_speed"],
-        decay=1 / p["transition_speed"],
-    )
-    return jc.clearance.BallSocket(
-        law,
-        friction,
-        socket_radius=RADIUS,
-        clearance=p["clearance"],
-        socket_wear=_wearing(),
-        ball_wear=_wearing(),
-    )
+    speed = p["transition_speed"]
+    friction = jc.friction.BengisuAkay(**_static(p, peak_speed=speed, decay=1 / speed))
+    return _ball(p, law, friction, socket_wear=_wearing(), ball_wear=_wearing())
 
 
 def ball_with_bristles(p):
     law = jc.contact.HuntCrossley(stiffness=p["stiffness"], restitution=0.8)
-    friction = jc.friction.LuGre(
-        mu_static=1.5 * p["mu"],
-        mu_kinetic=p["mu"],
-        stribeck_speed=10 * p["transition_speed"],
-        presliding=1e-3 * p["transition_speed"],
-    )
-    return jc.clearance.BallSocket(law, friction, socket_radius=RADIUS, clearance=p["clearance"])
+    return _ball(p, law, _lugre(p))
 
 
 def guide(p):
     law = jc.contact.AdamsImpact(stiffness=p["stiffness"], damping=1e3, full_damping_depth=1e-6)
-    friction = jc.friction.AdamsStep(
-        mu_static=1.5 * p["mu"],
-        mu_kinetic=p["mu"],
-        static_speed=p["transition_speed"],
-        kinetic_speed=10 * p["transition_speed"],
-    )
     return jc.clearance.SliderGuide(
         law,
-        friction,
+        jc.friction.AdamsStep(**_static(p, **_step(p))),
         width=RADIUS,
         length=LENGTH,
         clearance=p["clearance"],
@@ -162,19 +122,8 @@ def guide(p):
     )
 
 
-JOINTS = {
-    joint.__name__: joint
-    for joint in (
-        planar,
-        planar_conformal,
-        journal,
-        journal_that_wears,
-        journal_with_collars,
-        ball,
-        ball_with_bristles,
-        guide,
-    )
-}
+ROUND = (journal, journal_that_wears, journal_with_collars, ball, ball_with_bristles)
+JOINTS = {joint.__name__: joint for joint in (planar, planar_conformal, *ROUND, guide)}
 
 
 def build(kind, p):

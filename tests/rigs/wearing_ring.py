@@ -12,10 +12,12 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import jaxclear as jc
 from jaxclear.components.load import AbstractCoordinateLoad
+from tests.rigs.worn_scar import crescent
 
 TURN, CELLS, SAVES = 0.05, 36, 37
 RADIUS, CLEARANCE, LENGTH = 10e-3, 0.1e-3, 20e-3
@@ -46,16 +48,17 @@ class Falling(AbstractCoordinateLoad):
         return force - lost, 0, lost * speed, force * speed
 
 
-def wearing_ring(slope=SLOPE, hyperbolic=False, breaks=1.0):
-    """The mechanism; `slope` [1/m], 0 for a constant force."""
+def wearing_ring(slope=SLOPE, hyperbolic=False, breaks=1.0, worn=("bearing",), cells=CELLS):
+    """The mechanism; `slope` [1/m], 0 for a constant force, below zero for one that grows with the
+    way, as that of an unbalance does. `worn`: of the ring (bearing), and of the journal, into which
+    it cuts a crescent."""
+    wearing = jc.Wearing(jc.wear.Archard(wear_coefficient=WEAR, hardness=HARDNESS), (cells, 1))
     joint = jc.clearance.PlanarJournalBearing(
         jc.contact.KelvinVoigt(stiffness=STIFFNESS, damping=1e4, onset_depth=1e-8),
         bearing_radius=RADIUS,
         clearance=CLEARANCE,
         length=LENGTH,
-        bearing_wear=jc.Wearing(
-            jc.wear.Archard(wear_coefficient=WEAR, hardness=HARDNESS), (CELLS, 1)
-        ),
+        **{f"{surface}_wear": wearing for surface in worn},
     )
     turning = jc.joint.Revolute(drive=jc.drive.ConstantSpeed(2 * math.pi / TURN))
     slide = jc.Connection(
@@ -84,13 +87,15 @@ VARIABLES = {
 
 def problem(rig, **kwargs):
     """The responses of one turn, by steps that resolve the contact."""
-    responses = {
-        "force": jc.response.MeanContactForce("B"),
-        "peak depth": jc.response.PeakWornDepth("B"),
-    }
+    responses = {"force": jc.response.MeanContactForce("B")}
+    varied = dict(VARIABLES)
+    if rig.connections["B"].joint.bearing_wear is None:
+        del varied["hardness"]
+    else:
+        responses["peak depth"] = jc.response.PeakWornDepth("B")
     integrator = jc.integrator.FixedStep(5e-5)
     return jc.Problem(
-        rig, responses, VARIABLES, duration=TURN, save=SAVES, integrator=integrator, **kwargs
+        rig, responses, varied, duration=TURN, save=SAVES, integrator=integrator, **kwargs
     )
 
 
@@ -124,6 +129,19 @@ class ClosedForm(NamedTuple):
             integral = FORCE / (2 * a) * (1 / last**2 - 1 / first**2) + math.log(first / last) / k
         mean = 1 + 0.25 * (first + last) / STIFFNESS / RADIUS
         return integral * HARDNESS * LENGTH / WEAR / mean
+
+    def turns_of_crescent(self, depth: float) -> float:
+        """Turns until a crescent in the journal is so deep, where that alone wears."""
+        radius, step = RADIUS - CLEARANCE, 1e-4 * depth
+
+        def rate(x):
+            """Turns a metre."""
+            volumes = (crescent(max(x + s, 0.0), CLEARANCE, radius) for s in (step, -step))
+            force, slope = self.force_at(x), np.subtract(*volumes) / (x + step - max(x - step, 0.0))
+            slid = 2 * math.pi * (RADIUS + 0.5 * force / STIFFNESS)
+            return slope / (WEAR / HARDNESS * force * slid)
+
+        return quad(rate, 0.0, depth)[0]
 
     def depth(self, turns: float) -> float:
         """Depth after so many turns."""

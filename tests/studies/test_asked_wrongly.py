@@ -109,6 +109,30 @@ def test_what_a_variable_derives_is_a_number_of_the_mechanism(name, nothing_comp
         problem(lambda run: run.ended, variable)
 
 
+# Of a normal distribution with a deviation of a clearance, 16 % (below -1 deviation) lie below 0.
+LOST = {
+    "metres in the place of micrometres": (jc.Variable, 20.0, "50 %"),
+    "a deviation as large as the clearance": (jc.distribution.Normal, 0.2e-3, "16 %"),
+}
+
+
+@pytest.mark.parametrize("name", LOST)
+def test_a_distribution_beyond_what_its_number_can_be_is_warned_about(name):
+    kind, size, share = LOST[name]
+    where = lambda rig: rig.connections["B"].joint.clearance
+    named = kind is jc.Variable
+    wide = kind(where, tolerance=size) if named else jc.Variable(where, kind(size))
+    with pytest.warns(UserWarning, match=f"{share} of its distribution lie below 0 m") as said:
+        problem(lambda run: run.ended, wide)
+    assert len(said) == 1 and said[0].filename == __file__
+
+
+@pytest.mark.filterwarnings("error::UserWarning")
+def test_a_usual_tolerance_is_not_warned_about():
+    where = lambda rig: rig.connections["B"].joint.clearance
+    problem(lambda run: run.ended, jc.Variable(where, tolerance=0.1e-3))
+
+
 def test_responses_of_positions_are_refused_by_their_names():
     asked = {"positions": {"O": np.linspace(0.0, 1.0, 2)}}
     for response, sentence in (

@@ -9,7 +9,6 @@ import pandas
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.campaign import samples as kept
 from jaxclear.studies.campaign.samples import Samples
 from jaxclear.studies.campaign.threads import Evaluation, done
 from jaxclear.studies.ledger.batch import Program
@@ -61,25 +60,6 @@ def test_an_earlier_look_at_a_folder_stays_what_it_was(tmp_path):
     assert np.array_equal(again.values[:5000], values)
     with pytest.raises(ValueError, match=r"with samples=10000, more than 5000\. Ask for as many"):
         campaign(5000, tmp_path)
-
-
-def test_a_campaign_whose_process_dies_before_it_grows_is_what_it_was(whole, tmp_path, monkeypatch):
-    place = tmp_path / "kept"
-    campaign(5000, place)
-    before = contents(place)
-
-    def dies(*_):
-        raise SystemExit
-
-    with monkeypatch.context() as patched:
-        patched.setattr(kept, "tell", dies)
-        with pytest.raises(SystemExit):
-            campaign(10_000, place)
-    assert jc.open_campaign(place).to_dataset().sizes["sample"] == 5000
-    campaign(5000, place)
-    assert contents(place) == before
-    campaign(10_000, place)
-    assert contents(place) == contents(whole)
 
 
 @pytest.mark.parametrize("late_is_first", [True, False])

@@ -70,6 +70,7 @@ def test_indices_are_those_of_salib(indices):
             assert abs(own.value - theirs[name][i]) < own.error + theirs[f"{name}_conf"][i]
 
 
+@pytest.mark.slow
 def test_intervals_of_indices_hold():
     """Three parts with kinks and a jump: of 40 studies fewer than 32 by chance never."""
     stack = jc.FunctionProblem(
@@ -116,6 +117,7 @@ def test_a_surface_says_what_its_indices_leave_out():
             assert own.low <= exact[i] <= own.high and own.error > 0.1
 
 
+@pytest.mark.slow
 def test_indices_of_heavy_tails_hold():
     """Beyond the outermost runs a polynomial supposes, and a response that is bounded does not
     follow: indices were 1.000 and said to be exact where 0.65 is right."""

@@ -11,8 +11,7 @@ import jaxclear as jc
 from jaxclear.studies.sampling import draw, groups
 from jaxclear.studies.sensitivity.derivative import confirmed, from_parts
 from jaxclear.studies.sensitivity.differences import differences, moved
-from jaxclear.studies.sensitivity.direction import directions
-from jaxclear.studies.sensitivity.functional import Functional
+from jaxclear.studies.sensitivity.estimand import Functional, directions
 
 D = jc.distribution
 SLOPES, SPREADS = np.array([1.0, -0.8, 0.5]), np.array([0.1, 0.2, 0.15])
@@ -131,6 +130,23 @@ def test_single_sizes_have_differences_only():
     assert "single sizes" in shim.estimates["regression"].refusal
     assert shim.value == pytest.approx(-1.0) and "Unconfirmed" in shim.verdict
     assert gap.trustworthy and gap.value == pytest.approx(1.0)
+
+
+def test_samples_that_fail_where_they_are_moved_are_told():
+    """The mean of a root over 0 to 1 moves by 1; of parts that bear a step to both sides by 0.65,
+    which is no answer by itself. Where they are few they are told beside it."""
+    root = lambda spread: jc.FunctionProblem(
+        lambda x: jnp.sqrt(x), {"x": jc.Dimension(0.5, spread)}
+    )
+    told = jc.sensitivity(root(D.Uniform(0.5)), methods=("differences",))
+    answer = told.derivatives["response", "x"]
+    assert np.isnan(answer.value) and not answer.trustworthy
+    assert "34 of 128 samples, which fail where they are moved, are left out" in answer.verdict
+    both = jc.sensitivity(root(D.Uniform(0.5))).derivatives["response", "x"]
+    assert both.trustworthy and both.value == pytest.approx(1.0, rel=1e-4)
+    few = jc.sensitivity(root(D.Normal(0.18)), methods=("differences",))
+    told = few.derivatives["response", "x"]
+    assert np.isfinite(told.value) and " of 128 samples, which fail" in told.verdict
 
 
 def test_correlated_variables_move_one_by_one():

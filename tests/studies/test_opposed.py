@@ -9,9 +9,8 @@ import scipy
 
 import jaxclear as jc
 from jaxclear.studies.sampling import draw, groups
-from jaxclear.studies.sensitivity.direction import directions
-from jaxclear.studies.sensitivity.functional import Functional
-from jaxclear.studies.sensitivity.opposed import between_distributions, opposed_of, paired
+from jaxclear.studies.sensitivity.differences import between_distributions, opposed_of, paired
+from jaxclear.studies.sensitivity.estimand import Functional, directions
 
 MANY = 40_000
 DISTRIBUTIONS = {
@@ -111,7 +110,7 @@ def test_pairs_of_a_skewed_variable_know_how_far_they_are_off():
     for seed in range(48):
         sample = draw(problem, 64, seed, scramblings=16), groups(64, 16)
         pairs = paired(problem, sample, direction, between)
-        told = between_distributions(problem, pairs, means)
+        told = between_distributions(problem, pairs, between, means)
         found.append(told["response"][:2])
         square.append(
             abs(told["square"].value - 2 * parts.mean() / scale**2) <= told["square"].error

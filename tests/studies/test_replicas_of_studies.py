@@ -335,12 +335,12 @@ def test_a_replica_that_fails_of_a_strangers_problem_is_named():
 
 def test_a_campaign_keeps_its_replicas_and_adds_what_it_lacks(tmp_path, monkeypatch):
     """A larger one has those of the smaller, and eight more; nothing is run twice."""
-    asked, counts, finer = long_steps(), [], threads.finer
-    counted = lambda problem, plan, values: (
+    asked, counts, finer = long_steps(), [], threads.finer_runs
+    counted = lambda asked, values, chunk: (
         counts.append(len(values)),
-        finer(problem, plan, values),
+        finer(asked, values, chunk),
     )[1]
-    monkeypatch.setattr(threads, "finer", counted)
+    monkeypatch.setattr(threads, "finer_runs", counted)
     how = {"folder": tmp_path, "scramblings": 4}
     first = jc.campaign(asked, 8, **how)
     assert first.sample.replicas.count == 8

@@ -68,6 +68,14 @@ def test_whole_turns_are_no_change_of_place():
         jc.settled(slider_crank("ideal"), 0.125, cycles=2)
 
 
+def test_a_period_of_several_cycles_is_said():
+    """Cycles given in the place of the period."""
+    with pytest.warns(
+        UserWarning, match=r"repeat after 0\.05 s already, 20 times in the period of"
+    ):
+        jc.settled(wearing_ring(), 1.0, cycles=1, throw=False)
+
+
 @pytest.mark.slow
 def test_chaotic_motion_is_known_by_means():
     """A journal that rattles ends no cycle as it began it. Two halves of many cycles have means
@@ -112,6 +120,7 @@ def test_a_cycle_that_fails_says_so():
         (lambda: jc.settled(problem(wearing_ring()), 0.05), "given a Problem, whose duration"),
         (lambda: jc.settled("ring", 0.05), "must be a Mechanism or a Problem"),
         (lambda: jc.settled(wearing_ring(), 0.05, cycles=0), "cycles of settled is 0"),
+        (lambda: jc.settled(wearing_ring(), 1e5 + 0.02), r"A turn of it takes 0\.05 s; cycles are"),
         (lambda: jc.settled(wearing_ring(), 0.05, tolerance=-1), "tolerance of settled is -1"),
     ],
 )

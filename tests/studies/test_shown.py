@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.studies.answer import Column, Stated, dataset_of, table_of, with_interval
+from jaxclear.studies.statistics.scrambled import Statistic
+from jaxclear.studies.statistics.summary import coverage_of_deviation
 
 ASKED = jc.FunctionProblem(
     lambda a, b: {"fit": a - b, "area": a * b},
@@ -90,3 +93,56 @@ def test_a_tolerance_interval_is_a_sentence():
     found = jc.monte_carlo(ASKED, 1024).tolerance_interval("fit", 0.9, 0.95, side="upper")
     words = f"90 % of all parts are below {found.high}, with a confidence of 95 %"
     assert str(found) == words
+
+
+NORMALS = {name: jc.Dimension(0.0, jc.distribution.Normal(1.0), unit="1") for name in "ab"}
+
+
+def test_what_few_samples_do_not_tell_is_said():
+    """`print` told "± inf" of quantiles at 64 samples; a lognormal's deviation is held by 81 to 89
+    of 100 intervals, a normal one's by 95."""
+    both = jc.FunctionProblem(
+        lambda a, b: {"plain": a - b, "heavy": jax.numpy.exp(1.4 * a)}, NORMALS
+    )
+    few, many = str(jc.monte_carlo(both, 64)), str(jc.monte_carlo(both, 512))
+    assert '64 samples do not bound the 5 % and 95 % quantiles of "plain", "heavy"' in few
+    assert "inf" not in few + str(jc.monte_carlo(both, 64).summary()) and "bound" not in many
+    for told in (few, many):
+        assert 'Few samples decide the standard deviation of "heavy"' in told
+        assert 'deviation of "plain"' not in told
+
+
+def test_intervals_of_deviations_cover_what_is_said_of_them():
+    """By Hall's expansion, beside Student's intervals of 2 000 samples of exponential numbers."""
+    rng, held, told = np.random.default_rng(0), [], []
+    for sample in rng.exponential(size=(2000, 100)):
+        squares = (sample - sample.mean()) ** 2
+        half = 1.984 * squares.std(ddof=1) / np.sqrt(len(squares))
+        held.append(abs(squares.mean() - 1.0) <= half)
+        told.append(coverage_of_deviation(sample))
+    assert abs(np.mean(held) - np.mean(told)) < 0.1 and np.mean(told) < 0.92
+
+
+def test_a_level_that_no_run_has_leaves_its_indices_open():
+    """A rare level, and so the index of its variable, was told to be 0 ± 0."""
+    rare = jc.distribution.Discrete((0.0, 1.0), (1 - 1e-6, 1e-6))
+    numbers = NORMALS | {"b": jc.Dimension(0.0, rare, unit="1")}
+    steps = jc.FunctionProblem(lambda a, b: a + 1e4 * b, numbers)
+    sobol, shapley = jc.sobol_indices(steps, 64), jc.shapley_effects(steps, 64)
+    for study, found in ((sobol, sobol.total), (shapley, shapley.effects)):
+        assert (found["response", "b"].low, found["response", "b"].high) == (0.0, 1.0)
+        assert 'No run has "b" = 1' in str(study) and "3e+06 samples" in str(study)
+
+
+def test_columns_are_stated_once():
+    """Rows are labelled by what a column maps from, and gaps are nan, or "" among texts."""
+    over = ("response", "variable")
+    columns = with_interval("share", over, {("f", "a"): Statistic(0.5, 0.4, 0.7)})
+    columns |= {"why": Column(over, {("f", "b"): "none"}), "run": Column(("point",), [1.0], "s")}
+    table = table_of(Stated("a study", columns))
+    assert table.index.tolist() == [("f", "a"), ("f", "b")]
+    assert list(table.columns) == ["share", "share error", "why"]
+    data = dataset_of(Stated("a study", columns), runs=3)
+    assert dict(data.sizes) == {"response": 1, "variable": 2, "point": 1} and data.runs == 3
+    assert data["share high"].values.tolist()[0][0] == 0.7 and np.isnan(data["share"][0, 1])
+    assert data["why"].values.tolist() == [["", "none"]] and data["run"].units == "s"

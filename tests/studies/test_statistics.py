@@ -6,8 +6,8 @@ import pytest
 from scipy import stats
 
 import jaxclear as jc
+from jaxclear.studies.statistics.limits import fewest, normal_factor
 from jaxclear.studies.statistics.scrambled import jackknifed, skewed_half, smooth_quantile, student
-from jaxclear.studies.statistics.tolerance_interval import fewest, normal_factor
 
 D = jc.distribution
 # A stack of four parts: gap = d - a - b - c, normal with mean 0.5 mm.

@@ -185,30 +185,6 @@ class CarryingEnd(NamedTuple):
     contacts: tuple[CarriedContact, ...]
 
 
-class AbstractMovesAsIdeal(AbstractVectorJoint):
-    """A joint that moves as its `ideal` does."""
-
-    @property
-    @abstractmethod
-    def ideal(self) -> AbstractVectorJoint:
-        """The joint as which it moves."""
-
-    def motion(self, q):
-        return self.ideal.motion(q)
-
-    def columns(self, q):
-        return self.ideal.columns(q)
-
-    def bias(self, q, v):
-        return self.ideal.bias(q, v)
-
-    def coordinates_at(self, pose):
-        return self.ideal.coordinates_at(pose)
-
-    def speeds_at(self, pose, velocity, spin):
-        return self.ideal.speeds_at(pose, velocity, spin)
-
-
 class AbstractRubbingJoint(AbstractJoint):
     """An ideal joint whose parts touch all the time and rub: one of one coordinate, or a ball
     (`AbstractRubbingBall`), whose friction and sliding velocity have three components."""

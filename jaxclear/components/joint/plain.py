@@ -20,7 +20,6 @@ from jaxclear.components.drive import AbstractDrive
 from jaxclear.components.joint.base import (
     AbstractDrivenJoint,
     AbstractGroupJoint,
-    AbstractMovesAsIdeal,
     AbstractRubbingJoint,
     CarriedContact,
     CarryingEnd,
@@ -38,24 +37,7 @@ from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.friction import AbstractFrictionLaw
 
 
-class AbstractPlainJoint(AbstractRubbingJoint, AbstractDrivenJoint, AbstractMovesAsIdeal):
-    """An ideal joint of one coordinate that rubs by what it carries, or by a given `load`."""
-
-    load: eqx.AbstractVar[Scalar | None]
-
-    @property
-    def gap_axes(self):
-        return ()
-
-    @property
-    def follows_reaction(self):
-        return self.load is None
-
-    def wear_place(self, surface, offset, axes, contact, indentation):
-        return (0.0,)
-
-
-class PlainBearing(AbstractPlainJoint):
+class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
     r"""Turns about z as `Revolute` does, and rubs: the friction torque is radius times friction.
 
     A reaction R across the axis rubs with :math:`\sin(\arctan\mu)\,|R|` (the friction circle). With
@@ -71,6 +53,7 @@ class PlainBearing(AbstractPlainJoint):
     units: ClassVar = Revolute.units
     rows: ClassVar = Revolute.rows
     reversal: ClassVar = Revolute.reversal
+    gap_axes: ClassVar = ()
     friction: AbstractFrictionLaw | None = None
     radius: Scalar = quantity(10e-3, "m", "radius of the pin", above=0, kw_only=True)
     length: Scalar | None = quantity(None, "m", "length of the bearing", above=0, kw_only=True)
@@ -82,6 +65,10 @@ class PlainBearing(AbstractPlainJoint):
 
     def __check_init__(self):
         _check_area(self, length=self.length)
+
+    @property
+    def follows_reaction(self):
+        return self.load is None
 
     @property
     def arm(self):
@@ -112,12 +99,26 @@ class PlainBearing(AbstractPlainJoint):
     def wearing_contacts(self):
         return (0,) if self.load is not None or self.length is None else (0, 1)
 
-    @property
-    def ideal(self):
-        return Revolute()
+    def wear_place(self, surface, offset, axes, contact, indentation):
+        return (0.0,)
+
+    def motion(self, q):
+        return Revolute().motion(q)
+
+    def columns(self, q):
+        return Revolute().columns(q)
+
+    def bias(self, q, v):
+        return None
+
+    def coordinates_at(self, pose):
+        return Revolute().coordinates_at(pose)
+
+    def speeds_at(self, pose, velocity, spin):
+        return Revolute().speeds_at(pose, velocity, spin)
 
 
-class Slideway(AbstractPlainJoint):
+class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
     r"""Slides along z as `Prismatic` does, and rubs: :math:`\mu` times what it carries across.
 
     With `length` the moment across the axis loads the two ends as forces, with `width` the moment
@@ -132,6 +133,7 @@ class Slideway(AbstractPlainJoint):
     units: ClassVar = Prismatic.units
     rows: ClassVar = Prismatic.rows
     reversal: ClassVar = Prismatic.reversal
+    gap_axes: ClassVar = ()
     arm: ClassVar = 1
     friction: AbstractFrictionLaw | None = None
     length: Scalar | None = quantity(None, "m", "length of the slider", above=0, kw_only=True)
@@ -144,6 +146,10 @@ class Slideway(AbstractPlainJoint):
 
     def __check_init__(self):
         _check_area(self, length=self.length, width=self.width)
+
+    @property
+    def follows_reaction(self):
+        return self.load is None
 
     def friction_wrench(self, friction):
         return (0, 0, friction), sp.ZERO
@@ -175,9 +181,23 @@ class Slideway(AbstractPlainJoint):
             return (0,)
         return tuple(range((2 if self.length is not None else 1) + 2 * (self.width is not None)))
 
-    @property
-    def ideal(self):
-        return Prismatic()
+    def wear_place(self, surface, offset, axes, contact, indentation):
+        return (0.0,)
+
+    def motion(self, q):
+        return Prismatic().motion(q)
+
+    def columns(self, q):
+        return Prismatic().columns(q)
+
+    def bias(self, q, v):
+        return None
+
+    def coordinates_at(self, pose):
+        return Prismatic().coordinates_at(pose)
+
+    def speeds_at(self, pose, velocity, spin):
+        return Prismatic().speeds_at(pose, velocity, spin)
 
 
 def _clamped(load: Any, ratio: Any, place: sp.Vec) -> CarryingEnd:

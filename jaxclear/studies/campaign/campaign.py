@@ -21,8 +21,7 @@ from jaxclear.studies.campaign.threads import AbstractWork, Threads
 from jaxclear.studies.design.design import design
 from jaxclear.studies.ledger.ledger import Ledger, current, refuse_other
 from jaxclear.studies.ledger.pieces import checked_folder
-from jaxclear.studies.life.lives import wear_lives
-from jaxclear.studies.life.wear_life import wear_life
+from jaxclear.studies.life.wear_life import wear_life, wear_lives
 from jaxclear.studies.reliability.reliability import reliability
 from jaxclear.studies.sampling import check_sampled, checked_scramblings
 from jaxclear.studies.sensitivity.sensitivity import sensitivity

@@ -15,21 +15,14 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from jaxclear.ground.wording import described
-from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.campaign.samples import Plan, Samples
-from jaxclear.studies.campaign.threads import (
-    PATIENCE,
-    AbstractWork,
-    Evaluation,
-    done,
-    finer,
-)
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.campaign.samples import Samples
+from jaxclear.studies.campaign.threads import PATIENCE, AbstractWork, Evaluation, done
 from jaxclear.studies.ledger.batch import Program
 from jaxclear.studies.ledger.ledger import STUDY
 from jaxclear.studies.ledger.pieces import address_of
+from jaxclear.studies.replicas import finer_runs
 from jaxclear.studies.texts import in_texts
 
 # Blocks of chunks asked of the scheduler at a time, for each thread of the workers.
@@ -99,8 +92,7 @@ class Workers(AbstractWork):
 
     def replicated(self, plan, values):
         self._joined()
-        asked = self.client.submit(_finer, self.there, self.token, plan, values, pure=False)
-        return asked.result()
+        return self.client.submit(finer_runs, self.there, values, plan.batch, pure=False).result()
 
     def _joined(self) -> None:
         """Waits for a worker. Raises `RuntimeError` with a sentence where none comes."""
@@ -135,13 +127,6 @@ def _answer(future: Any, block: list[int]) -> list[int | None]:
 def _itself(problem: AbstractProblem) -> AbstractProblem:
     """The problem, as something that Dask holds for all workers."""
     return problem
-
-
-def _finer(problem: AbstractProblem, token: str, plan: Plan, values: np.ndarray) -> SampleResult:
-    """What samples of these values give in finer runs, on a worker, by the program of its own."""
-    with _MAKING:
-        program = _program(_Once(token, problem))
-    return finer(program.problem, plan, values)
 
 
 def _on_worker(

@@ -16,7 +16,7 @@ from jaxclear.ground.warning import warn
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.campaign.recorded import in_json
 from jaxclear.studies.campaign.result import Campaign
-from jaxclear.studies.campaign.samples import KIND, RESPONSES, VALUES, Plan, Samples
+from jaxclear.studies.campaign.samples import KIND, RESPONSES, VALUES, Plan, Samples, held
 from jaxclear.studies.campaign.threads import AbstractWork, Heard
 from jaxclear.studies.ledger.batch import usual_batch
 from jaxclear.studies.ledger.ledger import refuse_other
@@ -123,14 +123,13 @@ def _verify(samples: Samples, by: AbstractWork) -> None:
     keeps them, and adds what it lacks."""
     if not len(_lacking(samples)) or by.problem.replica() is None:
         return
-    import filelock
-
-    with filelock.FileLock(samples.folder / VERIFYING, thread_local=False):
+    with held(samples.folder / VERIFYING):
         known, lacking = samples.finer(), _lacking(samples)
         if not len(lacking):
             return
         values = samples.read(slice(lacking.start, lacking.stop), VALUES)[VALUES]
-        found = dataclasses.replace(by.replicated(samples.plan, values), checks=Checks())
+        found: Any = by.replicated(samples.plan, values)
+        found = dataclasses.replace(found, checks=Checks())
         parts = [own for own in (known, found) if own is not None]
         samples.keep_finer(jax.tree.map(lambda *own: np.concatenate(own), *parts))
 

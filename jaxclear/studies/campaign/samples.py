@@ -12,7 +12,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.datasets import told_versions
@@ -42,22 +41,15 @@ MOST_CHUNKS, MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK = 1024, 32, 1 << 14
 BATCHES, OF_CAMPAIGN = 4, 64
 KIND = "a Monte Carlo campaign"
 # What is kept of each sample; the figures of its checks, and when they were met.
-VALUES, RESPONSES, OUTCOME, ENDED, WORST, WHEN = COLUMNS = (
-    "values",
-    "responses",
-    "outcome",
-    "ended",
-    "worst",
-    "when",
-)
+COLUMNS = ("values", "responses", "outcome", "ended", "worst", "when")
+VALUES, RESPONSES, OUTCOME, ENDED, WORST, WHEN = COLUMNS
 # Columns that repeat themselves.
 SQUEEZED = (OUTCOME, ENDED, WORST, WHEN)
 FINER = "finer"
 # Held while the plan is changed.
 PLANNING = ".planning"
-# Up to how many samples all had been finished once; what versions up to 0.29 found of the nominal
-# sample.
-WHOLE, NOMINAL = "whole", "second_look"
+# Up to how many samples all had been finished once.
+WHOLE = "whole"
 
 
 class Plan(NamedTuple):
@@ -141,7 +133,7 @@ class Samples:
         if known is None:
             refuse_foreign(path, "campaign")
             known = {"what": KIND, "plan": plan._asdict()} | told
-        with _planning(path):
+        with held(path / PLANNING):
             with suppress(DamagedFolder):
                 # Two processes may begin at once.
                 known = told_of(path) or known
@@ -158,7 +150,7 @@ class Samples:
     def extended(self, samples: int, usual: int) -> "Samples":
         """With room for so many, in batches of the `usual` size; for more, where another process
         has planned these."""
-        with _planning(self.folder):
+        with held(self.folder / PLANNING):
             told = told_of(self.folder) or self.told
             plan = Plan(**told["plan"])
             if plan.samples < samples:
@@ -170,7 +162,7 @@ class Samples:
     def conclude(self) -> None:
         """Puts down that all samples are finished, and tidies up."""
         if self.told.get(WHOLE, 0) < self.plan.samples:
-            with _planning(self.folder):
+            with held(self.folder / PLANNING):
                 told = told_of(self.folder) or self.told
                 tell(self.folder, told | {WHOLE: max(told.get(WHOLE, 0), self.plan.samples)})
         self.pieces.tidy()
@@ -326,15 +318,6 @@ class Samples:
             return None
         return together_with(self._names, self.found(slice(0, count)), finer, count)
 
-    def earlier(self) -> tuple[str, ...]:
-        """What a version up to 0.29 found to be off in a second look at the nominal sample."""
-        kept: Any = self.told.get(NOMINAL, ())
-        figures = {
-            Check[name]: Figure(jnp.asarray(worst), jnp.asarray(when), tuple(places))
-            for name, worst, when, places in kept
-        }
-        return Checks.of(figures).warnings
-
     def versions(self) -> tuple[dict[str, str], ...]:
         """Versions of the programs that computed finished chunks."""
         told = [self._whole[int(number)] for number in self.finished()]
@@ -375,16 +358,16 @@ def _told(path: Path, mend: bool) -> dict[str, Any] | None:
 
 
 @contextmanager
-def _planning(folder: Path) -> Iterator[None]:
-    """Holds the plan of a folder, which is made where there is none."""
+def held(path: Path) -> Iterator[None]:
+    """Holds a file in a folder, which is made where there is none, against other processes."""
     import filelock
 
-    lock = filelock.FileLock(folder / PLANNING, thread_local=False)
+    lock = filelock.FileLock(path, thread_local=False)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         lock.acquire()
     except OSError as reason:
-        refuse_unwritable(folder, reason)
+        refuse_unwritable(path.parent, reason)
     try:
         yield
     finally:

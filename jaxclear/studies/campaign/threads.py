@@ -16,12 +16,12 @@ import jax
 import numpy as np
 
 from jaxclear.integrators import Outcome
-from jaxclear.native import stoppable, stops
+from jaxclear.native import stops
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.samples import OUTCOME, RESPONSES, Plan, Samples
 from jaxclear.studies.endless import answered
-from jaxclear.studies.ledger.batch import Program, Stopped, devices, side_by_side
-from jaxclear.studies.replicas import replica_chunk
+from jaxclear.studies.ledger.batch import Program, devices, side_by_side
+from jaxclear.studies.replicas import finer_runs
 from jaxclear.studies.sampling import Drawing
 
 # [s] between looks at whether others have finished the chunks that they are at.
@@ -95,14 +95,6 @@ def done(samples: Samples, evaluation: Evaluation, number: int) -> int | None:
         return failures(problem, known.arrays[OUTCOME], by_name)
 
 
-def finer(problem: AbstractProblem, plan: Plan, values: np.ndarray) -> SampleResult:
-    """What samples of these values give in finer runs, in batches of the plan where they are of one
-    program."""
-    replica: Any = problem.replica()
-    batch = replica_chunk(problem, replica, len(values), plan.batch)
-    return Evaluation(Program(replica, wide=True), plan._replace(batch=batch)).chunk(values)
-
-
 class AbstractWork(ABC):
     """Who computes the chunks of a campaign of a `problem`."""
 
@@ -114,8 +106,9 @@ class AbstractWork(ABC):
         are at."""
 
     @abstractmethod
-    def replicated(self, plan: Plan, values: np.ndarray) -> SampleResult:
-        """What samples of these values (samples, variables) give in finer runs."""
+    def replicated(self, plan: Plan, values: np.ndarray) -> SampleResult | None:
+        """What samples of these values (samples, variables) give in finer runs, if there are
+        any."""
 
 
 class Threads(AbstractWork):
@@ -140,8 +133,4 @@ class Threads(AbstractWork):
             time.sleep(PATIENCE if left else 0)
 
     def replicated(self, plan, values):
-        with stoppable():
-            try:
-                return finer(self.problem, plan, values)
-            except Stopped:
-                raise KeyboardInterrupt from None
+        return finer_runs(self.problem, values, plan.batch)

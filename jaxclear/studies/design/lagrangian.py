@@ -30,7 +30,7 @@ from jaxclear.studies.design.population import AbstractModel, Points, points
 from jaxclear.studies.design.question import NOMINAL, TOLERANCE, Question
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.endless import bounded
-from jaxclear.studies.sensitivity.direction import Direction, weights
+from jaxclear.studies.sensitivity.estimand import Direction, weights
 from jaxclear.studies.surface.control_variate import with_difference
 
 # Adam's steps: places run from 0 to 1.

@@ -59,15 +59,14 @@ class Runs:
         count = len(values)
         padded = np.concatenate([values, np.repeat(values[-1:], -count % self.batch, axis=0)])
         pieces = padded.reshape(-1, self.batch, values.shape[1])
-        found: list[np.ndarray] = []
-        for piece in pieces:
-            kept = self._taken(piece)
-            if kept is None:
-                break
-            found.append(kept)
-        left = pieces[len(found) :]
-        if len(left):
-            found += self._computed(left, label)
+        kind = jax.ShapeDtypeStruct((self.batch, self.responses.shape[1] + 1), np.dtype(float))
+        found: list[Any] = [None] * len(pieces)
+        if self.store is not None:
+            found = [self.store.taken(piece.ravel(), kind) for piece in pieces]
+        left = [number for number, known in enumerate(found) if known is None]
+        if left:
+            for number, own in zip(left, self._computed(pieces[left], label), strict=True):
+                found[number] = own
         answers = np.concatenate(found)[:count]
         self.values = np.concatenate([self.values, values])
         self.responses = np.concatenate([self.responses, answers[:, :-1]])
@@ -89,13 +88,6 @@ class Runs:
         pairs = zip(names, self.responses[good].T, strict=True)
         columns = [bounded(self.problem, name, own, levels(name)) for name, own in pairs]
         return self.values[good], np.stack(columns, axis=1)
-
-    def _taken(self, piece: np.ndarray) -> np.ndarray | None:
-        if self.store is None:
-            return None
-        width = self.responses.shape[1] + 1
-        shape = jax.ShapeDtypeStruct((self.batch, width), np.dtype(float))
-        return self.store.taken(piece.ravel(), shape)
 
     def _computed(self, pieces: np.ndarray, label: str) -> list[np.ndarray]:
         flat = jnp.asarray(pieces.reshape(-1, pieces.shape[-1]))

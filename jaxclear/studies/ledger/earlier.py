@@ -10,8 +10,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.ledger.pieces import Piece
 from jaxclear.studies.texts import first_difference
@@ -72,6 +74,15 @@ class EarlierSamples:
         outcome: Any = np.array(kept["outcome"], int)
         ended: Any = np.array(kept["ended"], float)
         return SampleResult(by_name, outcome, ended)
+
+
+def second_look(told: dict[str, Any]) -> tuple[str, ...]:
+    """What a version up to 0.29 found to be off in a second look at the nominal sample."""
+    figures = {
+        Check[name]: Figure(jnp.asarray(worst), jnp.asarray(when), tuple(places))
+        for name, worst, when, places in told.get("second_look", ())
+    }
+    return Checks.of(figures).warnings
 
 
 class EarlierRecords:

@@ -1,7 +1,11 @@
 """One cycle of a machine: from a state and worn surfaces to the state at its end, what wore, and
-the responses.
+the responses; how far it ends from where it began, and whether the drives repeat. Compiled once for
+a whole life: state, surfaces and numbers are inputs of the program.
 
-Compiled once for a whole life: state, surfaces and numbers are inputs of the program.
+How far a state is from the one a cycle before, each thing in its own measure: poses are compared,
+not coordinates, as a crank that has made a whole turn stands where it stood, and a quaternion and
+its opposite are one attitude. A journal counts in shares of its clearance, because that is what
+decides its contact.
 """
 
 import dataclasses
@@ -15,27 +19,36 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxclear.components.joint.base import drive_of
 from jaxclear.formulations.base import model_of
 from jaxclear.ground.arguments import check_number, expect
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
+from jaxclear.ground.warning import warn
 from jaxclear.integrators import AbstractIntegrator, Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism, ungiven
 from jaxclear.multibody.state import names
+from jaxclear.multibody.system import longest_arm
 from jaxclear.multibody.validation import check_values
 from jaxclear.native import stoppable
-from jaxclear.results import response
-from jaxclear.results.state_history import SavedMotion, State
+from jaxclear.results import histories, response
+from jaxclear.results.state_history import SavedMotion, State, StateHistory, columns, over_time
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.initial_state import Past, beginning
 from jaxclear.simulation.loop import run
 from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.simulation.wear import Losses, Worn, lost_between, unworn, worn_by
-from jaxclear.studies.life.periodicity import apart
 from jaxclear.studies.problem import Problem
 
 # Of saving times are left, to tell what hangs on them.
 FOURTH = 4
+# A place within this of where it was [rad, m] is the same place; a period is written with so many
+# digits.
+SAME_PLACE = 1e-5
+# Parts of a cycle after which drives are looked at: no drive repeats after a ratio of Fibonacci
+# numbers that does not repeat throughout.
+LOOKS = (0.0, 2 / 13, 3 / 8, 8 / 13, 7 / 8)
 
 
 class Cycle(eqx.Module):
@@ -217,7 +230,9 @@ def as_problem(owner: str, asked: Any, period: Any, state: State | None = None) 
     if period is None:
         raise ValueError(f"{owner} of a mechanism needs its period [s]: how long one cycle takes.")
     check_number(f"period of {owner}", period, "s", above=0)
-    return Problem(asked, usual_responses(asked), {}, duration=period, state=state)
+    problem = Problem(asked, usual_responses(asked), {}, duration=period, state=state)
+    warn_of_several(owner, problem)
+    return problem
 
 
 def usual_responses(mechanism: Mechanism) -> dict[str, Callable]:
@@ -260,3 +275,109 @@ def _worse(one: Checks, other: Checks) -> Checks:
             mine.places,
         )
     return Checks.of(figures)
+
+
+def apart(history: StateHistory) -> dict[str, Float[Array, ""]]:
+    """How far the last saved state is from the first, by what it is of: places of bodies in longest
+    arms of the mechanism, attitudes [rad], velocities in the largest in between (a spin counts as
+    the speed of a longest arm that turns so), journals in clearances, angles that wind up springs
+    [rad]."""
+    motions = {name: histories.body(history, name) for name in history.mechanism.bodies}
+    arm = longest_arm(history.model().system)
+    fastest = jnp.max(
+        jnp.stack(
+            [jnp.max(_size(own.velocity) + arm * _size(own.spin)) for own in motions.values()]
+        )
+    )
+    found = {}
+    for name, own in motions.items():
+        found[f'the place of "{name}"'] = _change(own.com) / arm
+        # For small angles this is the angle.
+        turned = _size((own.rotation[-1] - own.rotation[0]).reshape(-1)) / jnp.sqrt(2.0)
+        found[f'the attitude of "{name}"'] = turned
+        found[f'the velocity of "{name}"'] = safe_divide(_change(own.velocity), fastest)
+        found[f'the spin of "{name}"'] = safe_divide(arm * _change(own.spin), fastest)
+    for name, clearance in _clearances(history).items():
+        offset = over_time(history, lambda now: now.pose(name).translation)
+        found[f'the journal in joint "{name}"'] = _change(columns(offset)) / clearance
+    layout = history.layout()
+    for i, name in enumerate(layout.angles):
+        angle = history.states[:, layout.angle_start + i]
+        found[f'the angle of joint "{name}"'] = jnp.abs(angle[-1] - angle[0])
+    return found
+
+
+def _clearances(history: StateHistory) -> dict[str, Any]:
+    """Clearance [m] of each joint whose journal moves freely in it."""
+    mechanism = history.mechanism
+    joints = {name: mechanism.connections[name].joint for name in mechanism.topology.clearances}
+    known = {name: getattr(joint, "clearance", None) for name, joint in joints.items()}
+    return {name: size for name, size in known.items() if eqx.is_array(size)}
+
+
+def _change(values: Float[Array, "time n"]) -> Float[Array, ""]:
+    return _size(values[-1] - values[0])
+
+
+def _size(values: Float[Array, "*batch n"]) -> Float[Array, " *batch"]:
+    return safe_sqrt(jnp.sum(values * values, axis=-1))
+
+
+def restless(problem: Problem, begins: float, period: float = 0.0) -> dict[str, tuple]:
+    """The drives that do not repeat from a time [s] to a `period` later, by default the problem's:
+    by joint, what they move it by [rad, m], and how far that is from where it was."""
+    ends, found = begins + (period or float(problem.duration)), {}
+    for name in problem.mechanism.driven:
+        joint = problem.mechanism.connections[name].joint
+        before, after = (_driven_to(joint, time) for time in (begins, ends))
+        poses = [joint.motion((q,)) for q in (before, after)]
+        parts = [np.array([[*p.rotation[i], p.translation[i]] for i in range(3)]) for p in poses]
+        away = float(np.linalg.norm(parts[1] - parts[0]))
+        if away > SAME_PLACE:
+            found[name] = after - before, away
+    return found
+
+
+def _driven_to(joint: Any, time: float) -> float:
+    """Where its drive has a joint at a time [s]."""
+    drive = drive_of(joint)
+    assert drive is not None
+    return float(drive.motion(time)[0])
+
+
+def check_period(owner: str, problem: Problem, begins: float, cycles: int = 1) -> None:
+    """Raises `ValueError` where a drive does not repeat over a cycle that begins at a time [s], nor
+    over the last of so many: it may be on its way up to what it does for ever."""
+    later = restless(problem, begins + (cycles - 1) * float(problem.duration))
+    for name, (moved, away) in restless(problem, begins).items():
+        if name not in later:
+            continue
+        unit = problem.mechanism.connections[name].joint.units[0]
+        turn = 2 * np.pi * float(problem.duration) / abs(moved)
+        more = f" A turn of it takes {turn:.4g} s; cycles are given by name, cycles=..."
+        raise ValueError(
+            f'the drive of joint "{name}" moves it by {moved:.6g} {unit} in a period of '
+            f"{float(problem.duration):.6g} s, which leaves it {away:.2g} from where it was: give "
+            f"{owner} the period after which the drives repeat."
+            f"{more if unit == 'rad' and turn < problem.duration else ''}"
+        )
+
+
+def warn_of_several(owner: str, problem: Problem) -> None:
+    """Warns where all drives repeat after a part of the period already, as whole turns tell."""
+    begins, period = float(problem.state.begins), float(problem.duration)
+    joints = [problem.mechanism.connections[name].joint for name in problem.mechanism.driven]
+    turns = [
+        (_driven_to(joint, begins + period) - _driven_to(joint, begins)) / (2 * np.pi)
+        for joint in joints
+        if joint.units[0] == "rad"
+    ]
+    times = int(np.gcd.reduce([round(abs(turn)) for turn in turns])) if turns else 0
+    parts = (restless(problem, begins + share * period, period / times) for share in LOOKS)
+    if times < 2 or restless(problem, begins) or any(parts):
+        return
+    warn(
+        f"the drives repeat after {period / times:.4g} s already, {times} times in the period of "
+        f"{period:.6g} s that {owner} is given: a cycle is as long as that. How many cycles there "
+        "are is given by name, cycles=..."
+    )

@@ -2,7 +2,6 @@
 after how many cycles one of them reaches a limit.
 """
 
-import json
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -13,17 +12,15 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from jaxclear.ground.arguments import check_known, check_number
-from jaxclear.ground.datasets import provenance
-from jaxclear.ground.shown import AbstractShown, shown_in_words
-from jaxclear.ground.table import as_table
+from jaxclear.ground.shown import shown_in_words
 from jaxclear.integrators.checks import Checks
 from jaxclear.results.response import concerned
 from jaxclear.results.state_history import State
 from jaxclear.simulation.wear import Worn
+from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
 from jaxclear.studies.life.settling import Settling
 from jaxclear.studies.life.steps import Cells, Length, Node
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.texts import in_texts
 
 # A normal variable stays within this many deviations in 95 % of cases.
 CONFIDENCE = 1.96
@@ -56,7 +53,7 @@ class Lifetime(NamedTuple):
         return self.sentence
 
 
-class WearLife(AbstractShown):
+class WearLife(AbstractAnswer):
     """The wear of a life. `stages` are the points at which cycles were run, `cells` say how depths
     stand in a row, `new` are the surfaces at its start; `asked` [cycles] and `accuracy` [1] as
     asked for; `ended` says why a life ended before its time, "" for one that did not; `simulated`
@@ -114,7 +111,9 @@ class WearLife(AbstractShown):
         some of it."""
         shares = []
         for stage in self.stages:
-            other = np.asarray(ravel_pytree(stage.settled.by_saves)[0])
+            other = np.concatenate(
+                [np.ravel(own) for own in jax.tree.leaves(stage.settled.by_saves)]
+            )
             sizes = self.cells.sizes(other), self.cells.sizes(stage.node.rate.wear)
             shares.append(float(self.cells.shares(*sizes).max(initial=0.0)))
         return np.array(shares)
@@ -163,7 +162,8 @@ class WearLife(AbstractShown):
         a number."""
         at = self.cycles[-1] if cycles is None else cycles
         flat, back = ravel_pytree(self.new)
-        return jax.tree.map(np.asarray, back(self._row_at()(self._within(at))[: len(flat)]))
+        row: Any = self._row_at()(self._within(at))[: len(flat)]
+        return jax.tree.map(np.asarray, back(row))
 
     def state(self, cycles: float | None = None) -> State:
         """A start of a run on surfaces worn so far."""
@@ -292,45 +292,27 @@ class WearLife(AbstractShown):
             for check, worst, _, _ in self.checks.rows()
         )
 
-    def table(self) -> Any:
-        """A pandas table, a row a stage: cycles, depths, volumes, the error of the depth [1],
-        whether the motion is periodic, responses with their standard errors."""
-        columns: dict[str, Any] = {"cycles": self.cycles}
-        shares = ("error of depth", "error of volume", "by saving times")
-        errors = {}
+    def _stated(self):
+        over, responses = ("cycles",), self.problem.response_names
+        columns = {"cycles": Column(over, self.cycles)}
         for name, unit in self.quantities.items():
-            label = name if unit == "1" else f"{name} [{unit}]"
-            columns[label] = self.over_life(name)
-            if name in self.problem.response_names:
-                errors[label] = f"{name} error"
-                columns[errors[label]] = [
-                    stage.settled.responses()[name][1] for stage in self.stages
-                ]
-        columns["error of depth"] = self.errors
-        columns["error of volume"] = self.errors_of_volume
-        columns["by saving times"] = self.by_saves
-        columns["periodic"] = [stage.settled.periodic for stage in self.stages]
-        return as_table(columns, units=dict.fromkeys(shares, "1"), errors=errors)
-
-    def to_dataset(self) -> Any:
-        """Everything as an xarray Dataset over cycles: maps and rates of all surfaces, responses,
-        errors."""
-        import xarray
-
-        columns: dict[str, Any] = {}
+            own = Column(over, self.over_life(name), unit, label=with_unit(name, unit))
+            if name in responses:
+                scatter = [stage.settled.responses()[name][1] for stage in self.stages]
+                own = own._replace(error=scatter)
+            columns[name] = own
+        columns |= {
+            "error of depth": Column(over, self.errors, "1"),
+            "error of volume": Column(over, self.errors_of_volume, "1"),
+            "by saving times": Column(over, self.by_saves, "1"),
+            "periodic": Column(over, [stage.settled.periodic for stage in self.stages]),
+        }
         for joint, surface in self.surfaces:
             dims = ("cycles", f"{joint}.{surface}.around", f"{joint}.{surface}.along")
             maps = [self.worn(at)[joint][surface] for at in self.cycles]
-            columns[f"{joint}.{surface}.worn"] = (dims, np.stack(maps), {"units": "m"})
-        for name, unit in self.quantities.items():
-            columns[name] = ("cycles", self.over_life(name), {"units": unit})
-        columns["error of depth"] = ("cycles", self.errors, {"units": "1"})
-        columns["error of volume"] = ("cycles", self.errors_of_volume, {"units": "1"})
-        columns["by saving times"] = ("cycles", self.by_saves, {"units": "1"})
-        told = {"result": self.sentence(), "warnings": " ".join(self.warnings)}
-        told |= {"what": "wear life", "problem": json.dumps(in_texts(self.problem))}
-        said = told | self.checks.attributes() | provenance()
-        return xarray.Dataset(columns, {"cycles": self.cycles}, said)
+            columns[f"{joint}.{surface}.worn"] = Column(dims, np.stack(maps), "m")
+        told = self.checks.attributes()
+        return Stated("wear life", columns, self.problem, self.warnings, told, labelled=False)
 
 
 def _around(at: float, cycles: np.ndarray, errors: np.ndarray) -> float:

@@ -4,30 +4,26 @@ A machine that is set down begins with a motion of its own, a journal that falls
 After some cycles it ends each one as it began it, or it never does: then a cycle is known by means.
 """
 
-from typing import Any
-
 import equinox as eqx
 import numpy as np
 
-from jaxclear.components.joint.base import drive_of
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
-from jaxclear.ground.shown import AbstractShown
-from jaxclear.ground.table import as_table
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.simulation.wear import Worn
-from jaxclear.studies.datasets import of_rows
+from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
 from jaxclear.studies.life.cycle import (
-    Cycle,
     as_problem,
     as_state,
     asked_of,
+    check_period,
     cycle,
     first_state,
+    restless,
     worst_of,
 )
 from jaxclear.studies.life.settling import (
@@ -40,12 +36,8 @@ from jaxclear.studies.life.settling import (
 )
 from jaxclear.studies.problem import Problem
 
-# A place within this of where it was [rad, m] is the same place; a period is written with so many
-# digits.
-SAME_PLACE = 1e-5
 
-
-class Settled(AbstractShown):
+class Settled(AbstractAnswer):
     """The settled cycle. `settling` holds all cycles that were run, `run` is the last of them,
     `worn` the surfaces on which each began; `tolerance` [1] as it was asked for.
     """
@@ -114,35 +106,27 @@ class Settled(AbstractShown):
     def _shown(self):
         return self.sentence(), *self.warnings
 
-    def to_dataset(self) -> Any:
-        """The table as an xarray Dataset over the cycles, with provenance."""
-        return of_rows(
-            "settled cycle",
-            "cycle",
-            self.table().set_index("cycle"),
-            self.problem,
-            result=str(self),
-        )
-
-    def table(self) -> Any:
-        """A pandas table, a row a cycle: how far its ends are apart and where most, the volume
-        [m^3] lost by each surface, the responses, whether it is taken as the motion."""
-        rows = []
-        for number, one in enumerate(self.settling.cycles, 1):
-            lost = {
-                f"{joint} {surface} [m^3]": float(volume)
-                for joint, surfaces in one.lost.items()
-                for surface, volume in surfaces.items()
-            }
-            taken = number > self.cycles - self.settling.measured
-            row = {"cycle": number, "apart": one.distance, "most": one.worst, "taken": taken}
-            units = self.problem.units()
-            told = {
-                name if units[name] == "1" else f"{name} [{units[name]}]": float(value)
-                for name, value in one.responses.items()
-            }
-            rows.append(row | lost | told)
-        return as_table(rows, units={"apart": "1"})
+    def _stated(self):
+        over, units = ("cycle",), self.problem.units()
+        every = dict(enumerate(self.settling.cycles, 1))
+        each = lambda read: [read(one) for one in every.values()]
+        first = self.cycles - self.settling.measured
+        columns = {
+            "cycle": Column(over, list(every)),
+            "apart": Column(over, each(lambda one: one.distance), "1"),
+            "most": Column(over, each(lambda one: one.worst)),
+            "taken": Column(over, [number > first for number in every]),
+        }
+        worn = [(j, s) for one in every.values() for j, own in one.lost.items() for s in own]
+        for joint, surface in dict.fromkeys(worn):
+            lost = each(lambda one, j=joint, s=surface: float(one.lost[j][s]))
+            name = f"{joint} {surface}"
+            columns[name] = Column(over, lost, "m^3", label=with_unit(name, "m^3"))
+        for name in self.problem.response_names:
+            own = each(lambda one, name=name: float(one.responses[name]))
+            columns[name] = Column(over, own, units[name], label=with_unit(name, units[name]))
+        warnings = self.warnings
+        return Stated("settled cycle", columns, self.problem, warnings, labelled=False)
 
 
 @answering
@@ -175,6 +159,7 @@ def settled(
     values = problem.nominal()
     begin, worn = first_state(problem, values)
     needed = asked_of(problem, values)
+    check_period("settled", problem, float(begin.time), cycles)
     runs: list[Trajectory] = []
 
     def one(motion, surfaces):
@@ -184,42 +169,13 @@ def settled(
         return kept
 
     with progress.bar(progress_bar, "settling"):
-        found = settle(
-            one, begin, worn, Patience(tolerance, 1.0, cycles), lambda c: not restless(problem, c)
-        )
+        ready = lambda c: not restless(problem, float(c.end.time) - float(problem.duration))
+        found = settle(one, begin, worn, Patience(tolerance, 1.0, cycles), ready)
     run = eqx.tree_at(lambda r: r.history.mechanism, runs[0], problem.seen(values))
     result = Settled(problem, found, run, worn, tolerance)
     if found.last.fault:
         if throw:
             raise SimulationError(result.sentence(), runs[0])
         return result
-    check_period("settled", problem, found.last)
+    check_period("settled", problem, float(found.last.end.time) - float(problem.duration))
     return result
-
-
-def restless(problem: Problem, one: Cycle) -> dict[str, tuple[float, float]]:
-    """The drives that do not repeat over a cycle: by joint, what they move it by [rad, m], and how
-    far that is from where it was."""
-    end, found = one.end.time, {}
-    for name in problem.mechanism.driven:
-        joint = problem.mechanism.connections[name].joint
-        drive = drive_of(joint)
-        assert drive is not None
-        before, after = (drive.motion(t)[0] for t in (end - problem.duration, end))
-        poses = [joint.motion((q,)) for q in (before, after)]
-        parts = [np.array([[*p.rotation[i], p.translation[i]] for i in range(3)]) for p in poses]
-        away = float(np.linalg.norm(parts[1] - parts[0]))
-        if away > SAME_PLACE:
-            found[name] = float(after - before), away
-    return found
-
-
-def check_period(owner: str, problem: Problem, one: Cycle) -> None:
-    """Raises `ValueError` where a drive does not repeat over a cycle."""
-    for name, (moved, away) in restless(problem, one).items():
-        unit = problem.mechanism.connections[name].joint.units[0]
-        raise ValueError(
-            f'the drive of joint "{name}" moves it by {moved:.6g} {unit} in a period of '
-            f"{float(problem.duration):.6g} s, which leaves it {away:.2g} from where it was: give "
-            f"{owner} the period after which the drives repeat."
-        )

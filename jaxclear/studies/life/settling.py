@@ -34,7 +34,7 @@ Runners = Callable[[Sequence[SavedMotion], Worn], list[Cycle]]
 
 
 class Patience(NamedTuple):
-    """When settling ends: ends of a cycle `within` of each other [1] (`periodicity`), the mean of
+    """When settling ends: ends of a cycle `within` of each other [1] (`Cycle`), the mean of
     the volume lost known to `noise` (1: as large as itself; of lanes: what is worn everywhere), or
     after `most` cycles."""
 

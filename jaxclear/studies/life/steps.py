@@ -58,7 +58,7 @@ MOST_FAILURES = 6
 PARTS, MOST_PARTS, OF_TOLERANCE = 8, 64, 0.1
 ORDERS = np.sqrt(2.0), 4.0
 # Where a step is looked at on its way: more often where a new wall wears fast.
-ON_THE_WAY = (0.0625, 0.25, 0.5625)
+ON_THE_WAY = (4**-4, 4**-3, 4**-2, 4**-1, 9 / 16)
 # A surface that wears less than this share of the one that wears most is judged beside that.
 NEGLIGIBLE = 0.01
 # A normal variable stays within this many deviations in 95 % of cases; errors told are that many.
@@ -117,9 +117,10 @@ class Cells(NamedTuple):
     def shape(self, row: np.ndarray, of: np.ndarray) -> np.ndarray:
         """What a row has beyond the shape of another one, as deep on the whole: of cells alone."""
         part = self.means(row) / np.where(self.means(of) == 0, 1.0, self.means(of))
-        return (row - of * self._each(part))[: len(self.areas)]
+        return (row - of * self.each(part))[: len(self.areas)]
 
-    def _each(self, values: np.ndarray) -> np.ndarray:
+    def each(self, values: np.ndarray) -> np.ndarray:
+        """A row that has at all cells of a surface, and at its mean, the value of that surface."""
         counts = [own.stop - own.start for own in self.surfaces]
         return np.concatenate([np.repeat(values, counts), values])
 
@@ -322,13 +323,17 @@ def _stepped(
     rates.append(machine.evaluate(depth))
     other = machine.carry(now.depth, _summed(length * (WEIGHTS - ERRORS), rates), parts)
     grown, estimate = depth - now.depth, depth - other
+    noise = [w * rate.noise for w, rate in zip(ERRORS, rates, strict=True)]
+    noise = length * np.linalg.norm(noise, axis=0)
     shape = cells.shape(estimate, grown)
+    sizes = cells.sizes(shape)
+    beyond = _beyond(sizes, cells.sizes(noise))
+    shape = shape * cells.each(cells.shares(beyond, sizes))[: len(shape)]
     # Steps are chosen by what their length can mend.
-    off = cells.shares(cells.sizes(shape), cells.sizes(so_far + grown))
+    off = cells.shares(beyond, cells.sizes(so_far + grown))
     shape = np.copysign(np.hypot(shape, by_parts), shape)
     lost = cells.means(grown)
-    noise = [w * cells.means(rate.noise) for w, rate in zip(ERRORS, rates, strict=True)]
-    known = cells.shares(length * np.linalg.norm(noise, axis=0), lost)
+    known = cells.shares(cells.means(noise), lost)
     shares = _beyond(cells.shares(cells.means(estimate), lost), known)
     change = _change(cells, rates[0], rates[-1])
     smooth = np.minimum(shares, SMOOTH * change**2)

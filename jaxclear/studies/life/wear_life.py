@@ -1,25 +1,28 @@
-"""The wear of a machine over its life: `jaxclear.wear_life`.
+"""The wear of a machine over its life: `jaxclear.wear_life`, and of many copies whose numbers vary,
+one life after the other: `jaxclear.wear_lives`.
 
-A cycle is simulated, what it wears carried on over as many cycles as an error control allows, and
-so on, each cycle from where the one before settled. One program is compiled for the whole life:
-worn surfaces are an input of it.
+A cycle is simulated, what its contacts lose put on the surfaces as many times as an error control
+allows, and so on, each cycle from where the one before settled. One program is compiled for all:
+worn surfaces and numbers are inputs of it.
 """
 
 from collections.abc import Sequence
 from pathlib import Path
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.answering import answering
-from jaxclear.ground.arguments import check_count, check_flags, check_number
+from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
+from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
 from jaxclear.studies.ledger.ledger import Ledger
-from jaxclear.studies.life.cycle import as_problem
+from jaxclear.studies.life.cycle import as_problem, check_period
 from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import DEPTH, VOLUME, Stage, WearLife
-from jaxclear.studies.life.settled import check_period
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.steps import (
     CycleFailed,
@@ -32,6 +35,7 @@ from jaxclear.studies.life.steps import (
     live_by_jumps,
 )
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.sampling import draw
 from jaxclear.studies.texts import in_texts
 
 # Ends of a cycle this far apart are the same, as in `settled`.
@@ -59,8 +63,8 @@ def wear_life(
 
     Steps are as long as lets each be wrong by `accuracy` [1] of what it wears, and so the whole
     life (root mean square over the cells of a surface); `jump` [cycles] gives them a fixed length
-    instead, each with the rate at its start. The rate is that of a periodic cycle (`settled`);
-    where none comes it is a mean over as many as bring its noise below that, `most` at the
+    instead, each with the losses at its start. They are those of a periodic cycle (`settled`);
+    where none comes a mean over as many as bring its noise below that, `most` at the
     most, and what noise is left belongs to the error. With `most` of 32 or more such cycles run
     eight side by side from the second rate on, by a program of their own: once that is compiled
     (15 s for the 3RSR), each takes a third of the time. `store`: a folder that keeps every
@@ -93,12 +97,14 @@ def lived(
     lengths: Sequence[Length] = (),
 ) -> WearLife:
     """The life, and what is kept of it; by steps of these `lengths` if they are given."""
-    row, cells = rates.first_row, rates.cells
+    row, cells, problem = rates.first_row, rates.cells, rates.problem
+    check_period("wear_life", problem, float(rates.motion.time), rates.patience.most)
     try:
-        rate = rates.evaluate(row, set_down=rates.problem.state.motion is None)
+        rate = rates.evaluate(row, set_down=problem.state.motion is None)
     except CycleFailed as reason:
         raise SimulationError(f"The life has no first cycle: {reason}", rates.last_run) from None
-    check_period("wear_life", rates.problem, rate.settled.last)
+    ended = float(rate.settled.last.end.time)
+    check_period("wear_life", problem, ended - float(problem.duration))
     start = Node.first(row, rate, cells)
     machine = Machine(rates.evaluate, rates.carry, cells, rates.halves, progress.advance)
     if lengths:
@@ -171,3 +177,106 @@ def _check_wears(problem: Problem) -> None:
                 f"the {what} wears with acceleration={float(wearing.acceleration):g}; wear_life "
                 "carries wear on by itself: leave it at 1."
             )
+
+
+class WearLives(AbstractAnswer):
+    """Lives of a sample. `values` (samples, variables) are the varied numbers, `lives` the life of
+    each sample, None for one without a first cycle, `failed` why, by its index; `seed` of the
+    sample."""
+
+    problem: Problem
+    values: np.ndarray
+    lives: tuple[WearLife | None, ...]
+    failed: dict[int, str]
+    seed: int = eqx.field(static=True)
+
+    @property
+    def ended(self) -> dict[int, str]:
+        """Why lives ended before their time, by their index; those that failed at once too."""
+        early = {i: life.ended for i, life in enumerate(self.lives) if life and life.ended}
+        return dict(sorted((self.failed | early).items()))
+
+    @property
+    def warned(self) -> tuple[int, ...]:
+        """Indices of the lives whose cycles warn."""
+        return tuple(i for i, life in enumerate(self.lives) if life and life.warnings)
+
+    def until(self, name: str, limit: float) -> np.ndarray:
+        """Cycles (samples,) until a quantity reaches a limit, as `WearLife.until`; `inf` for lives
+        that do not reach it, `nan` for those that failed or ended before."""
+        found = []
+        for life in self.lives:
+            cycles = life.until(name, limit).cycles if life else np.nan
+            found.append(np.nan if life and life.ended and np.isinf(cycles) else cycles)
+        return np.array(found)
+
+    def sentence(self) -> str:
+        """How many lives there are, how many ended early and warn, and how far depths are known."""
+        known = [life.error for life in self.lives if life]
+        worst = f" Depths are known to {100 * max(known):.2g} % or better." if known else ""
+        return (
+            f"{len(self.lives)} lives, {len(self.ended)} ended early, {len(self.warned)} with "
+            f"warnings.{worst}"
+        )
+
+    def _shown(self):
+        return self.sentence()
+
+    def _stated(self):
+        over, ended, names = ("life",), self.ended, self.problem.names
+        units = self.problem.variable_units
+        each = lambda read: [np.nan if life is None else read(life) for life in self.lives]
+        columns = {n: Column(over, self.values[:, i], units[i]) for i, n in enumerate(names)}
+        first = next(filter(None, self.lives), None)
+        if first is not None:
+            columns["cycles"] = Column(over, each(lambda life: float(life.cycles[-1])))
+            for name, unit in first.quantities.items():
+                own = each(lambda life, name=name: life.at_end(name))
+                columns[name] = Column(over, own, unit, label=with_unit(name, unit))
+            columns["error of depth"] = Column(over, each(lambda life: life.error), "1")
+        said = [" ".join(life.warnings) if life else "" for life in self.lives]
+        columns["ended"] = Column(over, [ended.get(i, "") for i in range(len(self.lives))])
+        columns["warnings"] = Column(over, said)
+        return Stated("wear lives", columns, self.problem, (), {"seed": self.seed})
+
+
+@answering
+def wear_lives(
+    problem: Problem,
+    samples: int = 32,
+    *,
+    cycles: float = 1e6,
+    seed: int = 0,
+    accuracy: float = 1e-2,
+    most: int = 12,
+    store: str | Path | None = None,
+    progress_bar: bool = False,
+) -> WearLives:
+    """The wear of lives over a quasi-random sample of the problem's variables; `cycles` [1],
+    `accuracy` [1], `most` as in `wear_life`, of every one of them. `store`: a folder in which each
+    life is kept, from which an interrupted study goes on. A life that has no first cycle keeps its
+    row, with a sentence. Raises `ValueError` with a sentence for what cannot be asked.
+    """
+    expect(problem, Problem, "what lives", "a jaxclear.Problem")
+    check_number("cycles of wear_lives", cycles, above=0)
+    check_number("accuracy of wear_lives", accuracy, above=0)
+    check_count("most of wear_lives", most)
+    check_flags("wear_lives", progress_bar=progress_bar)
+    check_asked(problem)
+    values = draw(problem, samples, seed)
+    lives: list[WearLife | None] = []
+    failed: dict[int, str] = {}
+    with progress.bar(progress_bar, "lives"):
+        for i, own in enumerate(values):
+            kept = None
+            if store is not None:
+                texts = in_texts(problem) | {"values of its variables": repr(own.tolist())}
+                kept = Ledger.opened(Path(store) / f"{i:06d}", "a wear life", texts)
+            try:
+                rates = Rates(problem, jnp.asarray(own), Patience(SETTLED, accuracy, most), kept)
+                lives.append(lived(rates, float(cycles), float(accuracy), None))
+            except (SimulationError, ValueError) as reason:
+                lives.append(None)
+                failed[i] = str(reason)
+            progress.advance(1 / samples)
+    return WearLives(problem, values, tuple(lives), failed, seed)

@@ -254,10 +254,12 @@ def _agreement(
 ) -> str:
     best = estimates[name]
     others = [other for other in order if other != name and other not in partners]
-    verdict = f"Agreed by {name} and {' and '.join(partners)}"
     nearest = min(estimates[other].error for other in partners)
+    zero = best.error > abs(best.value)
+    verdict = f"Agreed by {name} and {' and '.join(partners)}"
     verdict += f" within ±{nearest:.2g}" if nearest > ROUNDING * abs(best.value) else ""
     verdict += f"; not by {' and '.join(others)}." if others else "."
-    if best.error > abs(best.value):
-        verdict += " Not distinguishable from zero."
-    return verdict
+    # What is wider than the value agrees with its opposite too.
+    if nearest > abs(best.value) and not zero:
+        verdict += f" That says little: it is more than the value, which is that of {name} alone."
+    return f"{verdict} Not distinguishable from zero." if zero else verdict

@@ -1,9 +1,22 @@
-"""Derivatives of statistics by differences over common random numbers.
+"""Derivatives of statistics by differences: between runs of the same samples with one variable
+moved a little, and between two distributions.
 
 The same samples are run with one variable moved up and down, by two steps, and extrapolated to none
 (Richardson). It owes nothing to a polynomial or a density, so it confirms what `regression` finds;
 it is dear, so it begins with few samples. Where these confirm nothing, differences between two
-distributions go on (`opposed`), or small steps over more samples where these are not known.
+distributions go on, or small steps over more samples where these are not known.
+
+Where a variable's distribution moves or widens, some values become likelier and others less so. The
+derivative of a mean is a number times the difference of two means, one over the values that gain,
+one over those that lose, each a distribution of its own; ends of parts that are cut off gain or
+lose as single values. Nothing is divided by a small step, so responses that jump or rattle are
+differentiated as well as their scatter lets them be; it owes nothing to a score function. A line of
+the variable, whose derivative is known, takes up what it explains; higher powers would hang on the
+few values that lie far out, and no pairs would tell how far their sum is off.
+
+Source: measure-valued derivatives: Pflug 1996, Optimization of Stochastic Models, Kluwer; Mohamed,
+Rosca, Figurnov & Mnih 2020, J. Mach. Learn. Res. 21 (132), doi:10.48550/arXiv.1906.10652, section
+6.
 """
 
 import itertools
@@ -12,16 +25,17 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
-from jaxclear.studies.sensitivity.direction import Direction
-from jaxclear.studies.sensitivity.functional import Functional
-from jaxclear.studies.sensitivity.regression import pseudo_values
-from jaxclear.studies.statistics.scrambled import student
-from jaxclear.studies.warned import concern
+from jaxclear.studies.sensitivity.estimand import FEWEST_DECIDING, Direction, Functional, flow
+from jaxclear.studies.sensitivity.regression import UNSEEN, no_score_function, normal_scores_of
+from jaxclear.studies.statistics.scrambled import half_width, pseudo_values, student
+from jaxclear.studies.warned import FEW_WARNED, concern
 
 # Shares of a step by which the variable is moved.
 SHIFTS = np.array([-1.0, -0.5, 0.5, 1.0])
@@ -32,19 +46,51 @@ FEWEST = 8
 REMAINDER = 0.25
 # Samples that differences begin with: 64 runs, a quarter of what a regression takes.
 FIRST = 16
+# Cells of standard normal scores in which what is gained and lost is told.
+CELLS = 4000
+# Singular values below this share are none.
+RANK = 1e-9
+# What is missed far out counts above this share of the standard error.
+SMALL = 0.3
 
 
-class Moved(NamedTuple):
-    """Runs of a sample with one variable moved: what was found (four shifts after each other for
-    each sample) and the scramblings (samples,)."""
+class Runs(NamedTuple):
+    """Several runs of each of a sample's values, after each other: what was found, the scramblings
+    (samples,), and what is known of each sample, `terms` (samples, any number)."""
 
     found: SampleResult
     group: np.ndarray
+    terms: np.ndarray
 
-    def and_also(self, other: "Moved") -> "Moved":
+    def and_also(self, other: "Runs") -> "Runs":
         """Both samples as one."""
-        both = jax.tree.map(lambda *own: np.concatenate(own), self.found, other.found)
-        return Moved(both, np.concatenate([self.group, other.group]))
+        return jax.tree.map(lambda *own: np.concatenate(own), self, other)
+
+    def good(self) -> np.ndarray:
+        """Whether all runs of a sample reached their end, (samples,)."""
+        reached = np.asarray(self.found.outcome) == Outcome.REACHED
+        return np.all(reached.reshape(len(self.group), -1), axis=1)
+
+    def responses(self, name: str) -> np.ndarray:
+        """Of the good samples, by which run of each: (runs of each, samples)."""
+        rows = np.asarray(self.found.responses[name]).reshape(len(self.group), -1)
+        return rows[self.good()].T
+
+    def answer(self, problem: AbstractProblem, one: Functional, own: Estimate) -> Estimate:
+        """An estimate with the runs that it took, those that warn, and what it leaves out: samples
+        of which some runs fail and others do not lie at an edge of what can be run, where slopes
+        may be any."""
+        count, good = len(self.found.outcome), self.good()
+        among = np.repeat(good, count // len(self.group))
+        warned, warnings = concern(problem, one.response, self.found.checks, among)
+        reached = np.asarray(self.found.outcome) == Outcome.REACHED
+        edge = int(np.sum(reached.reshape(len(self.group), -1).any(axis=1) & ~good))
+        if edge:
+            out = f"{edge} of {len(good)} samples, which fail where they are moved, are left out"
+            doubt = out if edge > FEW_WARNED * len(good) else ""
+            own = own._replace(doubt=doubt)
+            warnings = f"{warnings} {out}.".strip()
+        return own._replace(warned=warned, warnings=warnings, runs=count)
 
 
 def looks(group: np.ndarray) -> list[np.ndarray]:
@@ -82,40 +128,41 @@ def moved(
     direction: Direction,
     *,
     progress_bar: bool = False,
-) -> Moved:
-    """The runs of a sample, values (samples, variables) and their scramblings (samples,)."""
+) -> Runs:
+    """The runs of a sample, values (samples, variables) and their scramblings (samples,), with one
+    variable moved: four shifts after each other for each sample."""
     values, group = sample
     speed = direction.velocities(problem, values)
     axis = np.eye(values.shape[1])[direction.variable]
     shifts = SHIFTS * direction.step(problem)
-    each = [values + shift * speed[:, None] * axis for shift in shifts]
-    flat = np.stack(each, axis=1).reshape(-1, values.shape[1])
-    # All looks run the program of the first, where it takes long to compile.
-    one = not problem.at_once() and len(values) >= FIRST
+    each = np.stack([values + shift * speed[:, None] * axis for shift in shifts], axis=1)
+    found = _found(problem, each, len(values) >= FIRST, progress_bar)
+    return Runs(found, group, np.zeros((len(group), 0)))
+
+
+def _found(problem: AbstractProblem, each: np.ndarray, padded: bool, bar: bool) -> SampleResult:
+    """Runs of values (samples, runs of each, variables); where it takes long to compile, and these
+    are enough, by the program of the first look."""
+    one = padded and not problem.at_once()
     chunk = chunk_size(problem, len(SHIFTS) * FIRST) if one else None
-    found = evaluate_all(
-        problem, jnp.asarray(flat), chunk=chunk, progress_bar=progress_bar, label="differences"
-    )
-    return Moved(found, group)
+    flat = jnp.asarray(each.reshape(-1, each.shape[2]))
+    return evaluate_all(problem, flat, chunk=chunk, progress_bar=bar, label="differences")
 
 
 def differences(
-    problem: AbstractProblem, runs: Moved, direction: Direction, wanted: list[Functional]
+    problem: AbstractProblem, runs: Runs, direction: Direction, wanted: list[Functional]
 ) -> dict[str, Estimate]:
     """Central differences over common random numbers by one step of the direction and half of it,
     extrapolated; by label of the statistics."""
-    step, found = direction.step(problem), runs.found
-    reached = np.asarray(found.outcome) == Outcome.REACHED
-    good = np.all(reached.reshape(-1, len(SHIFTS)), axis=1)
-    among, group, count = np.repeat(good, len(SHIFTS)), runs.group[good], len(reached)
-    answers = {}
+    step, good = direction.step(problem), runs.good()
+    group, answers = runs.group[good], {}
     for one in wanted:
         if good.sum() < FEWEST:
             answers[one.label] = refused(
                 f"only {good.sum()} of {len(good)} samples ran at all four widths."
             )
             continue
-        rows = np.asarray(found.responses[one.response]).reshape(-1, len(SHIFTS))[good].T
+        rows = runs.responses(one.response)
         few = one.undecided(*rows, by="difference_samples") or one.unbounded(*rows)
         if few:
             answers[one.label] = refused(few)
@@ -132,15 +179,12 @@ def differences(
             # What a jackknife would correct is less than the noise that it would bring.
             parts += slopes(np.ones(int(good.sum()), bool)) - parts.mean(axis=0)
         gap = parts[:, 2] - parts[:, 1]
-        half = student(len(gap)) * gap.std(ddof=1) / np.sqrt(len(gap)) if len(gap) > 1 else np.inf
+        half = half_width(gap) if len(gap) > 1 else np.inf
         # A gap within its own noise is no sign of curvature.
         bias = REMAINDER * max(abs(gap.mean()) - half, 0.0)
-        told = concern(problem, one.response, found.checks, among)
         answer = from_parts(parts[:, 2], bias)
         error = answer.error * rarity(one.deciding(*rows), len(parts))
-        answers[one.label] = answer._replace(
-            error=error, warned=told[0], warnings=told[1], runs=count
-        )
+        answers[one.label] = runs.answer(problem, one, answer._replace(error=error))
     return answers
 
 
@@ -151,9 +195,117 @@ def rarity(deciding: float, scramblings: int) -> float:
     return max(student(2.0 + deciding) / student(scramblings), 1.0)
 
 
-def refusal(problem: AbstractProblem, direction: Direction) -> str:
+def no_differences(problem: AbstractProblem, direction: Direction) -> str:
     """Why differences do not tell a derivative; "" where they do."""
     own = problem.inputs.distributions[direction.variable]
     if not own.is_continuous() and direction.number:
         return "the variable comes in single sizes; its width has no meaning by itself."
     return ""
+
+
+class Opposed(NamedTuple):
+    """What a distribution gains and loses along a direction: at `scores` (knots,) the shares
+    `gained` and `lost` below, from 0 to 1; `size` [1/unit of the direction] is how much of it in
+    all; `known` (2,) are the derivatives of the variable's mean and mean square about its nominal
+    value."""
+
+    scores: np.ndarray
+    gained: np.ndarray
+    lost: np.ndarray
+    size: float
+    known: np.ndarray
+
+    def pairs(self, shares: np.ndarray) -> np.ndarray:
+        """Scores (2, samples) that gain and lose, as near each other as may be, from shares
+        (samples,)."""
+        return np.stack([np.interp(shares, own, self.scores) for own in (self.gained, self.lost)])
+
+
+def opposed_of(problem: AbstractProblem, direction: Direction) -> Opposed | None:
+    """What the variable's distribution gains and loses along a direction; None where that is not
+    known: single sizes, correlated variables, densities without bound."""
+    if no_score_function(problem, direction) or not problem.inputs.independent:
+        return None
+    edges = np.linspace(-END_SCORE, END_SCORE, CELLS + 1)
+    passing = flow(problem, direction, edges)
+    own = problem.inputs.distributions[direction.variable]
+    # Where there is no end, nothing passes it.
+    passing[[0, -1]] *= np.array(own.end_densities()) > 0
+    change = -np.diff(np.concatenate([[0.0], passing, [0.0]]))
+    gain, loss = np.maximum(change, 0.0), np.maximum(-change, 0.0)
+    size = float(gain.sum())
+    if not size > 0:
+        return None
+    scores = np.concatenate([edges[:1], edges, edges[-1:]])
+    gained, lost = (np.concatenate([[0.0], np.cumsum(p) / p.sum()]) for p in (gain, loss))
+    away, density = np.asarray(own.of_score(jnp.asarray(edges))), scipy.stats.norm.pdf(edges)
+    first, second = (float(np.average(away**power, weights=density)) for power in (1, 2))
+    nominal = direction.number is None
+    known = [1.0, 2.0 * first] if nominal else np.array([first, 2.0 * second]) / direction.number
+    return Opposed(scores, gained, lost, size, np.array(known))
+
+
+def paired(
+    problem: AbstractProblem,
+    sample: tuple[np.ndarray, np.ndarray],
+    direction: Direction,
+    between: Opposed,
+    *,
+    progress_bar: bool = False,
+) -> Runs:
+    """The runs of a sample, values (samples, variables) and their scramblings (samples,), with the
+    variable where its distribution gains and where it loses, after each other; `terms` are the
+    derivatives of the variable's mean and mean square about its nominal value by each pair."""
+    values, group = sample
+    i, inputs = direction.variable, problem.inputs
+    own, nominal = inputs.distributions[i], float(problem.nominal()[i])
+    shares = scipy.stats.norm.cdf(np.asarray(normal_scores_of(inputs, jnp.asarray(values)))[:, i])
+    away = np.asarray(own.of_score(jnp.asarray(between.pairs(shares))))
+    both = np.stack([values, values], axis=1)
+    both[:, :, i] = nominal + away.T
+    powers = np.stack([away, away**2], axis=2)
+    terms = between.size * (powers[0] - powers[1])
+    return Runs(_found(problem, both, True, progress_bar), group, terms)
+
+
+def between_distributions(
+    problem: AbstractProblem, pairs: Runs, between: Opposed, wanted: list[Functional]
+) -> dict[str, Estimate]:
+    """Derivatives by differences between two distributions, by label of the statistics, which are
+    means of functions of the response; of those only that enough pairs decide."""
+    good = pairs.good()
+    group = pairs.group[good]
+    line, square = (pairs.terms[good] - between.known).T
+    terms = np.column_stack([np.ones(len(group)), line])
+    answers = {}
+    for one in wanted:
+        rows = pairs.responses(one.response)
+        # All that gain may lie beyond a limit and all that lose below: the clearest case there is.
+        deciding = one.deciding(rows.ravel())
+        if len(group) < FEWEST or deciding < FEWEST_DECIDING or one.unbounded(*rows):
+            continue
+        rows = one.bounded(rows)
+        of = one.influence(rows.ravel())
+        apart = between.size * (of(rows[0]) - of(rows[1]))
+
+        def slope(kept, apart=apart):
+            return np.linalg.lstsq(terms[kept], apart[kept], rcond=RANK)[0][0]
+
+        rare = sum(one.deciding(row) < FEWEST_DECIDING for row in rows)
+        # With their scatter the bound for none holds for up to three seen, too.
+        unseen = between.size * UNSEEN / len(group) * np.sqrt(rare)
+        parts, missed = pseudo_values(slope, group), _missed(apart, terms, square)
+        few = missed <= SMALL * parts.std() / np.sqrt(len(parts))
+        answer = from_parts(parts, float(unseen if few else np.hypot(unseen, missed)))
+        error = answer.error * rarity(deciding, len(parts))
+        answers[one.label] = pairs.answer(problem, one, answer._replace(error=error))
+    return {label: answer for label, answer in answers.items() if not answer.refusal}
+
+
+def _missed(apart: np.ndarray, terms: np.ndarray, square: np.ndarray) -> float:
+    """How far the derivative of the variable's own mean square, which is known, is off by these
+    pairs, as much of it as is in the differences: what few values far out decide, whose scatter no
+    few pairs show."""
+    off = np.linalg.lstsq(terms, square, rcond=RANK)[0][0]
+    beside = np.column_stack([terms, square])
+    return float(abs(np.linalg.lstsq(beside, apart, rcond=RANK)[0][2] * off))

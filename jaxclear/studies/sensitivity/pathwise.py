@@ -15,9 +15,8 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
-from jaxclear.studies.sensitivity.direction import Direction
-from jaxclear.studies.sensitivity.functional import Functional
-from jaxclear.studies.sensitivity.regression import pseudo_values
+from jaxclear.studies.sensitivity.estimand import Direction, Functional
+from jaxclear.studies.statistics.scrambled import pseudo_values
 from jaxclear.studies.warned import concern
 
 # From this many times the typical size of single derivatives on, the error of their mean shows that

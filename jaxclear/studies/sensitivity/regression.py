@@ -4,12 +4,18 @@ and the score function for what it leaves.
 Moving a variable's distribution weighs the samples anew, so the derivative of a mean is the mean of
 the response times the score function, whatever the response: rough, kinked or chaotic. That alone
 is noisy; the polynomial takes up what it explains, whose mean derivative is known from as many
-evaluations as wanted. Runs further out join the sample, so that what few parts do is seen
-(`outer`). Where a distribution is cut off, as inspected parts are, its ends move too:
+evaluations as wanted. Where a distribution is cut off, as inspected parts are, its ends move too:
 what the polynomial leaves there is found by runs at the ends.
 
+A kink or jump far out lies in few samples, or in none, and a sample that lacks it tells nothing of
+its weight. So some runs are drawn from wider distributions. They join the sample with the weights
+of a mixture, which leaves means without bias and bounds every weight; what a polynomial misses
+among them tells how much parts that no run has seen may add.
+
 Source: score functions with control variates: Rubinstein & Shapiro 1993, Discrete Event Systems,
-Wiley; L'Ecuyer 1990, Manage. Sci. 36, 1364, doi:10.1287/mnsc.36.11.1364.
+Wiley; L'Ecuyer 1990, Manage. Sci. 36, 1364, doi:10.1287/mnsc.36.11.1364; defensive importance
+sampling: Hesterberg 1995, Technometrics 37, 185, doi:10.1080/00401706.1995.10484303; Owen & Zhou
+2000, J. Am. Stat. Assoc. 95, 135, doi:10.1080/01621459.2000.10473909.
 """
 
 from typing import NamedTuple
@@ -26,21 +32,28 @@ from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.sampling import by_scrambling, draw
+from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
-from jaxclear.studies.sensitivity.direction import Direction, weights
-from jaxclear.studies.sensitivity.functional import Functional
-from jaxclear.studies.sensitivity.outer import Outer, mixture_weights, widened
+from jaxclear.studies.sensitivity.estimand import Direction, Functional, weights
+from jaxclear.studies.statistics.scrambled import SAMPLES_A_TERM, pseudo_values, student
 from jaxclear.studies.warned import concern
 
 # Points at which the polynomial's mean derivative is taken, and what draws them.
 MANY, MANY_SEED = 8192, 20260
-# Samples for each coefficient of the polynomial, and the fewest for a line.
-SAMPLES_A_TERM, FEWEST = 6, 8
+# The fewest samples for a line.
+FEWEST = 8
 # Width of the smooth step [standard deviations of the response] where a surface explains all of it,
 # and the share of the variance from which on it stands for the response.
 LEAST_STEP, EXPLAINED = 0.15, 0.9
 # Densities at an end [1/standard deviation] that are no density: what grows without bound there.
 LARGEST_END_DENSITY = 20.0
+# Standard deviations of the runs in those of the sample, in turn: what the sample reaches, up to
+# twice and a half as far.
+SCALES = np.array([1.25, 1.6, 2.0, 2.5])
+# One run for so many of the sample, and the most.
+SHARE, MOST = 4, 128
+# The 95 % bound of Poisson's distribution, for none seen.
+UNSEEN = 3.0
 
 
 class Ends(NamedTuple):
@@ -54,7 +67,79 @@ class Ends(NamedTuple):
     scrambling: np.ndarray
 
 
-def refusal(problem: AbstractProblem, direction: Direction) -> str:
+class Outer(NamedTuple):
+    """Runs further out: independent standard normal numbers and values (runs, variables), responses
+    by name (runs,), and the scrambling of each (runs,)."""
+
+    normal: np.ndarray
+    values: np.ndarray
+    responses: dict[str, np.ndarray]
+    scrambling: np.ndarray
+
+
+def runs_outside(
+    problem: AbstractProblem, scramblings: np.ndarray, seed: int, progress_bar: bool
+) -> Outer:
+    """Runs that belong to a sample of these scramblings (samples,)."""
+    names, count = np.unique(scramblings), len(problem.names)
+    each = min(len(scramblings) // SHARE, MOST) // len(names)
+    numbers = [
+        scrambled_shares(each, count, np.random.default_rng((seed, i))) for i in range(len(names))
+    ]
+    shares = np.concatenate(numbers) if each else np.zeros((0, count))
+    # Points in a row fill the space, each fourth of them a corner of it.
+    own = SCALES[np.arange(each) * len(SCALES) // max(each, 1)]
+    scales = np.tile(own, len(names))[:, None]
+    # Within the scores at which distributions are asked.
+    inside = scipy.special.ndtr(-END_SCORE / scales)
+    normal = scales * scipy.special.ndtri(inside + (1.0 - 2.0 * inside) * shares)
+    values = np.asarray(problem.inputs.values(jnp.asarray(normal)))
+    group = np.repeat(names, each)
+    if not len(shares):
+        return Outer(normal, values, {n: np.zeros(0) for n in problem.response_names}, group)
+    found = evaluate_all(
+        problem, jnp.asarray(values), progress_bar=progress_bar, label="further out"
+    )
+    reached = np.asarray(found.outcome) == Outcome.REACHED
+    responses = {name: np.where(reached, own, np.nan) for name, own in found.responses.items()}
+    return Outer(normal, values, responses, group)
+
+
+def mixture_weights(normal: np.ndarray, inside: int) -> np.ndarray:
+    """Density of the variables over that of the mixture of `inside` samples and runs further out,
+    (samples and runs,), at independent standard normal numbers (samples and runs, variables)."""
+    count, variables = normal.shape
+    square = np.sum(normal**2, axis=1)
+    wider = np.zeros(count)
+    for scale in SCALES:
+        kept = 1.0 - 2.0 * scipy.special.ndtr(-END_SCORE / scale)
+        density = np.exp(0.5 * square * (1.0 - scale**-2.0)) / (scale * kept) ** variables
+        wider += density / len(SCALES)
+    return count / (inside + (count - inside) * wider)
+
+
+def widened(
+    error: float, weighed: np.ndarray, outside: np.ndarray, count: int, parts: int
+) -> float:
+    """Half of a 95 % interval that the scatter of `parts` scramblings tells, with what it does not:
+    that few samples decide, and what none of `count` has seen.
+
+    `weighed` (samples and runs,): what each leaves beside the polynomial in the estimate's mean;
+    `outside` (runs,): the same of the runs further out without their weights. Where as many samples
+    decide as there are scramblings, their scatter tells all.
+    """
+    squares = weighed**2
+    total = float(squares.sum())
+    if total == 0.0:
+        return error
+    deciding = total**2 / float((squares**2).sum())
+    freedom = np.clip(deciding, 2.0, parts)
+    known = error * student(float(freedom)) / student(parts)
+    rms = float(np.sqrt(np.mean(outside**2))) if len(outside) else 0.0
+    return float(np.hypot(known, UNSEEN / count * rms * min(1.0, parts / deciding)))
+
+
+def no_score_function(problem: AbstractProblem, direction: Direction) -> str:
     """Why the score function does not tell a derivative; "" where it does."""
     inputs, i = problem.inputs, direction.variable
     own = inputs.distributions[i]
@@ -144,7 +229,7 @@ def regressions(
     problem, i = sample.problem, direction.variable
     good = np.isin(np.arange(sample.count), sample.failed, invert=True)
     values, group = sample.values[good], sample.scrambling[good]
-    why = refusal(problem, direction)
+    why = no_score_function(problem, direction)
     if len(values) < 2 * len(problem.names) + FEWEST:
         why = f"{len(values)} good samples are too few for a fit in {len(problem.names)} variables."
     elif np.ptp(values[:, i]) == 0:
@@ -333,15 +418,3 @@ class Slope:
             return responses
         smooth = (self.many.basis @ surface).ravel()
         return smooth + np.resize(left, len(smooth))
-
-
-def pseudo_values(statistic, group: np.ndarray) -> np.ndarray:
-    """Contributions of the scramblings (scramblings,) to a statistic of a selection (samples,) of
-    the sample: their mean is the statistic without its first-order bias (jackknife)."""
-    present = np.unique(group)
-    count = len(present)
-    whole = statistic(np.ones(len(group), bool))
-    if count < 2:
-        return np.array([whole])
-    without = np.array([statistic(group != own) for own in present])
-    return count * whole - (count - 1) * without

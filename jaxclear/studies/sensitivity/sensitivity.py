@@ -6,8 +6,8 @@ in one (`derivative`).
 """
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from jaxclear.studies.monte_carlo import MonteCarlo, monte_carlo
 from jaxclear.studies.sampling import draw, groups, usual_scramblings
 from jaxclear.studies.scrambling import seed_of
 from jaxclear.studies.sensitivity.derivative import (
-    Derivative,
     Estimate,
     Sensitivity,
     confirmed,
@@ -27,24 +26,26 @@ from jaxclear.studies.sensitivity.derivative import (
     refused,
 )
 from jaxclear.studies.sensitivity.differences import (
+    Opposed,
+    Runs,
+    between_distributions,
     differences,
     doubling,
     looks,
     moved,
-    refusal,
-)
-from jaxclear.studies.sensitivity.direction import Direction, directions
-from jaxclear.studies.sensitivity.functional import Functional, functionals
-from jaxclear.studies.sensitivity.opposed import (
-    Opposed,
-    between_distributions,
+    no_differences,
     opposed_of,
     paired,
 )
-from jaxclear.studies.sensitivity.outer import runs_outside
+from jaxclear.studies.sensitivity.estimand import Direction, Functional, directions, functionals
 from jaxclear.studies.sensitivity.pathwise import pathwise
-from jaxclear.studies.sensitivity.regression import refusal as no_score
-from jaxclear.studies.sensitivity.regression import regressions, runs_at_ends
+from jaxclear.studies.sensitivity.regression import (
+    Ends,
+    no_score_function,
+    regressions,
+    runs_at_ends,
+    runs_outside,
+)
 
 METHODS = ("regression", "differences", "pathwise")
 # Independent parts of a sample of differences: as many as of the Monte Carlo sample.
@@ -84,121 +85,107 @@ def sensitivity(
     Raises `ValueError` with a sentence for a name that there is not, and for another's sample.
     """
     expect(problem, AbstractProblem, "what is differentiated", "a jaxclear.Problem")
-    _check(sample, difference_samples, methods, seed)
-    wanted = directions(problem, _wanted(problem, variables))
+    variables = [variables] if isinstance(variables, str) else variables
+    _check(variables, sample, difference_samples, methods, seed)
+    wanted = directions(problem, list(problem.names if variables is None else variables))
     asked = functionals(of, problem)
     if isinstance(sample, GivenSample):
         drawn = given_sample(problem, sample)
     else:
         drawn = monte_carlo(problem, sample, seed=seed, verify=verify, progress_bar=progress_bar)
     found: dict[Direction, dict] = {}
-    ends: dict[int, Any] = {}
+    # Once for all directions of a variable.
+    ends: dict[int, Ends | None] = {}
     bar = {"progress_bar": progress_bar}
     outer = None
     # Where no direction has a score function no regression would see them.
-    if "regression" in methods and not all(no_score(problem, own) for own in wanted):
+    if "regression" in methods and not all(no_score_function(problem, own) for own in wanted):
         outer = runs_outside(problem, drawn.scrambling, seed_of(seed, SEEDS, 4), **bar)
     for direction in wanted:
         answers: dict[str, dict[str, Estimate]] = {}
         if "regression" in methods:
-            own = _ends(drawn, direction, ends, seed, **bar)
-            answers["regression"] = regressions(drawn, direction, asked, own, outer)
+            place, parts = direction.variable, len(np.unique(drawn.scrambling))
+            if place not in ends:
+                ends[place] = runs_at_ends(problem, place, parts, seed_of(seed, SEEDS, 3), **bar)
+            answers["regression"] = regressions(drawn, direction, asked, ends[place], outer)
         sampled = lambda own: _shared(problem, difference_samples, seed_of(seed, SEEDS, own))
         if "pathwise" in methods:
             answers["pathwise"] = pathwise(problem, sampled(2), direction, asked, **bar)
         if "differences" in methods:
-            before = asked, answers
-            answers["differences"] = _differences(problem, sampled(1), direction, before, **bar)
+            own = _Sequential(problem, direction, *sampled(1), answers, progress_bar)
+            answers["differences"] = own.answers(asked)
         found[direction] = {name: answers[name] for name in METHODS if name in answers}
     return _met(found, asked, drawn)
 
 
-def _ends(
-    drawn: MonteCarlo, direction: Direction, known: dict[int, Any], seed: int, progress_bar: bool
-) -> Any:
-    """Runs at the ends of a variable, once for all its directions."""
-    place = direction.variable
-    if place not in known:
-        parts = len(np.unique(drawn.scrambling))
-        known[place] = runs_at_ends(
-            drawn.problem, place, parts, seed_of(seed, SEEDS, 3), progress_bar
-        )
-    return known[place]
+class _Sequential(NamedTuple):
+    """Differences along a direction on as much of a sample, `values` (samples, variables) and their
+    scramblings `group` (samples,), as confirms what `others` answer, by method and label."""
 
+    problem: AbstractProblem
+    direction: Direction
+    values: np.ndarray
+    group: np.ndarray
+    others: dict[str, dict[str, Estimate]]
+    progress_bar: bool
 
-def _differences(
-    problem: AbstractProblem,
-    sample: tuple[np.ndarray, np.ndarray],
-    direction: Direction,
-    before: tuple[list[Functional], dict[str, dict[str, Estimate]]],
-    **bar: bool,
-) -> dict[str, Estimate]:
-    """By differences on as much of a sample as is needed: a first look by small steps, and what of
-    it confirms no more certain answer by pairs, or by steps on all of the sample. `before`: what is
-    asked, and the answers of other methods."""
-    asked, others = before
-    why = refusal(problem, direction)
-    if why:
-        return {one.label: refused(why) for one in asked}
-    (values, group), (first, *rest) = sample, looks(sample[1])
-    runs = moved(problem, (values[first], group[first]), direction, **bar)
-    answers = differences(problem, runs, direction, asked)
-    left = _unconfirmed(asked, others, answers)
-    if not left or not rest:
+    def answers(self, asked: list[Functional]) -> dict[str, Estimate]:
+        """A first look by small steps, and what of it confirms no more certain answer by pairs, or
+        by steps on all of the sample."""
+        why = no_differences(self.problem, self.direction)
+        if why:
+            return {one.label: refused(why) for one in asked}
+        first, *rest = looks(self.group)
+        runs = self._runs(moved, first)
+        answers = differences(self.problem, runs, self.direction, asked)
+        left = self._unconfirmed(asked, answers)
+        if not left or not rest:
+            return answers
+        # Small steps of what rattles tell little, whatever the sample: whole distributions tell
+        # more.
+        linear = [one for one in left if one.linear and self._surer(one, answers)]
+        between, taken = opposed_of(self.problem, self.direction) if linear else None, 0
+        if between is not None:
+            told, taken = self._by_pairs(between, linear)
+            spent = len(runs.found.outcome)
+            answers |= {name: own._replace(runs=own.runs + spent) for name, own in told.items()}
+            left = [one for one in left if one.label not in told]
+        for look in rest if left else ():
+            runs = runs.and_also(self._runs(moved, look))
+            answers |= differences(self.problem, runs, self.direction, left)
+        # What pairs were run for in vain took them too.
+        for name in [one.label for one in left if between is not None and one in linear]:
+            answers[name] = answers[name]._replace(runs=len(runs.found.outcome) + taken)
         return answers
-    # Small steps of what rattles tell little, whatever the sample: whole distributions tell more.
-    linear = [one for one in left if one.linear and _surer(others, one, answers)]
-    between = opposed_of(problem, direction) if linear else None
-    if between is not None:
-        told, spent = _by_pairs(problem, sample, (direction, between), (linear, others), **bar)
-        taken = len(runs.found.outcome)
-        answers |= {name: own._replace(runs=own.runs + taken) for name, own in told.items()}
-        left = [one for one in left if one.label not in told]
-    for look in rest if left else ():
-        runs = runs.and_also(moved(problem, (values[look], group[look]), direction, **bar))
-        answers |= differences(problem, runs, direction, left)
-    # What pairs were run for in vain took them too.
-    for name in [one.label for one in left if between is not None and one in linear]:
-        answers[name] = answers[name]._replace(runs=len(runs.found.outcome) + spent)
-    return answers
 
+    def _by_pairs(self, between: Opposed, asked: list[Functional]) -> tuple[dict, int]:
+        """By pairs on an eighth of the sample, and on twice as much while that confirms too little:
+        the answers that they tell, and how many runs they took."""
+        pairs, answers = None, {}
+        for look in doubling(self.group):
+            now = self._runs(paired, look, between)
+            pairs = now if pairs is None else pairs.and_also(now)
+            answers = between_distributions(self.problem, pairs, between, asked)
+            told = [one for one in asked if one.label in answers]
+            if len(told) == len(asked) and not self._unconfirmed(told, answers):
+                break
+        return answers, 0 if pairs is None else len(pairs.found.outcome)
 
-def _by_pairs(
-    problem: AbstractProblem,
-    sample: tuple[np.ndarray, np.ndarray],
-    way: tuple[Direction, Opposed],
-    before: tuple[list[Functional], dict[str, dict[str, Estimate]]],
-    **bar: bool,
-) -> tuple[dict[str, Estimate], int]:
-    """By pairs on an eighth of a sample, and on twice as much while that confirms too little: the
-    answers that they tell, and how many runs they took; `before` as above."""
-    (values, group), (asked, others) = sample, before
-    pairs, answers, spent = None, {}, 0
-    for look in doubling(group):
-        now = paired(problem, (values[look], group[look]), way[0], way[1], **bar)
-        spent += len(now.found.outcome)
-        pairs = now if pairs is None else pairs.and_also(now)
-        answers = between_distributions(problem, pairs, asked)
-        told = [one for one in asked if one.label in answers]
-        if len(told) == len(asked) and not _unconfirmed(told, others, answers):
-            break
-    return answers, spent
+    def _runs(self, make: Callable[..., Runs], look: np.ndarray, *beside: Opposed) -> Runs:
+        """The runs of some of the samples (samples,)."""
+        sample = self.values[look], self.group[look]
+        return make(self.problem, sample, self.direction, *beside, progress_bar=self.progress_bar)
 
+    def _unconfirmed(self, asked: list[Functional], answers: dict) -> list[Functional]:
+        """What is asked whose differences do not confirm a more certain answer."""
+        every = self.others | {"differences": answers}
+        known = lambda one: {name: of[one.label] for name, of in every.items()}
+        return [one for one in asked if not confirms(known(one), "differences")]
 
-def _unconfirmed(asked: list[Functional], others: dict, answers: dict) -> list[Functional]:
-    """What is asked whose differences do not confirm a more certain answer."""
-
-    def known(one):
-        return {name: of[one.label] for name, of in others.items()}
-
-    own = lambda one: known(one) | {"differences": answers[one.label]}
-    return [one for one in asked if not confirms(own(one), "differences")]
-
-
-def _surer(others: dict, one: Functional, answers: dict[str, Estimate]) -> bool:
-    """Whether another method has a more certain answer than differences have."""
-    known = [of[one.label].error for of in others.values()]
-    return any(np.isfinite(own) and not own >= answers[one.label].error for own in known)
+    def _surer(self, one: Functional, answers: dict[str, Estimate]) -> bool:
+        """Whether another method has a more certain answer than differences have."""
+        known = [of[one.label].error for of in self.others.values()]
+        return any(np.isfinite(own) and not own >= answers[one.label].error for own in known)
 
 
 def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarlo) -> Sensitivity:
@@ -208,18 +195,16 @@ def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarl
         for one in asked:
             estimates = {method: own[one.label] for method, own in answers.items()}
             key = one.label, direction.label
-            derivatives[key] = _in_doubt(drawn, one.response, confirmed(*key, estimates))
+            answer = confirmed(*key, estimates)
+            # What brings the sample's response in doubt, and what the sample lacks of what was
+            # asked for.
+            doubts = [*drawn.doubts_of(one.response), drawn.unreached]
+            told = " ".join(filter(None, [answer.verdict, *doubts]))
+            derivatives[key] = dataclasses.replace(answer, verdict=told)
     problem = drawn.problem
     units = {one.label: one.unit(problem.units()[one.response]) for one in asked}
     units |= {d.label: problem.variable_units[d.variable] for d in found}
     return Sensitivity(derivatives, drawn, units)
-
-
-def _in_doubt(drawn: MonteCarlo, response: str, answer: Derivative) -> Derivative:
-    """The answer, its verdict with what brings the sample's response in doubt, and what the sample
-    lacks of what was asked for."""
-    told = filter(None, [answer.verdict, *drawn.doubts_of(response), drawn.unreached])
-    return dataclasses.replace(answer, verdict=" ".join(told))
 
 
 def _shared(problem: AbstractProblem, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -228,20 +213,14 @@ def _shared(problem: AbstractProblem, samples: int, seed: int) -> tuple[np.ndarr
     return draw(problem, samples, seed, scramblings=parts), groups(samples, parts)
 
 
-def _check(sample: Any, difference_samples: Any, methods: Any, seed: Any) -> None:
+def _check(variables: Any, sample: Any, difference_samples: Any, methods: Any, seed: Any) -> None:
     """What a study of derivatives may be asked for."""
+    if variables is not None:
+        which = "names of the problem's variables"
+        expect(variables, (list, tuple), "variables of sensitivity", which)
     check_methods("sensitivity", methods, METHODS)
     if not isinstance(sample, GivenSample):
         what = "sample of sensitivity (a Monte Carlo study, a campaign, or how many samples)"
         check_count(what, sample)
     check_count("difference_samples of sensitivity", difference_samples)
     check_count("seed of sensitivity", seed, at_least=0)
-
-
-def _wanted(problem: AbstractProblem, variables: str | Sequence[str] | None) -> list[str]:
-    """The names asked for."""
-    if variables is None:
-        return list(problem.names)
-    wanted = [variables] if isinstance(variables, str) else variables
-    expect(wanted, (list, tuple), "variables of sensitivity", "names of the problem's variables")
-    return list(wanted)

@@ -14,6 +14,7 @@ Pearson 1934, Biometrika 26, 404, doi:10.1093/biomet/26.4.404.
 """
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -25,6 +26,10 @@ from jaxclear.ground.shown import shown_in_words, with_error
 CONFIDENCE = 0.95
 # Contributions that differ by less than this share of themselves are one number.
 ROUNDING = 1e-12
+# Samples for each coefficient of a polynomial that takes up what it explains of them.
+SAMPLES_A_TERM = 6
+# Of an error budget, beside its variables.
+REST = "what no plane explains"
 
 
 @shown_in_words
@@ -55,8 +60,11 @@ class Statistic(eqx.Module):
     def __str__(self) -> str:
         unit = "" if self.unit in ("", "1") else f" {self.unit}"
         ends = [float(end) for end in self]
-        if np.isfinite(self.value) and np.isfinite(self.low) != np.isfinite(self.high):
-            return "{:.6g}{} ({:.6g} to {:.6g})".format(ends[0], unit, *ends[1:])
+        if np.isfinite(self.low) != np.isfinite(self.high):
+            known = (
+                f"at least {self.low:.6g}" if np.isfinite(self.low) else f"at most {self.high:.6g}"
+            )
+            return f"{ends[0]:.6g}{unit} (95 %: {known})"
         return f"{with_error(ends[0], float(self.error))}{unit}"
 
 
@@ -68,26 +76,30 @@ def student(groups: float) -> float:
     return float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, groups - 1)) if groups > 1 else np.inf
 
 
+def half_width(parts: np.ndarray) -> float:
+    """Half of the 95 % interval of the mean of independent contributions (parts,)."""
+    return student(len(parts)) * float(parts.std(ddof=1)) / np.sqrt(len(parts))
+
+
 def standard_error(
     statistic: Callable[[np.ndarray], float], values: np.ndarray, group: np.ndarray
 ) -> tuple[float, int]:
     """Standard error of a statistic of `values` (samples,) whose scramblings are `group`
     (samples,), and how many scramblings tell it."""
-    parts = _contributions(statistic, values, group)
+    parts = pseudo_values(lambda kept: statistic(values[kept]), group)
     count = len(parts)
     return float(parts.std(ddof=1) / np.sqrt(count)) if count > 1 else np.nan, count
 
 
-def _contributions(
-    statistic: Callable[[np.ndarray], float], values: np.ndarray, group: np.ndarray
-) -> np.ndarray:
-    """What each scrambling contributes to a statistic, (scramblings,): pseudovalues."""
+def pseudo_values(statistic: Callable[[np.ndarray], Any], group: np.ndarray) -> np.ndarray:
+    """Contributions (scramblings,) to a statistic of a selection (samples,) of the sample: their
+    mean is the statistic without its first-order bias (jackknife)."""
     present = np.unique(group)
-    count = len(present)
+    count, whole = len(present), statistic(np.ones(len(group), bool))
     if count < 2:
-        return np.full(count, float(statistic(values)))
-    without = np.array([statistic(values[group != own]) for own in present])
-    return count * statistic(values) - (count - 1) * without
+        return np.array([whole] * count)
+    without = np.array([statistic(group != own) for own in present])
+    return count * whole - (count - 1) * without
 
 
 def jackknifed(
@@ -100,10 +112,11 @@ def jackknifed(
     contributions may be."""
     if len(values) < 2:
         return UNKNOWN
-    value, parts = float(statistic(values)), _contributions(statistic, values, group)
+    value = float(statistic(values))
+    parts = pseudo_values(lambda kept: statistic(values[kept]), group)
     if len(parts) < 2 or not np.all(np.isfinite(parts)):
         return Statistic(value, -np.inf, np.inf)
-    half = student(len(parts)) * float(parts.std(ddof=1)) / np.sqrt(len(parts))
+    half = half_width(parts)
     if not skewed:
         return Statistic(value, value - half, value + half)
     far, upwards = skewed_half(parts), np.mean((parts - parts.mean()) ** 3) > 0
@@ -139,10 +152,8 @@ def deviation_of_moments(
         one, n = first[kept], int(kept.sum())
         return second[kept].mean() - (one.sum() ** 2 - (one**2).sum()) / (n * (n - 1))
 
-    every = np.ones(count, bool)
-    whole = variance(every)
-    without = np.array([variance(np.arange(count) != k) for k in range(count)])
-    half = skewed_half(count * whole - (count - 1) * without)
+    whole, each = variance(np.ones(count, bool)), np.arange(count)
+    half = skewed_half(pseudo_values(variance, each))
     half = float(np.hypot(half, student(count) * np.sqrt(beside)))
     root = float(np.sqrt(max(whole, 0.0)))
     return root, half / (2 * root) if root > 0 else np.inf
@@ -219,3 +230,30 @@ def capability(low: float | None, high: float | None) -> Callable[[np.ndarray], 
         return float(min(rooms) / spread) if spread > 0 else np.inf
 
     return of
+
+
+def error_budget(
+    values: np.ndarray, responses: np.ndarray, group: np.ndarray, names: tuple[str, ...]
+) -> dict[str, Statistic]:
+    """Parts of the variance [response's unit squared] by variable, of `values` (samples,
+    variables) and `responses` (samples,), the rest last; they sum to the variance.
+
+    A plane through the responses has a slope by every variable; slope times deviation, squared, is
+    that variable's part. What no plane explains (curvature, interplay, chaos) stands beside them.
+    Of correlated variables a part holds half of what each pair shares, and may be negative.
+    """
+
+    def part(which: int) -> Any:
+        return lambda rows: _parts(rows)[which]
+
+    rows = np.column_stack([responses, values])
+    return {name: jackknifed(part(i), rows, group) for i, name in enumerate([*names, REST])}
+
+
+def _parts(rows: np.ndarray) -> np.ndarray:
+    responses, values = rows[:, 0] - rows[:, 0].mean(), rows[:, 1:] - rows[:, 1:].mean(axis=0)
+    slopes = np.linalg.lstsq(values, responses, rcond=None)[0]
+    free = max(len(rows) - 1, 1)
+    covariance = values.T @ values / free
+    own = slopes * (covariance @ slopes)
+    return np.append(own, responses @ responses / free - own.sum())

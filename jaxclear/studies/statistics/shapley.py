@@ -37,6 +37,7 @@ from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, student
+from jaxclear.studies.statistics.sobol_indices import open_shares
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
 
@@ -115,7 +116,9 @@ def shapley_effects(
         rows = np.asarray(responses[name]).reshape(len(sets), -1)[:, good]
         for i, own in enumerate(_effects(rows, sets, steps, group[good], count)):
             effects[name, problem.names[i]] = own
-    said = _remark(surface), warnings
+    seen = np.asarray(values)[np.tile(good, len(sets))] if surface is None else surface.values
+    open_ = open_shares(problem, seen, effects)
+    said = _remark(surface), (*warnings, *open_)
     return ShapleyEffects(problem, effects, len(values), int((~good).sum()), *said)
 
 

@@ -34,19 +34,23 @@ from jaxclear.studies.answer import (
     with_interval,
 )
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.endless import refuse_endless, undrawn_levels
 from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
-from jaxclear.studies.statistics.scrambled import ROUNDING, UNKNOWN, Statistic, jackknifed
+from jaxclear.studies.statistics.scrambled import (
+    ROUNDING,
+    SAMPLES_A_TERM,
+    UNKNOWN,
+    Statistic,
+    jackknifed,
+)
 from jaxclear.studies.surface.fitting import HIGHEST
 from jaxclear.studies.surface.polynomials import Expansion, levels, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
 
-# Runs for each term of a polynomial: as in `jaxclear.sensitivity`.
-RUNS_A_TERM = 6
 # Parts beyond the outermost of n independent runs are more than this over n once in 2000 samples.
 MOST_OUTSIDE = 10.0
 # Terms at the most: their equations are solved once for each scrambling.
@@ -134,7 +138,24 @@ def sobol_indices(
             first[name, variable] = _share(own, i)
             total[name, variable] = _share(own, count + i)
     warnings = told(problem, found.checks, reached.ravel())
-    return SobolIndices(problem, first, total, len(values), int(np.sum(~good)), warnings)
+    told_of = open_shares(problem, np.asarray(values)[np.tile(good, len(columns))], first, total)
+    return SobolIndices(
+        problem, first, total, len(values), int(np.sum(~good)), (*warnings, *told_of)
+    )
+
+
+def open_shares(
+    problem: AbstractProblem, values: np.ndarray, *shares: dict[tuple[str, str], Statistic]
+) -> tuple[str, ...]:
+    """Sentences for variables with a level that no run (runs, variables) has seen, whose shares of
+    a variance are then open: 0 to 1."""
+    found = undrawn_levels(problem, values)
+    for own in shares:
+        for response, variable in own:
+            if variable in found:
+                known = own[response, variable]
+                own[response, variable] = Statistic(known.value, 0.0, 1.0)
+    return tuple(found.values())
 
 
 def _of_surface(surface: ResponseSurface) -> SobolIndices:
@@ -164,7 +185,8 @@ def _of_surface(surface: ResponseSurface) -> SobolIndices:
             for variable, share, own_half in zip(problem.names, shares, halves, strict=True):
                 low, high = float(share - own_half), float(share + own_half)
                 kind[name, variable] = Statistic(float(share), low, high)
-    return SobolIndices(problem, *indices, 0, 0, surface.warnings)
+    told_of = open_shares(problem, surface.values, *indices)
+    return SobolIndices(problem, *indices, 0, 0, (*surface.warnings, *told_of))
 
 
 class _Parts(NamedTuple):
@@ -244,7 +266,7 @@ class _Polynomial(NamedTuple):
         """Of the degree that predicts the left out scramblings best, for each response; None where
         runs are too few for a line."""
         runs = rows.shape[0] * (rows.shape[1] - max(int(own.sum()) for own in scramblings))
-        most = min(runs // RUNS_A_TERM, MOST_TERMS)
+        most = min(runs // SAMPLES_A_TERM, MOST_TERMS)
         if len(scramblings) < 2 or most < at.shape[2] + 1:
             return None
         polynomials = orthonormal(at[:2].reshape(-1, at.shape[2]), HIGHEST)

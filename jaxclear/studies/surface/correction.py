@@ -9,7 +9,7 @@ Source: Nelson 1990, Oper. Res. 38, 974, doi:10.1287/opre.38.6.974 (control vari
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,16 +18,20 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
-from jaxclear.ground.shown import AbstractShown, shown_in_words, with_error
-from jaxclear.ground.table import as_table
+from jaxclear.ground.shown import shown_in_words, with_error
 from jaxclear.integrators import Outcome
-from jaxclear.studies.datasets import of_corrected
+from jaxclear.studies.answer import (
+    RESPONSE,
+    AbstractAnswer,
+    Column,
+    Stated,
+    means_and_deviations,
+)
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
 from jaxclear.studies.sampling import all_values
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
-from jaxclear.studies.statistics.summary import ERRORS
 from jaxclear.studies.surface.control_variate import Known, normal_blocks, regressed
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
@@ -51,7 +55,7 @@ class CorrectedStatistic(NamedTuple):
         return with_error(self.value, self.error)
 
 
-class Corrected(AbstractShown):
+class Corrected(AbstractAnswer):
     """Means, standard deviations and probabilities of failing from a surface and fresh runs.
 
     `means` and `deviations` are by response, `probabilities` by the names of the limits. `failed`
@@ -78,31 +82,22 @@ class Corrected(AbstractShown):
             text += f"{self.surface.quality[name]:.2f} and is not used; its numbers are sampled."
         return text
 
-    def _shown(self):
-        return self.sentence(), *self.warnings, self.table()
-
-    def to_dataset(self) -> Any:
-        """Means and deviations by response and probabilities by limit as an xarray Dataset, with
-        provenance."""
-        return of_corrected(self)
-
-    def table(self) -> Any:
-        """A pandas table: one row a response, mean and standard deviation with 95 % errors."""
-        units = self.surface.problem.units()
-        rows = [
-            {
-                "response": name,
-                "unit": units[name],
-                "mean": self.means[name].value,
-                "error of mean (95 %)": self.means[name].error,
-                "standard deviation": self.deviations[name].value,
-                "error of deviation (95 %)": self.deviations[name].error,
-                "gain": self.means[name].gain,
-                "leave-one-out R2": self.surface.quality[name],
-            }
-            for name in self.means
-        ]
-        return as_table(rows, index="response", errors=ERRORS)
+    def _stated(self):
+        over, names = (RESPONSE,), list(self.means)
+        problem, limits = self.surface.problem, self.probabilities
+        units, quality = problem.units(), self.surface.quality
+        columns = {"unit": Column(over, {name: units[name] for name in names})}
+        columns |= means_and_deviations(self.means, self.deviations)
+        columns["gain"] = Column(over, {n: own.gain for n, own in self.means.items()}, "1")
+        columns["leave-one-out R2"] = Column(over, {n: quality[n] for n in names}, "1")
+        read = lambda part: [getattr(own, part) for own in limits.values()]
+        columns |= {
+            "probability": Column(("limit",), read("value"), "1", error=read("error")),
+            "probability gain": Column(("limit",), read("gain"), "1"),
+            "limit": Column(("limit",), list(limits)),
+        }
+        numbers = {"runs": self.runs, "failed": self.failed}
+        return Stated("corrected statistics", columns, problem, self.warnings, numbers)
 
 
 @answering

@@ -1,10 +1,19 @@
 """What `print` and a notebook show of a law, a joint, an integrator, a question: its numbers with
-their units, where there were hundreds of characters of `f64[]`."""
+their units, where there were hundreds of characters of `f64[]`.
 
+A warning stands at the line that a user wrote, however deep its cause is.
+
+A nan that carries its reason hands it on through arithmetic, programs and derivatives.
+"""
+
+import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.ground.outcome import Unknown
+from jaxclear.native import by_columns, while_loop
 
 STEEL = jc.Material(young_modulus=207e9, poisson_ratio=0.3)
 RIG = jc.scenes.slider_crank("ideal")
@@ -66,3 +75,72 @@ def test_what_is_long_has_a_line_for_each_part():
     assert "clearance 0.0002 m" in first
     assert "stiffness 1e+09 N/m^exponent" in contact and "restitution 0.9" in contact
     assert friction.strip().startswith("friction Ambrosio(mu_kinetic 0.03, ")
+
+
+ARM = jc.Body(1.0, 1e-2)
+LONG = jc.integrator.FixedStep(1e-2)
+
+
+def arm(joint=None):
+    pin = jc.Connection(joint or jc.joint.Revolute(), "ground", "arm")
+    return jc.Mechanism({"arm": ARM}, {"pin": pin})
+
+
+def asked(rig, **more):
+    variables = {"mass": jc.Variable(lambda rig: rig.bodies["arm"].mass, tolerance=0.1)}
+    return jc.Problem(
+        rig, lambda run: run.ended, variables, duration=1e-2, integrator=LONG, save=3, **more
+    )
+
+
+CAUSES = {
+    "a run": lambda: jc.simulate(arm(), 1e-2, save=3, integrator=LONG),
+    "a problem": lambda: asked(arm()),
+    "a problem by other steps": lambda: asked(arm()).with_integrator(jc.integrator.FixedStep(9e-3)),
+    "a law, mapped": lambda: jax.vmap(lambda _: jc.contact.Flores(restitution=0.3).restitution)(
+        jax.numpy.zeros(2)
+    ),
+}
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+def test_a_warning_stands_at_the_users_line(cause):
+    with pytest.warns() as said:
+        CAUSES[cause]()
+    assert {each.filename for each in said} == {__file__}
+
+
+@jax.custom_jvp
+def lost(x):
+    return x
+
+
+lost.defjvp(lambda numbers, ways: (numbers[0], Unknown.GROWN.number * ways[0]))
+
+
+def answer(x):
+    """Of what is lost on the way, in a kernel."""
+    turn = lambda carry: (carry[0] + 1, 1.5 * carry[1])
+    end = while_loop(lambda carry: carry[0] < 5, turn, (jnp.zeros((), int), lost(x)))[1]
+    return jnp.sum(jnp.stack([jnp.sin(end), x]) @ jnp.ones((2, 3)))
+
+
+@pytest.mark.parametrize("way", [jax.jacfwd, jax.grad])
+def test_a_reason_is_handed_on(way):
+    found = jax.jit(way(lambda x: by_columns(answer, x)))(1.0)
+    sentence = Unknown.GROWN.sentence
+    assert jc.why_unknown({"slope": found}) == sentence[0].upper() + sentence[1:]
+
+
+def test_of_numbers_there_is_none():
+    assert jc.why_unknown([1.0, np.arange(3), np.inf]) == ""
+
+
+@pytest.mark.parametrize("nan", [np.nan, -np.nan])
+def test_of_any_other_nan_nothing_else_is_said(nan):
+    assert jc.why_unknown(np.array([1.0, nan])).startswith("It is not a number")
+
+
+def test_each_reason_is_said_once():
+    both = [each.number for each in (Unknown.PARTED, Unknown.GROWN, Unknown.PARTED)]
+    assert jc.why_unknown(np.array(both)).count("take") == 2
