@@ -72,7 +72,7 @@ from jaxclear.studies.base import AbstractProblem, AbstractVariable
 from jaxclear.studies.campaign.campaign import campaign, open_campaign
 from jaxclear.studies.design import catalogue, cost, limit
 from jaxclear.studies.design.design import design, design_front
-from jaxclear.studies.design.settings import DesignSettings
+from jaxclear.studies.design.search import DesignSettings
 from jaxclear.studies.fidelity.multi_fidelity import multi_fidelity
 from jaxclear.studies.function_problem import Dimension, FunctionProblem
 from jaxclear.studies.life.derivative import wear_life_derivatives
@@ -83,6 +83,7 @@ from jaxclear.studies.monte_carlo import monte_carlo
 from jaxclear.studies.position_problem import PositionProblem
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.reliability.reliability import reliability
+from jaxclear.studies.screening import screening
 from jaxclear.studies.sensitivity.sensitivity import sensitivity
 from jaxclear.studies.statistics.shapley import shapley_effects
 from jaxclear.studies.statistics.sobol_indices import sobol_indices
@@ -183,6 +184,7 @@ __all__ = [
     "response",
     "scene_schema",
     "scenes",
+    "screening",
     "seated",
     "sensitivity",
     "settled",

@@ -54,7 +54,7 @@ LONGEST_FILE, LONGEST_FUNCTION, MOST_ARGUMENTS, LONGEST_LINE = 600, 80, 9, 100
 FRONT_DOORS = {("simulation/simulate.py", "simulate"): 10}
 # Libraries that a run does without: loaded when a table, a data set or a kernel is asked for.
 LATE = {"jinja2", "pandas", "xarray", "matplotlib", "llvmlite", "meshio", "optax", "scipy"}
-LATE |= {"dask", "distributed", "filelock", "k3d", "mujoco", "yaml", "zarr"}
+LATE |= {"dask", "distributed", "filelock", "k3d", "mujoco", "yaml", "zarr", "SALib"}
 # The one class that its kind does not describe: gravity acts on every body, not on markers.
 ASKED_BY_NAME = {"Gravity"}
 NOTHING_NAMES = {"utils", "util", "helpers", "helper", "misc", "common", "core", "manager"}

@@ -24,7 +24,7 @@ import jaxclear as jc
 from benchmarks.measure import report, sign
 from jaxclear.commands.design import QUESTIONS, Asked
 from jaxclear.studies.ledger.batch import evaluate_all
-from jaxclear.studies.design.freedom import TOLERANCE
+from jaxclear.studies.design.question import TOLERANCE
 from jaxclear.studies.design.population import points
 from tests.rigs import positioned_four_bar
 

@@ -15,6 +15,7 @@ from functools import partial
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -23,7 +24,7 @@ from jaxclear.ground.arguments import check_count, check_known, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.inputs import Inputs
-from jaxclear.studies.scrambling import ScrambledSequence, normal_scores
+from jaxclear.studies.scrambling import LatinHypercube, ScrambledSequence, normal_scores
 
 __all__ = [
     "SAMPLINGS",
@@ -37,6 +38,8 @@ __all__ = [
 ]
 
 SAMPLINGS = ("sobol", "random")
+# A Latin hypercube has all its points at once, and so only serves samples that do not grow.
+OF_ONE_SIZE = (*SAMPLINGS, "latin")
 # Points that are spread evenly gain with their number, so few scramblings are exact; differences of
 # few tell an error less well. 8 is the least power of two whose Student's factor, 2.36, is within a
 # quarter of that of many, 1.96: that much an interval widens where points gain nothing.
@@ -66,11 +69,17 @@ def by_scrambling(rows: np.ndarray, scramblings: int) -> np.ndarray:
     return rows.reshape(-1, scramblings, rows.shape[1]).swapaxes(0, 1)
 
 
-def check_sampled(problem: Any, samples: Any, seed: Any, sampling: Any = "sobol") -> None:
+def check_sampled(
+    problem: Any,
+    samples: Any,
+    seed: Any,
+    sampling: Any = "sobol",
+    samplings: tuple[str, ...] = SAMPLINGS,
+) -> None:
     """What is sampled, and how. Raises `ValueError` with a sentence."""
     check_double_precision()
     expect(problem, AbstractProblem, "what is sampled", "a jaxclear.Problem")
-    check_known("sampling", sampling, SAMPLINGS)
+    check_known("sampling", sampling, samplings)
     check_count("the number of samples", samples)
     check_count("seed", seed, at_least=0)
     if not problem.variables:
@@ -106,15 +115,26 @@ class Drawing:
     """A sample that is drawn piece by piece, cheapest in the order of its numbers; by one thread at
     a time."""
 
-    def __init__(self, problem: AbstractProblem, seed: int, sampling: str, scramblings: int):
+    def __init__(
+        self,
+        problem: AbstractProblem,
+        seed: int,
+        sampling: str,
+        scramblings: int,
+        samples: int = 0,
+    ):
+        """`samples`: how many there will be, of which only Latin hypercubes ask."""
         self.inputs, self.count = problem.inputs, len(problem.names)
         # The first of all scramblings is that of the plain seed.
         self.seeds: list[Any] = [(seed, i) if i else seed for i in range(scramblings)]
-        self.sequences: list[ScrambledSequence] = []
+        rngs = [np.random.default_rng(s) for s in self.seeds]
+        self.sequences: list[Any] = []
         if sampling == "sobol":
-            self.sequences = [
-                ScrambledSequence(self.count, np.random.default_rng(s)) for s in self.seeds
-            ]
+            self.sequences = [ScrambledSequence(self.count, rng) for rng in rngs]
+        elif sampling == "latin":
+            sizes = np.bincount(groups(samples, scramblings), minlength=scramblings)
+            pairs = zip(rngs, sizes, strict=True)
+            self.sequences = [LatinHypercube(self.count, rng, int(size)) for rng, size in pairs]
 
     def span(self, first: int, last: int) -> np.ndarray:
         """Values (last - first, variables) of the samples from the first number up to the last."""
@@ -158,3 +178,23 @@ def _of_block(
 ) -> Float[Array, "samples variables"]:
     """Values of the variables from independent standard normal numbers [1]."""
     return inputs.values(normal)
+
+
+@eqx.filter_jit
+def _of_each(problem, normal):
+    return jax.vmap(problem.inputs.values)(normal)
+
+
+def all_values(problem: AbstractProblem, normal: np.ndarray) -> np.ndarray:
+    """Values (samples, variables) that standard normal numbers (samples, variables) stand for."""
+    return np.array(_of_each(problem, jnp.asarray(normal)))
+
+
+@eqx.filter_jit
+def _slopes_of_each(problem, normal):
+    return jax.vmap(jax.jacfwd(problem.inputs.values))(normal)
+
+
+def value_slopes(problem: AbstractProblem, normal: np.ndarray) -> np.ndarray:
+    """How the values move with the standard normal numbers, (samples, variables, variables)."""
+    return np.asarray(_slopes_of_each(problem, jnp.asarray(normal)))

@@ -12,6 +12,11 @@ def scrambled_shares(count: int, dimensions: int, rng: np.random.Generator) -> n
     return ScrambledSequence(dimensions, rng).points(0, count)
 
 
+def scrambled_normal(count: int, dimensions: int, rng: np.random.Generator) -> np.ndarray:
+    """Standard normal numbers (count, dimensions): one scrambling."""
+    return normal_scores(scrambled_shares(count, dimensions, rng))
+
+
 class ScrambledSequence:
     """One scrambling of Sobol's sequence. What follows what was asked last is cheapest."""
 
@@ -37,11 +42,21 @@ class ScrambledSequence:
 def scores_by_scrambling(sizes: np.ndarray, dimensions: int, seed: int) -> np.ndarray:
     """Standard normal numbers (samples, dimensions): scramblings of these sizes, one after the
     other."""
-    shares = [
-        scrambled_shares(int(size), dimensions, np.random.default_rng((seed, i)))
-        for i, size in enumerate(sizes)
-    ]
-    return normal_scores(np.concatenate(shares))
+    rngs = [np.random.default_rng((seed, i)) for i in range(len(sizes))]
+    pairs = zip(sizes, rngs, strict=True)
+    return np.concatenate([scrambled_normal(int(size), dimensions, rng) for size, rng in pairs])
+
+
+class LatinHypercube:
+    """One Latin hypercube of so many points. It does not grow."""
+
+    def __init__(self, dimensions: int, rng: np.random.Generator, count: int):
+        self.shares = scipy.stats.qmc.LatinHypercube(dimensions, rng=rng).random(count)
+
+    def points(self, first: int, last: int) -> np.ndarray:
+        """Points (last - first, dimensions) of the unit cube, from the first number up to the
+        last."""
+        return self.shares[first:last]
 
 
 def seed_of(*numbers: int) -> int:

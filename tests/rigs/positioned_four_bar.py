@@ -81,8 +81,9 @@ def optimum(crank):
     return Optimum(best, cost, cost / ROOM)
 
 
-def designed(crank):
-    """What `jaxclear.design` makes of it: the crank held, the follower's angle limited."""
+def designed(crank, **priced):
+    """What `jaxclear.design` makes of it: the crank held, the follower's angle limited. `priced`:
+    other costs by name."""
     rig = jc.scenes.four_bar("planar", CLEARANCE, friction=False, wear=False)
     problem = jc.PositionProblem(
         rig,
@@ -93,4 +94,4 @@ def designed(crank):
     at_most = follower_angle(crank) + ROOM
     limit = jc.limit.MeanAndDeviation("response", at_most=at_most, deviations=DEVIATIONS)
     costs = {n: jc.cost.Reciprocal(b) for n, b in zip(NAMES, PRICED, strict=True)}
-    return jc.design(problem, costs, limit, tolerance=dict.fromkeys(NAMES, (1e-7, 1e-4)))
+    return jc.design(problem, costs | priced, limit, tolerance=dict.fromkeys(NAMES, (1e-7, 1e-4)))

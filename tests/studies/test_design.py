@@ -8,10 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize
 from scipy.stats import norm
 
 import jaxclear as jc
+from jaxclear.studies.design import optimise
 from jaxclear.studies.design.catalogue import standard_width
 from jaxclear.studies.design.runs import Runs
 from tests.rigs import positioned_four_bar
@@ -310,6 +311,69 @@ def test_iso_286_has_the_published_widths(size, grade, width):
     assert half == pytest.approx(0.5e-6 * width)
 
 
+def enumerated(kinds, slopes, room):
+    """The least cost over all combinations of processes, and the combination: each by scipy on the
+    closed form of the deviation, `room` for what may be taken. `kinds`: by dimension, processes as
+    (scale, fixed, finest, coarsest)."""
+    found = []
+    for which in itertools.product(*(range(len(own)) for own in kinds)):
+        scale, fixed, low, high = np.array([own[k] for own, k in zip(kinds, which, strict=True)]).T
+        left = lambda t: 1.0 - np.linalg.norm(slopes * t * low) / room
+        own = minimize(
+            lambda t, b=scale / low, c=fixed.sum(): (b / t).sum() + c,
+            np.ones(len(low)),
+            bounds=list(zip(np.ones(len(low)), high / low, strict=True)),
+            constraints={"type": "ineq", "fun": left},
+            method="SLSQP",
+            options={"ftol": 1e-12, "maxiter": 500},
+        )
+        if left(own.x) > -1e-6:
+            found.append((float(own.fun), which))
+    return min(found)
+
+
+def offered(kinds):
+    """Two processes of one dimension."""
+    named = zip(("turned", "ground"), kinds, strict=True)
+    return jc.cost.Processes(
+        {n: jc.cost.Process(jc.cost.Reciprocal(b, c), *ends) for n, (b, c, *ends) in named}
+    )
+
+
+@pytest.mark.slow
+def test_processes_are_the_best_of_all_combinations():
+    """Turning is cheap and coarse, grinding has a price of its own and holds less."""
+    kinds = [[(b, 0.0, 8e-6, 1e-4), (b / 2, 5.0, 1e-6, 12e-6)] for b in PRICED]
+    settings = jc.DesignSettings(samples=512)
+    costs = by_name(map(offered, kinds))
+    found = jc.design(problem(), costs, MEAN, tolerance=WIDE, settings=settings)
+    cost, which = enumerated(kinds, SLOPES, ROOM / 3 / SPREAD)
+    which = [("turned", "ground")[k] for k in which]
+    assert found.cost == pytest.approx(cost, rel=1e-3) and found.holds
+    assert list(found.processes.values()) == which and len(set(which)) == 2
+    assert list(found.table()["process"]) == which
+    assert f"a {which[0]}, b {which[1]}" in found.sentence()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("searches", [64, 1])
+def test_processes_of_a_mechanism_are_the_best_by_enumeration(monkeypatch, searches):
+    """All combinations at once, and one dimension after the other as where they are too many."""
+    monkeypatch.setattr(optimise, "MOST_SEARCHES", searches)
+    crank, rig = positioned_four_bar.CRANKS[0], positioned_four_bar
+    best = rig.optimum(crank)
+    kinds = [[(b, 0.0, 1e-7, 1e-4)] for b in rig.PRICED]
+    for i in (0, 2):
+        scale, width = rig.PRICED[i], best.tolerances[i]
+        fixed = 0.3 * scale / width
+        kinds[i] = [(scale, 0.0, 1.1 * width, 1e-4), (scale / 2, fixed, 1e-7, 1.2 * width)]
+    room = rig.ROOM / rig.DEVIATIONS / rig.SPREAD
+    cost, which = enumerated(kinds, rig.slopes(crank), room)
+    found = rig.designed(crank, **{rig.NAMES[i]: offered(kinds[i]) for i in (0, 2)})
+    assert found.holds and found.cost == pytest.approx(cost, rel=1e-3)
+    assert list(found.processes.values()) == [("turned", "ground")[which[i]] for i in (0, 2)]
+
+
 COSTS = [
     (jc.cost.Reciprocal(2.0, 1.0), 2.0),
     (jc.cost.ReciprocalSquared(2.0, 1.0), 1.5),
@@ -317,6 +381,8 @@ COSTS = [
     (jc.cost.Exponential(2.0, 0.5, 1.0), 1 + 2 * np.exp(-1)),
     (jc.cost.ReciprocalExponential(2.0, 1.0, 0.5, 1.0), 1 + np.exp(-1)),
     (jc.cost.Table([1.0, 2.0, 4.0], [5.0, 3.0, 2.5]), 3.0),
+    (jc.cost.Process(jc.cost.Reciprocal(2.0, 1.0), 1.0, 4.0), 2.0),
+    (jc.cost.Processes({"a": jc.cost.Reciprocal(2.0, 1.0), "b": jc.cost.Reciprocal(1.0)}), 0.5),
 ]
 
 
@@ -377,6 +443,10 @@ def test_limits_that_contradict_themselves_are_refused():
         jc.limit.Probability("gap", above=1.0, below=2.0, at_most=0.1)
     with pytest.raises(ValueError, match="do not rise"):
         jc.cost.Table([2.0, 1.0], [1.0, 2.0])
+    with pytest.raises(ValueError, match="finest = 2 and coarsest = 1; coarsest must be"):
+        jc.cost.Process(jc.cost.Reciprocal(1.0), 2.0, 1.0)
+    with pytest.raises(ValueError, match="cost.Processes is empty"):
+        jc.cost.Processes({})
     with pytest.raises(ValueError, match='no grade of catalogue.ISO286 "IT3"'):
         jc.catalogue.ISO286(0.02, [3])
 

@@ -16,8 +16,7 @@ from jaxclear.commands.report import campaign_page
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.threads import failures
-from jaxclear.studies.design.freedom import freedom_of
-from jaxclear.studies.design.question import Question, checked_limits
+from jaxclear.studies.design.question import Question, checked_limits, freedom_of
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.design.verification import GROUPS, Verifier, _finite
 from jaxclear.studies.endless import finite_beside

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.fidelity.chain import chosen
+from jaxclear.studies.fidelity.levels import chosen
 from jaxclear.studies.fidelity.model import models_of
 from tests.studies.test_monte_carlo import problem as pendulum_problem
 

@@ -10,7 +10,7 @@ from scipy import integrate, stats
 from scipy.special import ndtr
 
 import jaxclear as jc
-from jaxclear.studies.reliability.reach import Reach
+from jaxclear.studies.reliability.subset import Reach
 from tests.rigs.limit_states import CASES, case
 
 Normal = jc.distribution.Normal

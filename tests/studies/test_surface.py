@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 import jaxclear as jc
 from jaxclear.studies.surface.polynomials import powers
-from jaxclear.studies.surface.region import drawn
+from jaxclear.studies.surface.surface import drawn
 
 Normal, Uniform = jc.distribution.Normal, jc.distribution.Uniform
 

@@ -5,19 +5,24 @@ only their ratios decide the design.
 """
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
 
 __all__ = [
     "AbstractCost",
     "Exponential",
+    "Process",
+    "Processes",
     "Reciprocal",
     "ReciprocalExponential",
     "ReciprocalPower",
@@ -28,6 +33,8 @@ __getattr__, __dir__ = nothing_else("jaxclear.cost", __all__)
 
 MONEY = "(cost)"
 FIXED = "cost that no tolerance changes"
+# A tolerance that is the finest of a process but for rounding is held.
+ROUNDING = 1e-9
 
 
 class AbstractCost(AbstractQuantified):
@@ -150,3 +157,76 @@ class Table(AbstractCost):
         ends = jnp.stack(self.tolerances)
         piece = jnp.clip(jnp.searchsorted(ends, tolerance) - 1, 0, len(self.tolerances) - 2)
         return jnp.polyval(self.coefficients[:, piece], tolerance - ends[piece])
+
+
+class Process(AbstractCost):
+    """A cost within the tolerances that a process holds, from `finest` to `coarsest`."""
+
+    cost: AbstractCost
+    finest: Scalar = quantity(unit="(tolerance)", meaning="smallest tolerance it holds", above=0)
+    coarsest: Scalar = quantity(unit="(tolerance)", meaning="largest tolerance it serves", above=0)
+
+    def __check_init__(self):
+        expect(self.cost, AbstractCost, "cost of a Process", "one of jaxclear.cost")
+        if not self.finest < self.coarsest:
+            raise ValueError(
+                f"cost.Process has finest = {float(self.finest):g} and coarsest = "
+                f"{float(self.coarsest):g}; coarsest must be the larger."
+            )
+
+    def known(self):
+        low, high = self.cost.known()
+        return max(low, float(self.finest)), min(high, float(self.coarsest))
+
+    def __call__(self, tolerance):
+        return self.cost(tolerance)
+
+
+class Processes(AbstractCost):
+    """Several processes of which a design picks one for the dimension, with its tolerance: by name,
+    each a `Process` or another cost that is known over a range, such as a `Table`.
+
+    The cost of a tolerance is that of the cheapest process that holds it. A process also serves
+    tolerances beyond its coarsest one, at the cost of that.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    costs: tuple[AbstractCost, ...]
+    # Smallest and largest tolerance of each.
+    ranges: Float[Array, "processes 2"]
+    # The process whose cost alone counts while a design tries it, else -1.
+    held: Int[Array, ""]
+
+    def __init__(self, processes: Any):
+        what = "a dictionary from names of processes to members of jaxclear.cost"
+        expect(processes, Mapping, "processes of cost.Processes", what)
+        if not processes:
+            raise ValueError("cost.Processes is empty; name one process at least.")
+        for name, cost in processes.items():
+            expect(cost, AbstractCost, f'process "{name}"', "one of jaxclear.cost, such as Process")
+        self.names, self.costs = tuple(processes), tuple(processes.values())
+        self.ranges = jnp.asarray([own.known() for own in self.costs])
+        self.held = jnp.asarray(-1)
+
+    def known(self):
+        return float(self.ranges[:, 0].min()), float("inf")
+
+    def __call__(self, tolerance):
+        low, high = self.ranges.T
+        reached = jnp.clip(tolerance, low, high)
+        each = jnp.stack([cost(own) for cost, own in zip(self.costs, reached, strict=True)])
+        cheapest = jnp.min(jnp.where(tolerance < low * (1 - ROUNDING), jnp.inf, each))
+        return jnp.where(self.held < 0, cheapest, each[jnp.maximum(self.held, 0)])
+
+    def process(self, tolerance: float) -> str:
+        """The cheapest process that holds a tolerance."""
+        prices = [
+            float(self._held_by(k)(jnp.asarray(tolerance, float)))
+            if tolerance >= float(self.ranges[k, 0]) * (1 - ROUNDING)
+            else np.inf
+            for k in range(len(self.costs))
+        ]
+        return self.names[int(np.argmin(prices))]
+
+    def _held_by(self, process: int) -> "Processes":
+        return eqx.tree_at(lambda one: one.held, self, jnp.asarray(process))

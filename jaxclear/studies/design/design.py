@@ -15,13 +15,11 @@ import numpy as np
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.design.abstract_limit import AbstractLimit
-from jaxclear.studies.design.freedom import freedom_of
-from jaxclear.studies.design.question import Question, checked_cost, checked_limits
+from jaxclear.studies.design.limit import AbstractLimit
+from jaxclear.studies.design.question import Question, checked_cost, checked_limits, freedom_of
 from jaxclear.studies.design.result import Design, prices_of
 from jaxclear.studies.design.runs import BATCH, Runs
-from jaxclear.studies.design.search import Sought, sought
-from jaxclear.studies.design.settings import DesignSettings
+from jaxclear.studies.design.search import DesignSettings, Sought, sought
 from jaxclear.studies.endless import endless_sentences
 from jaxclear.studies.warned import sentences
 

@@ -1,17 +1,25 @@
-"""The parts that a design makes: one sample of standard normal points for every candidate.
+"""The parts that a design makes, and what answers for their responses: the problem itself where it
+answers at once, else a polynomial surface through its runs.
 
-With common points a response is a smooth function of nominal values and tolerances. Where rare
-parts decide, some of the points are drawn about those, and weighted by how much rarer they are.
+With one sample of standard normal points for every candidate a response is a smooth function of
+nominal values and tolerances. Where rare parts decide, some of the points are drawn about those,
+and weighted by how much rarer they are.
 """
 
+from abc import abstractmethod
+from typing import Any
+
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-import scipy
+from jaxtyping import Array, Float, Int
 
-from jaxclear.studies.scrambling import scrambled_shares
-
-# Points lie no further out than this share: quantiles of distributions without ends are finite.
-EDGE = 1e-15
+from jaxclear.integrators import Outcome
+from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.scrambling import scrambled_normal
+from jaxclear.studies.surface.fitting import fitted
+from jaxclear.studies.surface.polynomials import Polynomials, products
 
 
 class Points(eqx.Module):
@@ -39,7 +47,7 @@ def points(
     parts = []
     for number, centre in enumerate(centres):
         rng = np.random.default_rng([seed, number])
-        parts.append(_drawn(variables, samples, rng) + centre)
+        parts.append(scrambled_normal(samples, variables, rng) + centre)
     normal = np.concatenate(parts)
     # Density of the mixture in multiples of the standard normal one.
     grown = np.mean([np.exp(normal @ c - 0.5 * c @ c) for c in centres], axis=0)
@@ -47,14 +55,61 @@ def points(
     return Points(normal, weights / weights.sum())
 
 
-def _drawn(variables: int, samples: int, rng: np.random.Generator) -> np.ndarray:
-    return scipy.stats.norm.ppf(np.clip(scrambled_shares(samples, variables, rng), EDGE, 1 - EDGE))
-
-
 def _matched(variables: int, samples: int, seed: int) -> np.ndarray:
     """Points and their mirror images, stretched until their covariance is the unit matrix."""
-    half = _drawn(variables, -(-samples // 2), np.random.default_rng([seed, 0]))
+    half = scrambled_normal(-(-samples // 2), variables, np.random.default_rng([seed, 0]))
     normal = np.concatenate([half, -half])[:samples]
     return np.linalg.solve(
         np.linalg.cholesky(np.cov(normal.T, ddof=0).reshape(variables, -1)), normal.T
     ).T
+
+
+class AbstractModel(eqx.Module):
+    """Responses by name, (samples,), of values (samples, variables); differentiable."""
+
+    @eqx.filter_jit
+    def __call__(self, values: Float[Array, "samples variables"]) -> dict[str, Array]:
+        """The responses of all samples."""
+        return jax.vmap(self.one)(values)
+
+    @abstractmethod
+    def one(self, values: Float[Array, " variables"]) -> dict[str, Array]:
+        """The responses of one sample."""
+
+
+class Direct(AbstractModel):
+    """The problem itself."""
+
+    problem: AbstractProblem
+
+    def one(self, values):
+        return self.problem.evaluate(values).responses
+
+
+class Surface(AbstractModel):
+    """A polynomial of each response (`studies.surface`), without the runs that it came from."""
+
+    polynomials: Polynomials
+    powers: Int[Array, "terms variables"]
+    coefficients: Float[Array, "responses terms"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def one(self, values):
+        terms = products(self.polynomials, self.powers, values)
+        return dict(zip(self.names, self.coefficients @ terms, strict=True))
+
+
+def surface_through(
+    problem: Any, values: np.ndarray, responses: np.ndarray
+) -> tuple[Surface, dict[str, float]]:
+    """The surface through runs, and its leave-one-out R2 [1] of each response. `values` (runs,
+    variables), `responses` (runs, responses)."""
+    names = problem.response_names
+    found = SampleResult(
+        dict(zip(names, responses.T, strict=True)),
+        jnp.full(len(values), int(Outcome.REACHED)),
+        jnp.zeros(len(values)),
+    )
+    surface = fitted(problem, values, found)
+    rows = jnp.stack([surface.coefficients[name] for name in names])
+    return Surface(surface.polynomials, surface.powers, rows, names), surface.quality

@@ -10,9 +10,9 @@ from jaxclear.ground.shown import as_written, in_few, with_error
 from jaxclear.ground.table import as_table
 from jaxclear.studies.answer import VARIABLE, AbstractAnswer, Column, Stated, columns_of
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.design.abstract_limit import AbstractLimit
-from jaxclear.studies.design.freedom import NOMINAL
-from jaxclear.studies.design.question import Question
+from jaxclear.studies.design.cost import Processes
+from jaxclear.studies.design.limit import AbstractLimit
+from jaxclear.studies.design.question import NOMINAL, Question
 from jaxclear.studies.design.search import Round
 from jaxclear.studies.surface.response_surface import TRUSTED
 from jaxclear.studies.warned import FEW_WARNED, sentences, warned_share
@@ -112,6 +112,17 @@ class Design(AbstractAnswer):
         quality = self.rounds[-1].quality
         return tuple(name for name in self._limited if quality.get(name, 1.0) < TRUSTED)
 
+    @property
+    def processes(self) -> dict[str, str]:
+        """The process of each variable whose cost offers several, by name."""
+        cost = self.question.cost
+        offered = cost.items() if isinstance(cost, dict) else ()
+        return {
+            name: own.process(self.tolerances[name])
+            for name, own in offered
+            if isinstance(own, Processes)
+        }
+
     def label(self, i: int) -> str:
         """What a free number is in the catalogue that it comes from; "" without one."""
         choice = self.question.freedom.choices[i]
@@ -124,6 +135,9 @@ class Design(AbstractAnswer):
     def sentence(self) -> str:
         """The cost, whether the limits hold, which of them decide and what they cost."""
         said = [f"Cost {self.cost:.6g}."]
+        if self.processes:
+            made = (f"{name} {process}" for name, process in self.processes.items())
+            said.append(f"Processes: {', '.join(made)}.")
         if not self.verified:
             said.append("Not verified by runs of its own.")
         elif self.holds:
@@ -194,6 +208,8 @@ class Design(AbstractAnswer):
             "chosen": Column(over, {name: " and ".join(own) for name, own in free.items()}),
             "catalogue": Column(over, {name: named(own) for name, own in free.items()}),
         }
+        if self.processes:
+            columns["process"] = Column(over, dict.fromkeys(freedom.names, "") | self.processes)
         limits = columns_of(self.limit_table().set_index("limit"), "limit", "limit ")
         columns |= limits | columns_of(self.history(), "round", "round ")
         numbers = {"cost": self.cost, "runs": self.runs}

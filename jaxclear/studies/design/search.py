@@ -6,21 +6,32 @@ as much about the candidate. A round whose candidate keeps every limit, and leav
 unused, is the last.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 
-from jaxclear.studies.design.discrete import chosen_from_catalogues
-from jaxclear.studies.design.lagrangian import cheapest_by_steps
-from jaxclear.studies.design.model import AbstractModel, Direct, surface_through
-from jaxclear.studies.design.noisy import cheapest_by_noise
-from jaxclear.studies.design.optimise import Candidate, Search, cheapest, judged
-from jaxclear.studies.design.population import Points, points
+from jaxclear.ground.arguments import check_count, check_known
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
+from jaxclear.studies.design.lagrangian import cheapest_by_noise, cheapest_by_steps
+from jaxclear.studies.design.optimise import (
+    Candidate,
+    Search,
+    cheapest,
+    chosen,
+)
+from jaxclear.studies.design.population import (
+    AbstractModel,
+    Direct,
+    Points,
+    points,
+    surface_through,
+)
 from jaxclear.studies.design.question import Question, sizes_of
-from jaxclear.studies.design.rare import rare_regions
 from jaxclear.studies.design.runs import Runs
-from jaxclear.studies.design.settings import DesignSettings
 from jaxclear.studies.design.verification import Check, Verifier
 from jaxclear.studies.scrambling import scrambled_shares
 
@@ -29,6 +40,49 @@ STARTS, RUNS_PER_TERM = 3, 2
 # A problem that answers at once is asked at so many times the points. Verifications are repeated
 # with so many times the runs, up to so often, while they are less sure than is asked.
 MORE, TIMES, MOST_TIMES = 4, 1, 2
+# Shares above this are seen often enough without.
+OFTEN = 0.02
+FIXED_POINTS = 12
+# Points closer than this share of their distance are one.
+ONE = 0.3
+METHODS = ("auto", "slsqp", "optax", "noisy")
+# More free numbers than this are searched by steps of optax.
+TENS = 40
+
+
+class DesignSettings(AbstractQuantified):
+    """`allowed_excess` [1]: by how much of itself a limit may be missed. `samples`: points at which
+    a surface, or a problem that answers at once, is taken; `check`: runs of a verification, `runs`:
+    of a surface (None: two for each term of a quadratic, 64 at least). `rounds`: verifications at
+    the most. `method`: "slsqp", "optax" (an augmented Lagrangian), "noisy" (the same on new runs in
+    every step, by score functions: for responses that jump, rattle or count, which no surface
+    explains), or "auto", the first or second by how many numbers are free. `surface`: whether one
+    stands in for the problem (None: unless it answers at once)."""
+
+    allowed_excess: Scalar = quantity(
+        5e-3, "1", "miss of a limit that is let pass", above=0, below=1
+    )
+    samples: int = count(2048, "points of a population", at_least=64)
+    check: int = count(128, "runs of a verification", at_least=16)
+    runs: int | None = eqx.field(static=True, default=None)
+    rounds: int = count(6, "verifications at the most")
+    seed: int = count(0, "seed of all random numbers", at_least=0)
+    method: str = eqx.field(static=True, default="auto")
+    surface: bool | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        check_known("method of a design", self.method, METHODS)
+        if self.runs is not None:
+            check_count("runs of DesignSettings", self.runs)
+
+    @property
+    def noisy(self) -> bool:
+        """Whether steps see new runs each."""
+        return self.method == "noisy"
+
+    def uses_steps(self, free: int) -> bool:
+        """Whether optax takes the steps for so many free numbers."""
+        return self.method == "optax" or (self.method == "auto" and free > TENS)
 
 
 class Round(NamedTuple):
@@ -174,10 +228,10 @@ class _Seeking:
         if self.settings.noisy:
             seed = self.settings.seed + len(self.rounds)
             found = cheapest_by_noise(search, starts[0], self.runs, seed)
-            return chosen_from_catalogues(search, found)
+            return chosen(search, found)
         if self.settings.uses_steps(len(low)):
-            return chosen_from_catalogues(search, cheapest_by_steps(search, starts[0]))
-        return chosen_from_catalogues(search, cheapest(search, starts))
+            return chosen(search, cheapest_by_steps(search, starts[0]))
+        return chosen(search, cheapest(search, starts))
 
     def _checked(self, number: int, candidate: Candidate) -> Check:
         """The candidate by new runs; by more where they are less sure than is asked."""
@@ -207,4 +261,44 @@ class _Seeking:
         return bool(np.all(kept & used)) and check.failed == 0
 
 
-__all__ = ["Round", "Sought", "judged", "sought"]
+def rare_regions(
+    question: Question, place: np.ndarray, model: AbstractModel
+) -> tuple[np.ndarray, ...]:
+    """Centres (variables,) of the rare regions of all limits; none where nothing rare decides."""
+    found: list[np.ndarray] = []
+    for number, limit in enumerate(question.limits):
+        share = limit.rarest()
+        if share >= OFTEN:
+            continue
+        distance = float(-scipy.stats.norm.ppf(share))
+        for side in range(len(limit.sides(jnp.zeros(())))):
+            centre = np.asarray(
+                _worst(question, (number, side), model, jnp.asarray(place), jnp.asarray(distance))
+            )
+            new = all(np.linalg.norm(centre - c) > ONE * distance for c in found)
+            if new and np.all(np.isfinite(centre)):
+                found.append(centre)
+    return tuple(found)
+
+
+@eqx.filter_jit
+def _worst(
+    question: Question,
+    which: tuple[int, int],
+    model: AbstractModel,
+    place: Any,
+    distance: float | Any,
+) -> Any:
+    """The point at this distance where a limit (its number and side) is nearest to breaking."""
+    limit = question.limits[which[0]]
+
+    def bad(normal):
+        return limit.sides(question.one(limit, question.values(place, normal), model))[which[1]]
+
+    def outward(slope):
+        length = jnp.linalg.norm(slope)
+        return distance * slope / jnp.where(length > 0, length, 1.0)
+
+    slope = jax.grad(bad)
+    start = outward(slope(jnp.zeros(len(question.freedom.names))))
+    return jax.lax.fori_loop(0, FIXED_POINTS, lambda i, point: outward(slope(point)), start)

@@ -11,14 +11,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.studies.design.abstract_limit import AbstractLimit, Sample
-from jaxclear.studies.design.endless_limits import SAME
-from jaxclear.studies.design.model import AbstractModel
-from jaxclear.studies.design.population import Points, points
+from jaxclear.studies.design.limit import SAME, AbstractLimit, Sample
+from jaxclear.studies.design.population import AbstractModel, Points, points
 from jaxclear.studies.design.question import Question
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.endless import finite_beside, refuse_endless
 from jaxclear.studies.statistics.scrambled import student
+from jaxclear.studies.surface.control_variate import with_difference
 
 # Independent scramblings.
 GROUPS = 8
@@ -104,32 +103,33 @@ class Verifier(NamedTuple):
         that is told, where some are infinite."""
         question, names = self.question, self.runs.problem.response_names
         if limit.extreme():
-            corner, told = question.corner(limit, place, model)[None], {}
+            corner, by_name = question.corner(limit, place, model)[None], {}
             if limit.response in names:
-                told = dict(zip(names, self.runs.ask(corner, "worst case").T, strict=True))
-            own, largest = _finite(limit, np.asarray(question.of(limit, corner, told)))
+                by_name = dict(zip(names, self.runs.ask(corner, "worst case").T, strict=True))
+            own, largest = _finite(limit, np.asarray(question.of(limit, corner, by_name)))
             ends = jnp.tile(jnp.asarray(own), 2)
             return lambda weights: Sample(jnp.zeros(1), jnp.ones(1), ends), largest
         own = np.asarray(question.of(limit, values, dict(zip(names, responses.T, strict=True))))
         if limit.by_moments():
-            told = {limit.response: own}
-            refuse_endless(self.runs.problem, told, "mean or deviation", INSTEAD)
+            refuse_endless(self.runs.problem, {limit.response: own}, "mean or deviation", INSTEAD)
         own, largest = _finite(limit, np.where(np.isnan(own), 0.0, own))
-        parts, before = [own], []
-        corrected = self.corrected and limit.response in names
-        if corrected:
-            large = question.values(jnp.asarray(place), self.wide.normal)
-            surface = question.of(limit, large, model(large))
-            here = question.of(limit, values, model(jnp.asarray(values)))
-            parts, before = [surface, own, here], [np.asarray(self.wide.weights)]
-        joined = jnp.concatenate([jnp.asarray(part) for part in parts])
+        if not (self.corrected and limit.response in names):
+            alone = Sample(jnp.asarray(own), jnp.zeros(0), jnp.zeros(2))
+            return lambda weights: alone._replace(weights=_shares(weights)), largest
+        wide = question.values(jnp.asarray(place), self.wide.normal)
+        large = Sample(
+            jnp.asarray(question.of(limit, wide, model(wide))),
+            jnp.asarray(self.wide.weights),
+            jnp.zeros(2),
+        )
+        here = jnp.asarray(question.of(limit, values, model(jnp.asarray(values))))
 
-        def seen(weights):
-            share = weights / weights.sum()
-            scale = [*before, share, -share] if corrected else [share]
-            return Sample(joined, jnp.asarray(np.concatenate(scale)), jnp.zeros(2))
+        told = jnp.asarray(own)
+        return lambda weights: with_difference(large, told, here, _shares(weights)), largest
 
-        return seen, largest
+
+def _shares(weights: np.ndarray) -> Any:
+    return jnp.asarray(weights / weights.sum())
 
 
 def _finite(limit: AbstractLimit, values: np.ndarray) -> tuple[np.ndarray, float]:

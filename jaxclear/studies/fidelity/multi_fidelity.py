@@ -14,8 +14,7 @@ import numpy as np
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.fidelity.chain import Chain, chosen
-from jaxclear.studies.fidelity.links import FIRST, Links
+from jaxclear.studies.fidelity.levels import FIRST, Chain, Links, chosen
 from jaxclear.studies.fidelity.model import Model, models_of, told_by
 from jaxclear.studies.fidelity.result import MultiFidelity, rate
 from jaxclear.studies.sampling import check_sampled, draw

@@ -12,9 +12,9 @@ import numpy as np
 import scipy
 
 from jaxclear.studies.reliability.design_point import DesignPoint
+from jaxclear.studies.reliability.importance import Proposal
 from jaxclear.studies.reliability.models import AbstractModel
-from jaxclear.studies.reliability.proposal import Proposal
-from jaxclear.studies.surface.drawing import scrambled_normal
+from jaxclear.studies.scrambling import scrambled_normal
 
 # Points at which a system of planes is looked at.
 POINTS = 1 << 16

@@ -6,15 +6,16 @@ from as many points as wanted, and runs only for where it is wrong.
 Source: Melchers 1989, Struct. Saf. 6, 3, doi:10.1016/0167-4730(89)90003-9.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from jaxclear.studies.limit_state import system_margin
-from jaxclear.studies.reliability.estimate import Probability, refused
-from jaxclear.studies.reliability.models import RunModel, SurfaceModel
-from jaxclear.studies.reliability.proposal import Proposal
-from jaxclear.studies.surface.drawing import scrambled_normal
+from jaxclear.studies.reliability.design_point import DesignPoint
+from jaxclear.studies.reliability.models import Probability, RunModel, SurfaceModel, refused
+from jaxclear.studies.surface.control_variate import Known, normal_blocks
 
 # Runs of one scrambling, scramblings before the first look, and added between looks.
 BLOCK, FIRST, MORE = 32, 8, 4
@@ -22,13 +23,45 @@ BLOCK, FIRST, MORE = 32, 8, 4
 SURFACE_BLOCKS, SURFACE_POINTS = 16, 4096
 # Runs after which it is told how many it takes, and given up where they are too many.
 LOOK = 1024
+# Share of samples about the middle, at the least.
+MIDDLE = 0.1
+# Where failing is more frequent than this, sampling about the middle is as good as any.
+FREQUENT = 0.1
+# The rarest design point still gets this share of the likeliest one's samples.
+LEAST = 0.05
 
 
-class _Known(NamedTuple):
-    """The surface's own probability and the variance of that."""
+class Proposal(NamedTuple):
+    """A mixture of standard normal distributions about `centres` (parts, variables) with `shares`
+    (parts,) [1]."""
 
-    value: float
-    variance: float
+    centres: np.ndarray
+    shares: np.ndarray
+
+    @classmethod
+    def at(cls, points: Sequence[DesignPoint]) -> "Proposal":
+        """About design points, each by how likely it is, and the middle."""
+        likely = scipy.special.ndtr([-own.beta for own in points])
+        about = np.maximum(likely, LEAST * likely.max())
+        middle = MIDDLE if likely.max() < FREQUENT else 1.0 - MIDDLE
+        shares = np.concatenate([[middle], (1 - middle) * about / about.sum()])
+        return cls(np.stack([np.zeros(len(points[0].normal)), *(p.normal for p in points)]), shares)
+
+    @property
+    def dimensions(self) -> int:
+        """Standard normal numbers that a sample takes: its own, and one that tells the part."""
+        return self.centres.shape[1] + 1
+
+    def drawn(self, normal: np.ndarray) -> np.ndarray:
+        """Samples (samples, variables) of the mixture from standard normal numbers (samples,
+        variables + 1)."""
+        part = np.searchsorted(np.cumsum(self.shares), scipy.special.ndtr(normal[:, -1]))
+        return normal[:, :-1] + self.centres[np.minimum(part, len(self.shares) - 1)]
+
+    def weights(self, normal: np.ndarray) -> np.ndarray:
+        """Density of the parts over that of the mixture at samples (samples, variables)."""
+        logs = normal @ self.centres.T - 0.5 * np.sum(self.centres**2, axis=1)
+        return np.exp(-scipy.special.logsumexp(logs + np.log(self.shares), axis=1))
 
 
 def importance(
@@ -47,9 +80,8 @@ def importance(
     means, within, counts, unknown = np.zeros(0), np.zeros(0), 0, 0.0
     while True:
         new = FIRST if not len(means) else MORE
-        rngs = [np.random.default_rng([seed, 3, len(means) + k]) for k in range(new)]
-        raw = [scrambled_normal(BLOCK, proposal.dimensions, rng) for rng in rngs]
-        normal = proposal.drawn(np.concatenate(raw))
+        drawn = normal_blocks(new, BLOCK, proposal.dimensions, (seed, 3), first=len(means))
+        normal = proposal.drawn(drawn)
         margins, weights = model.margins(normal), proposal.weights(normal)
         lost = np.isnan(margins).any(axis=1)
         fails = lost | (system_margin(np.where(lost[:, None], -1.0, margins), cuts) < 0)
@@ -75,9 +107,7 @@ def importance(
     return found._replace(runs=runs, failed=model.failed - failed, unknown=share)
 
 
-def _answer(
-    means: np.ndarray, within: np.ndarray, known: _Known | None, counts: int
-) -> Probability:
+def _answer(means: np.ndarray, within: np.ndarray, known: Known | None, counts: int) -> Probability:
     """The answer so far: the mean of the blocks and its variation, by their spread or, where that
     is larger, by the spread within them (variances of means, (blocks,)): few blocks are like each
     other by chance, and sampling until they are would be biased. As if one failing sample more had
@@ -90,10 +120,8 @@ def _answer(
     return Probability(float(value), float(np.sqrt(variance) / value), blocks=len(means))
 
 
-def _own_probability(surface: SurfaceModel, proposal: Proposal, cuts, seed: int) -> _Known:
-    rngs = [np.random.default_rng([seed, 4, k]) for k in range(SURFACE_BLOCKS)]
-    raw = [scrambled_normal(SURFACE_POINTS, proposal.dimensions, rng) for rng in rngs]
-    normal = proposal.drawn(np.concatenate(raw))
+def _own_probability(surface: SurfaceModel, proposal: Proposal, cuts, seed: int) -> Known:
+    drawn = normal_blocks(SURFACE_BLOCKS, SURFACE_POINTS, proposal.dimensions, (seed, 4))
+    normal = proposal.drawn(drawn)
     fails = system_margin(surface.margins(normal), cuts) < 0
-    means = (proposal.weights(normal) * fails).reshape(SURFACE_BLOCKS, -1).mean(axis=1)
-    return _Known(float(means.mean()), float(means.var(ddof=1) / SURFACE_BLOCKS))
+    return Known.of(proposal.weights(normal) * fails, SURFACE_BLOCKS)

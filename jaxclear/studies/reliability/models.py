@@ -7,19 +7,21 @@ it counts as failing, and is told.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.ground.shown import shown_in_words
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import answered
 from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState
-from jaxclear.studies.surface.drawing import all_values, value_slopes
+from jaxclear.studies.sampling import all_values, value_slopes
+from jaxclear.studies.statistics.scrambled import student
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.surface.surface import run
 from jaxclear.studies.warned import codes_of, sentences
@@ -138,3 +140,40 @@ def _surface_margins(surface, limits, normal):
 def _surface_slopes(surface, limits, normal):
     margins = _at(surface, limits)
     return jax.vmap(lambda z: (margins(z), jax.jacfwd(margins)(z)))(normal)
+
+
+@shown_in_words
+class Probability(NamedTuple):
+    """Probability of failing [1] by one method. `variation` is its coefficient of variation, the
+    standard error over the value; nan where a method does not know its own error. It is that of
+    `blocks` independent estimates, which cost `runs`; `failed` of these did not reach their end and
+    count as failing, with a share `unknown` [1] of the probability. `refusal` says why a method has
+    no answer."""
+
+    value: float
+    variation: float = np.nan
+    runs: int = 0
+    failed: int = 0
+    unknown: float = 0.0
+    blocks: int = 0
+    refusal: str = ""
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval, (low, high); nan where the error is not known."""
+        if not np.isfinite(self.variation) or self.blocks < 2:
+            return np.nan, np.nan
+        width = student(self.blocks) * self.variation * self.value
+        return max(self.value - width, 0.0), min(self.value + width, 1.0)
+
+    def __str__(self) -> str:
+        if self.refusal:
+            return f"no answer: {self.refusal}"
+        low, high = self.interval
+        known = f", 95 %: {low:.3g} to {high:.3g}" if np.isfinite(low) else ", its error not known"
+        return f"{self.value:.3g} ({self.runs} runs{known})"
+
+
+def refused(why: str, runs: int = 0, failed: int = 0) -> Probability:
+    """No answer, and the sentence that says why."""
+    return Probability(np.nan, runs=runs, failed=failed, refusal=why)

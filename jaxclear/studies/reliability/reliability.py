@@ -1,7 +1,7 @@
 """How often a limit is broken, however rarely: `jaxclear.reliability`.
 
-Design points are found on the exact slopes of functions, else on a surface that is mended where
-parts fail. From there FORM and SORM answer at once, and importance sampling says how
+Design points are found on the exact slopes of functions, else on a surface that is mended by runs
+where parts fail. From there FORM and SORM answer at once, and importance sampling says how
 far they are right; where it is not certain enough, subset simulation takes its place. Where
 nothing that fails is found, a search of few runs says whether any is within reach.
 """
@@ -9,25 +9,92 @@ nothing that fails is found, a search of few runs says whether any is within rea
 from collections.abc import Sequence
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_methods, check_number, expect
-from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.endless import check_told
+from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.endless import check_told, endless_sentences
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit
 from jaxclear.studies.reliability.design_point import DesignPoint, design_points
-from jaxclear.studies.reliability.estimate import Probability, refused
 from jaxclear.studies.reliability.first_order import curvatures, form, sorm
-from jaxclear.studies.reliability.importance import importance
-from jaxclear.studies.reliability.models import AbstractModel, RunModel, SurfaceModel
-from jaxclear.studies.reliability.proposal import Proposal
-from jaxclear.studies.reliability.reach import Reach
-from jaxclear.studies.reliability.refinement import NO_SURFACE, surface_where_it_fails
+from jaxclear.studies.reliability.importance import Proposal, importance
+from jaxclear.studies.reliability.models import (
+    AbstractModel,
+    Probability,
+    RunModel,
+    SurfaceModel,
+    refused,
+)
 from jaxclear.studies.reliability.result import Reliability
-from jaxclear.studies.reliability.subset import subset
+from jaxclear.studies.reliability.subset import Reach, subset
+from jaxclear.studies.scrambling import scrambled_normal
+from jaxclear.studies.surface.fitting import fitted
+from jaxclear.studies.surface.polynomials import powers
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.texts import difference
+
+# The first surface is fitted over parts this many times as wide as they are.
+WIDE = 1.5
+# Runs for each term of a quadratic surface, and at the least.
+RUNS_PER_TERM, FEWEST = 3, 32
+# A surface is right where its design points are off by less [deviations].
+RIGHT = 0.1
+# How a sentence begins that stands in place of one.
+NO_SURFACE = "There is no surface"
+# Times it is mended, runs about a design point for each variable, how far about it [deviations].
+MOST_ROUNDS, RUNS_ABOUT, ABOUT = 3, 3, 0.7
+
+
+def surface_where_it_fails(
+    model: RunModel, seed: int
+) -> tuple[ResponseSurface | str, list[DesignPoint], bool]:
+    """A surface of the problem for these limits, its design points, and whether runs at these
+    confirm it; a sentence in place of one where responses are infinite. Raises `ValueError` where
+    too few runs reach their end."""
+    variables, cuts = len(model.problem.names), model.limit.cut_sets()
+    rng = np.random.default_rng([seed, 6])
+    runs = max(RUNS_PER_TERM * len(powers(np.full(variables, 2), 2, 1.0)), FEWEST)
+    seen = [_counted(model, WIDE * scrambled_normal(runs, variables, rng))]
+    for _ in range(MOST_ROUNDS):
+        values, found = _together(seen)
+        asked = {own.response: found.responses[own.response] for own in model.limit.limits()}
+        endless = endless_sentences(model.problem, asked)
+        if endless:
+            return f"{NO_SURFACE}: {' '.join(endless)}", [], False
+        surface = fitted(model.problem, values, found)
+        if not all(surface.trusted(own.response) for own in model.limit.limits()):
+            return surface, [], False
+        own = SurfaceModel(surface, model.limit)
+        points = design_points(own, cuts, variables, seed)
+        if not points:
+            return surface, points, True
+        at = np.stack([point.normal for point in points])
+        values, found = model.responses(at)
+        gap = model.of(found) - own.margins(at)
+        sizes = [np.max(abs(g[list(p.cut)]) / p.slopes) for g, p in zip(gap, points, strict=True)]
+        if np.nanmax(sizes, initial=0.0) <= RIGHT and np.isfinite(sizes).all():
+            return surface, points, True
+        seen.append((values, found))
+        for point, size in zip(points, sizes, strict=True):
+            if not size <= RIGHT:
+                about = scrambled_normal(RUNS_ABOUT * (variables + 1), variables, rng)
+                seen.append(_counted(model, point.normal + ABOUT * about))
+    return surface, points, False
+
+
+def _counted(model: RunModel, normal: np.ndarray) -> tuple[np.ndarray, SampleResult]:
+    values, found = model.responses(normal)
+    model.of(found)
+    return values, found
+
+
+def _together(seen: list[tuple[np.ndarray, SampleResult]]) -> tuple[np.ndarray, SampleResult]:
+    values = np.concatenate([own for own, _ in seen])
+    found = jax.tree.map(lambda *parts: np.concatenate(parts), *(own for _, own in seen))
+    return values, found
+
 
 METHODS = ("form", "sorm", "importance", "subset")
 # Without a wish: subset simulation only where importance sampling does not do.

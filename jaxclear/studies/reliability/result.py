@@ -12,7 +12,7 @@ from jaxclear.studies.answer import VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.limit_state import AbstractLimitState
 from jaxclear.studies.reliability.design_point import DesignPoint
-from jaxclear.studies.reliability.estimate import Probability
+from jaxclear.studies.reliability.models import Probability
 from jaxclear.studies.surface.response_surface import ResponseSurface
 
 # Methods that know their own error.

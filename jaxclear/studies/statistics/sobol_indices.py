@@ -47,9 +47,8 @@ from jaxclear.studies.statistics.scrambled import (
     jackknifed,
 )
 from jaxclear.studies.surface.fitting import HIGHEST
-from jaxclear.studies.surface.polynomials import levels, orthonormal, powers, products
+from jaxclear.studies.surface.polynomials import Expansion, levels, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.surface.variances import Expansion
 from jaxclear.studies.warned import told
 
 # Parts beyond the outermost of n independent runs are more than this over n once in 2000 samples.

@@ -30,8 +30,9 @@ from jaxclear.studies.answer import (
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
+from jaxclear.studies.sampling import all_values
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
-from jaxclear.studies.surface.drawing import all_values, scrambled_normal
+from jaxclear.studies.surface.control_variate import Known, normal_blocks, regressed
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
 
@@ -123,15 +124,15 @@ def corrected(
     problem, limits = surface.problem, dict(limits or {})
     for limit in limits.values():
         check_limit(limit, problem.response_names, "corrected")
-    normal = _blocks(scramblings, samples, len(problem.names), [seed, 0])
-    values = jnp.asarray(all_values(problem, np.concatenate(normal)))
+    normal = normal_blocks(scramblings, samples, len(problem.names), (seed, 0))
+    values = jnp.asarray(all_values(problem, normal))
     found = evaluate_all(problem, values, chunk=chunk, progress_bar=progress_bar, label="corrected")
     own = {name: np.asarray(found.responses[name], float) for name in problem.response_names}
     refuse_endless(problem, own, "mean or deviation", "jaxclear.monte_carlo serves")
     finite = np.all([np.isfinite(own[name]) for name in own], axis=0)
     good = (np.asarray(found.outcome) == Outcome.REACHED) & finite
-    many = _blocks(SURFACE_SCRAMBLINGS, SURFACE_POINTS, len(problem.names), [seed, 1])
-    there, free = _evaluated(surface, np.asarray(values)), _of_normal(surface, np.concatenate(many))
+    many = normal_blocks(SURFACE_SCRAMBLINGS, SURFACE_POINTS, len(problem.names), (seed, 1))
+    there, free = _evaluated(surface, np.asarray(values)), _of_normal(surface, many)
     means, deviations, probabilities = {}, {}, {}
     for name in problem.response_names:
         weights = _weights(surface, name)
@@ -148,12 +149,6 @@ def corrected(
     statistics = means, deviations, probabilities
     counts = len(values), int((~good).sum()), scramblings
     return Corrected(surface, *statistics, *counts, told(problem, found.checks, good))
-
-
-def _blocks(scramblings: int, samples: int, variables: int, seed: list[int]) -> list[np.ndarray]:
-    """Standard normal numbers (samples, variables) of independent scramblings."""
-    rngs = [np.random.default_rng([*seed, k]) for k in range(scramblings)]
-    return [scrambled_normal(samples, variables, rng) for rng in rngs]
 
 
 @eqx.filter_jit
@@ -189,14 +184,9 @@ def _weights(surface: ResponseSurface, name: str) -> tuple[float, float]:
     if not surface.trusted(name):
         return 0.0, 0.0
     runs, said = surface.responses[name], surface.predictions[name]
-    middle = said.mean()
-    pairs = [(runs, said), ((runs - middle) ** 2, (said - middle) ** 2)]
-    spreads = [said_.var() for _, said_ in pairs]
-    first, second = (
-        float(np.mean((a - a.mean()) * (b - b.mean())) / spread) if spread > 0 else 0.0
-        for (a, b), spread in zip(pairs, spreads, strict=True)
-    )
-    return first, second
+    away = [np.stack([own - said.mean(), (own - said.mean()) ** 2], axis=1) for own in (runs, said)]
+    first, second = regressed(*away)
+    return float(first), float(second)
 
 
 def _block_means(numbers: np.ndarray, good: np.ndarray, blocks: int) -> np.ndarray:
@@ -209,9 +199,9 @@ def _left(numbers, there, good, blocks, free, weight):
     """What the surface leaves, block by block, with and without it; its own mean added, and the
     variance of that."""
     plain = _block_means(numbers, good, blocks)
+    known = Known.of(free, SURFACE_SCRAMBLINGS).times(weight)
     left = plain - weight * _block_means(there, good, blocks)
-    known = free.reshape(SURFACE_SCRAMBLINGS, -1).mean(axis=1)
-    return plain, left + weight * known.mean(), weight**2 * known.var(ddof=1) / len(known)
+    return plain, left + known.value, known.variance
 
 
 def _mean(numbers, there, good, blocks, free, weight, unseen=0.0) -> CorrectedStatistic:

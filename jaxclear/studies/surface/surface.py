@@ -6,25 +6,64 @@ runs that it has not seen, one by one (leave-one-out); below R2 = 0.9 it says th
 """
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Float
 
 from jaxclear.ground.answering import answering
-from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
+from jaxclear.ground.arguments import check_count, check_flags, check_known, check_number, expect
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.result import GivenSample, given_sample
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.monte_carlo import MonteCarlo
+from jaxclear.studies.sampling import all_values
+from jaxclear.studies.scrambling import scrambled_normal
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import powers
-from jaxclear.studies.surface.region import Region, check_region, drawn
 from jaxclear.studies.surface.response_surface import ResponseSurface
+
+NUMBER = (int, float, np.integer, np.floating)
+# So many times the spread of the variables, or ranges by name.
+Region = float | Mapping[str, tuple[float, float]]
+
+
+def drawn(problem: AbstractProblem, runs: int, over: Region, seed: int) -> np.ndarray:
+    """Values (runs, variables) that fill a region."""
+    rng = np.random.default_rng(seed)
+    normal = scrambled_normal(runs, len(problem.names), rng)
+    wide = normal if isinstance(over, Mapping) else over * normal
+    values = all_values(problem, wide)
+    for name, (low, high) in (over if isinstance(over, Mapping) else {}).items():
+        share = scipy.special.ndtr(normal[:, problem.names.index(name)])
+        values[:, problem.names.index(name)] = low + (high - low) * share
+    return values
+
+
+def check_region(problem: AbstractProblem, over: Any) -> None:
+    """What a surface may be fitted over."""
+    if not isinstance(over, Mapping):
+        check_number("over of surface (or ranges by name)", over, above=0)
+        return
+    for name, own in over.items():
+        check_known("variable", name, problem.names, " in this problem")
+        pair = isinstance(own, (tuple, list)) and len(own) == 2
+        if (
+            not pair
+            or not all(isinstance(x, NUMBER) and np.isfinite(x) for x in own)
+            or own[0] >= own[1]
+        ):
+            raise ValueError(
+                f'over["{name}"] of surface is {own!r}; it must be two finite numbers, low and '
+                "high."
+            )
+
 
 # Runs for each term of a quadratic surface, and in all, where no number is asked for.
 RUNS_PER_TERM, FEWEST = 3, 32

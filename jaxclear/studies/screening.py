@@ -1,0 +1,131 @@
+"""Which of many variables matter at all, from few runs: `jaxclear.screening`, the method of Morris.
+
+Trajectories through a grid of the unit cube move one variable at a time. The elementary effect of
+a variable is what its move changes in a response, over the share of the population that it moved
+through, so that each point stands for equally many parts whatever the distributions. Levels of the
+grid are the middles of equally likely parts: distributions without ends have no end in it.
+
+Source: Morris 1991, Technometrics 33, 161, doi:10.1080/00401706.1991.10484804; mu*: Campolongo,
+Cariboni & Saltelli 2007, Environ. Model. Softw. 22, 1509, doi:10.1016/j.envsoft.2006.10.004.
+"""
+
+import importlib.util
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_count, check_flags
+from jaxclear.integrators import Outcome
+from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Column, Stated
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.sampling import all_values, check_sampled
+from jaxclear.studies.scrambling import normal_scores
+from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed
+from jaxclear.studies.warned import told
+
+
+class Screening(AbstractAnswer):
+    """Elementary effects of variables on responses, by (response, variable), in the response's
+    unit: `mu_star`, their mean size, tells whether a variable matters; `sigma`, their deviation,
+    whether its effect hangs on where it and the others stand. `effects` (trajectories,) are nan
+    where a run failed, of which there are `failed` among `runs`."""
+
+    problem: AbstractProblem
+    mu_star: dict[tuple[str, str], Statistic]
+    sigma: dict[tuple[str, str], Statistic]
+    effects: dict[tuple[str, str], np.ndarray]
+    runs: int = eqx.field(static=True)
+    failed: int = eqx.field(static=True)
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
+
+    def sentence(self) -> str:
+        """Which variable matters most to each response, and how many runs failed."""
+        said = []
+        for name in self.problem.response_names:
+            own = {v: self.mu_star[name, v].value for v in self.problem.names}
+            known = {v: value for v, value in own.items() if np.isfinite(value)}
+            if known:
+                said.append(f'"{name}" moves most with "{max(known, key=lambda v: known[v])}".')
+        text = f"{self.runs} runs"
+        text += f", {self.failed} failed: their moves are left out." if self.failed else "."
+        return " ".join([text, *said])
+
+    def _stated(self):
+        over, units = (RESPONSE, VARIABLE), self.problem.units()
+        read = lambda found, part: {key: getattr(one, part) for key, one in found.items()}
+        columns = {
+            "unit": Column(over, {key: units[key[0]] for key in self.mu_star}),
+            "mu*": Column(over, read(self.mu_star, "value"), error=read(self.mu_star, "error")),
+            "sigma": Column(over, read(self.sigma, "value"), error=read(self.sigma, "error")),
+        }
+        numbers = {"runs": self.runs, "failed": self.failed}
+        return Stated("screening", columns, self.problem, self.warnings, numbers)
+
+
+@answering
+def screening(
+    problem: AbstractProblem,
+    trajectories: int = 16,
+    *,
+    levels: int = 4,
+    seed: int = 0,
+    chunk: int | None = None,
+    progress_bar: bool = False,
+) -> Screening:
+    """Which variables of a problem matter, by the method of Morris: `trajectories` times one run
+    more than there are variables.
+
+    `levels`: points of the grid in each variable, an even number. Trajectories are independent;
+    intervals (95 %) come from the differences between them. Correlated variables are moved by their
+    own independent numbers. A move whose run failed is left out. Needs SALib:
+    `pip install "jaxclear[screening]"`. Raises `ValueError` for what cannot be asked, `ImportError`
+    without SALib.
+    """
+    check_sampled(problem, trajectories, seed)
+    check_count("trajectories of screening", trajectories, at_least=2)
+    check_count("levels of screening", levels, at_least=2)
+    check_flags("screening", progress_bar=progress_bar)
+    if levels % 2:
+        raise ValueError(f"levels of screening is {levels}; it must be even, such as 4.")
+    if importlib.util.find_spec("SALib") is None:
+        raise ImportError('Screening draws by SALib: python -m pip install "jaxclear[screening]".')
+    shares = _trajectories(len(problem.names), trajectories, levels, seed)
+    values = jnp.asarray(all_values(problem, normal_scores(shares)))
+    found = evaluate_all(problem, values, chunk=chunk, progress_bar=progress_bar, label="screening")
+    refuse_endless(problem, found.responses, "elementary effect")
+    own = {name: np.asarray(found.responses[name], float) for name in problem.response_names}
+    finite = np.all([np.isfinite(responses) for responses in own.values()], axis=0)
+    good = (np.asarray(found.outcome) == Outcome.REACHED) & finite
+    moves = np.diff(shares.reshape(trajectories, -1, shares.shape[1]), axis=1)
+    effects, mu_star, sigma = {}, {}, {}
+    for name, responses in own.items():
+        kept = np.where(good, responses, np.nan).reshape(trajectories, -1)
+        for i, variable in enumerate(problem.names):
+            # Each trajectory moves each variable once.
+            moved = np.argmax(np.abs(moves[:, :, i]), axis=1)[:, None]
+            change, share = (
+                np.take_along_axis(rows, moved, axis=1)[:, 0]
+                for rows in (np.diff(kept, axis=1), moves[:, :, i])
+            )
+            effects[name, variable] = change / share
+            told_by = effects[name, variable][np.isfinite(change)]
+            group = np.arange(len(told_by))
+            mu_star[name, variable] = jackknifed(np.mean, np.abs(told_by), group)
+            sigma[name, variable] = jackknifed(deviation, told_by, group, skewed=True)
+    counts = len(values), int((~good).sum())
+    return Screening(problem, mu_star, sigma, effects, *counts, told(problem, found.checks, good))
+
+
+def _trajectories(variables: int, count: int, levels: int, seed: int) -> np.ndarray:
+    """Shares [1] of the trajectories' points, (count (variables + 1), variables)."""
+    from SALib.sample import morris
+
+    bounds = [[0.0, 1.0]] * variables
+    asked: Any = {"num_vars": variables, "names": list(map(str, range(variables)))}
+    drawn = morris.sample(asked | {"bounds": bounds}, count, num_levels=levels, seed=seed)
+    return (np.round(drawn * (levels - 1)) + 0.5) / levels
