@@ -43,7 +43,7 @@ STUDIES = (
     "mechanism_problem function_problem position_problem problem "
     "chosen_integrator usual_integrator",
     "sampling scrambling sequential replicas statistics",
-    "monte_carlo sweep worst_case advice",
+    "monte_carlo sweep screening worst_case advice",
     "campaign.result campaign.samples campaign.dataset campaign.recorded",
     "surface",
     "statistics.shapley statistics.sobol_indices sensitivity fidelity reliability design life",
