@@ -109,6 +109,7 @@ ANSWERS = {
     "worst case": worst,
     "extreme": lambda: worst().least["force"],
     "sweep": lambda: jc.sweep(few(), {few().names[0]: [1.0, 2.0]}),
+    "screening": lambda: jc.screening(few(), 4),
     "sobol indices": lambda: jc.sobol_indices(few(), 32),
     "shapley effects": lambda: jc.shapley_effects(surface(), 64),
     "multi-fidelity": lambda: jc.multi_fidelity(few(), {"other": few()}, costs={"other": 0.1}),

@@ -17,6 +17,7 @@ from jaxclear.plot.studies import (
     monte_carlo,
     multi_fidelity,
     reliability,
+    screening,
     sensitivity,
     shapley_effects,
     sobol_indices,
@@ -38,6 +39,7 @@ from jaxclear.studies.life.settled import Settled
 from jaxclear.studies.life.wear_life import WearLives
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.reliability.result import Reliability
+from jaxclear.studies.screening import Screening
 from jaxclear.studies.sensitivity.derivative import Sensitivity
 from jaxclear.studies.statistics.shapley import ShapleyEffects
 from jaxclear.studies.statistics.sobol_indices import SobolIndices
@@ -139,6 +141,7 @@ FIGURES: dict[type, Callable] = {
     Positions: positions,
     Reliability: reliability,
     ResponseSurface: surface,
+    Screening: screening,
     Sensitivity: sensitivity,
     Settled: settled,
     ShapleyEffects: shapley_effects,

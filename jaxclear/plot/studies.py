@@ -19,6 +19,7 @@ from jaxclear.studies.advice import PRESENT, Advice
 from jaxclear.studies.fidelity.result import MultiFidelity
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.reliability.result import Reliability
+from jaxclear.studies.screening import Screening
 from jaxclear.studies.sensitivity.derivative import Sensitivity
 from jaxclear.studies.statistics.shapley import ShapleyEffects
 from jaxclear.studies.statistics.sobol_indices import SobolIndices
@@ -292,6 +293,29 @@ def sobol_indices(study: SobolIndices, *, ax: Any = None) -> Any:
     sheet.legend()
     sheet.title(f"Sobol' indices, {study.runs} runs")
     return sheet.done()
+
+
+@answering
+def screening(study: Screening, *, ax: Any = None) -> Any:
+    """Mean size `mu*` and deviation `sigma` of the elementary effects of each variable, with 95 %
+    intervals. `ax`: axes for each response."""
+    expect(study, Screening, "the study", "what jaxclear.screening returns")
+    sheet, names, variables = _by_variable("screening", study.mu_star, ax)
+    for axis, name in zip(sheet.axes.flat, names, strict=True):
+        drawn = ((study.mu_star, -0.15, "C0", "mu*"), (study.sigma, 0.15, "C1", "sigma"))
+        sizes = [own[name, variable].value for own, *_ in drawn for variable in variables]
+        factor, unit = readable(sizes, study.problem.units()[name])
+        for own, off, colour, label in drawn:
+            for row, variable in enumerate(variables):
+                named = label if row == 0 else None
+                numbers = [factor * number for number in own[name, variable]]
+                _interval(axis, row + off, *numbers, color=colour, label=named)
+        _rows(axis, variables)
+        axis.axvline(0.0, color="0.7", lw=0.8)
+        axis.set_xlabel(f"elementary effect on {name} [{unit}]")
+    sheet.legend()
+    sheet.title(f"Screening, {study.runs} runs")
+    return sheet.done([*study.warnings])
 
 
 @answering

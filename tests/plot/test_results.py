@@ -47,6 +47,7 @@ STUDIES = {
     "Sensitivity": lambda folder: jc.sensitivity(problem(), sample=128, difference_samples=64),
     "WorstCase": lambda folder: jc.worst_case(problem(), samples=16),
     "Sweep": lambda folder: jc.sweep(problem(), {"a": [0.9e-3, 1.1e-3]}),
+    "Screening": lambda folder: jc.screening(problem(), 4),
     "SobolIndices": lambda folder: jc.sobol_indices(problem(), 64),
     "ShapleyEffects": lambda folder: jc.shapley_effects(problem(), 64),
     "ResponseSurface": lambda folder: jc.surface(problem()),

@@ -305,6 +305,7 @@ CASES = {
     ],
     "settled": [lambda: plot.settled(settled())],
     "shapley_effects": [lambda: plot.shapley_effects(jc.shapley_effects(problem(), 64))],
+    "screening": [lambda: plot.screening(jc.screening(problem(), 4))],
     "sobol_indices": [lambda: plot.sobol_indices(jc.sobol_indices(problem(), 64))],
     "spectrum": [lambda: plot.spectrum(run(), JOINT, "force", period=PERIOD)],
     "surface": [lambda: plot.surface(jc.surface(problem()))],
