@@ -153,32 +153,38 @@ def multipliers(
 
 def chosen(search: Search, relaxed: Candidate) -> Candidate:
     """The best candidate by a choice of processes, where costs offer one, and of what catalogues
-    have. With few processes every combination is searched, else one after the other is changed
-    while that helps."""
+    have. Of all combinations of processes those are searched that may be cheaper than the best so
+    far, by their cost at the widest tolerances (the tighter, the dearer), and that may keep the
+    limits; where combinations are too many, one process after the other is changed while that
+    helps."""
     spans = _processes(search)
     if not spans:
         return chosen_from_catalogues(search, relaxed)
     tried: dict[tuple[int, ...], Candidate] = {}
 
+    def narrowed(which: tuple[int, ...]) -> Search:
+        own = [span[k] for span, k in zip(spans.values(), which, strict=True)]
+        return _narrowed(search, dict(zip(spans, own, strict=True)))
+
     def best(which: tuple[int, ...]) -> Candidate:
         if which not in tried:
-            own = [span[k] for span, k in zip(spans.values(), which, strict=True)]
-            narrow = _narrowed(search, dict(zip(spans, own, strict=True)))
+            narrow = narrowed(which)
             found = cheapest(narrow, [np.clip(relaxed.place, narrow.low, narrow.high)])
             tried[which] = chosen_from_catalogues(narrow, found)
         return tried[which]
 
+    here = tuple(_nearest(own, relaxed.place[i]) for i, own in spans.items())
     counts = [len(span) for span in spans.values()]
-    if np.prod([float(count) for count in counts]) <= MOST_SEARCHES:
-        return best_of([best(which) for which in itertools.product(*map(range, counts))])
-    here = tuple(
-        int(
-            np.argmin(
-                [abs(np.clip(relaxed.place[i], s.low, s.high) - relaxed.place[i]) for s in own]
-            )
-        )
-        for i, own in spans.items()
-    )
+    if np.prod([float(count) for count in counts]) <= MOST_COMBINATIONS:
+        every = list(itertools.product(*map(range, counts)))
+        searches = [narrowed(which) for which in every]
+        least = [float(one.question.price(jnp.asarray(one.high))) for one in searches]
+        found = best(here)
+        for i in np.argsort(least, kind="stable"):
+            cheaper = found.broken > KEPT or least[i] < found.cost
+            if cheaper and not _hopeless(searches[i], relaxed.place, list(spans)):
+                found = best_of([found, best(every[i])])
+        return found
     for _ in range(SWEEPS):
         before = here
         for k, count in enumerate(counts):
@@ -188,6 +194,23 @@ def chosen(search: Search, relaxed: Candidate) -> Candidate:
         if here == before:
             break
     return best(here)
+
+
+def _nearest(spans: "list[_Span]", place: float) -> int:
+    """The process that holds a place, or whose tolerances are nearest to it."""
+    return int(np.argmin([abs(np.clip(place, own.low, own.high) - place) for own in spans]))
+
+
+def _hopeless(search: Search, place: np.ndarray, widths: list[int]) -> bool:
+    """Whether a limit is broken with the finest tolerances, of these numbers, and nothing that may
+    move from there lowers its excess, to first order."""
+    place = np.clip(place, search.low, search.high)
+    place[widths] = search.low[widths]
+    found, slopes = search.told(place)
+    worst = 1 + int(np.argmax(found[1:]))
+    down = np.where(place > search.low, slopes[worst], 0.0) > 0
+    up = np.where(place < search.high, slopes[worst], 0.0) < 0
+    return bool(found[worst] > KEPT and not (down | up).any())
 
 
 class _Span(NamedTuple):
