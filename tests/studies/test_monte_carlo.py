@@ -285,15 +285,15 @@ def test_one_number_under_two_variables_is_refused():
 @pytest.mark.parametrize(
     ("other", "difference"),
     [
-        (lambda p: eqx.tree_at(lambda p: p.duration, p, 2.0), "duration is 1, not 2"),
-        (lambda p: eqx.tree_at(lambda p: p.integrator.step, p, 5e-3), "step is 0.01, not 0.005"),
+        (lambda p: eqx.tree_at(lambda p: p.duration, p, 2.0), "duration is 1.0 there, 2.0 here"),
+        (lambda p: eqx.tree_at(lambda p: p.integrator.step, p, 5e-3), "step is 0.01 there, 0.005 here"),
         (
             lambda p: eqx.tree_at(lambda p: p.integrator, p, jc.integrator.ImplicitStep(1e-2)),
-            "integrator is FixedStep, not ImplicitStep",
+            "integrator is FixedStep there, ImplicitStep here",
         ),
         (
             lambda p: eqx.tree_at(lambda p: p.mechanism.bodies["rod"].mass, p, jnp.asarray(2.0)),
-            r'mechanism.bodies\["rod"\].mass is 1, not 2',
+            r'mechanism.bodies\["rod"\].mass is 1.0 there, 2.0 here',
         ),
         (
             lambda p: problem(width=p.variables["length"]),
@@ -301,7 +301,7 @@ def test_one_number_under_two_variables_is_refused():
         ),
         (
             lambda p: problem(length=jc.Variable(lambda r: r.bodies["rod"].com[0], tolerance=0.1)),
-            'distribution of "length" is Normal, not TruncatedNormal',
+            'distribution of "length" is Normal there, TruncatedNormal here',
         ),
         (
             lambda p: problem(
