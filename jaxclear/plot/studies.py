@@ -16,6 +16,7 @@ from jaxclear.ground.arguments import check_known, expect
 from jaxclear.ground.shown import as_typed
 from jaxclear.plot.canvas import Roomy, key, panels, readable
 from jaxclear.studies.advice import PRESENT, Advice
+from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.fidelity.result import MultiFidelity
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.reliability.result import Reliability
@@ -38,10 +39,10 @@ MOST_BESIDE, MOST_CURVES, IN_LEGEND = 3, 8, 24
 SENTENCES = re.compile(r"(?<=[.!?]) +(?=[A-Z0-9])")
 
 
-def monte_carlo(study: MonteCarlo, *, ax: Any = None) -> Any:
-    """Histogram of every response over the sample, with mean and 5 to 95 % range.
+def monte_carlo(study: MonteCarlo | Campaign, *, ax: Any = None) -> Any:
+    """Histogram of every response over the sample (or a campaign's), with mean and 5 to 95 % range.
     `ax`: one axes for each response."""
-    expect(study, MonteCarlo, "the study", "what jaxclear.monte_carlo returns")
+    study = _sampled(study)
     names = list(study.responses)
     sheet = panels("monte_carlo", ax, 1, len(names), (4.6 * len(names), 3.8))
     for axis, name in zip(sheet.axes.flat, names, strict=True):
@@ -239,11 +240,18 @@ def worst_case(study: WorstCase, *, ax: Any = None) -> Any:
     return sheet.done()
 
 
+def _sampled(study: MonteCarlo | Campaign) -> MonteCarlo:
+    """The finished samples of a study, in memory."""
+    told = "what jaxclear.monte_carlo or jaxclear.campaign returns"
+    expect(study, (MonteCarlo, Campaign), "the study", told)
+    return study.sample if isinstance(study, Campaign) else study
+
+
 @answering
-def error_budget(study: MonteCarlo, *responses: str, ax: Any = None) -> Any:
+def error_budget(study: MonteCarlo | Campaign, *responses: str, ax: Any = None) -> Any:
     """What each variable contributes to the variance of responses (all by default), as shares of it
     with 95 % intervals. `ax`: axes for each response."""
-    expect(study, MonteCarlo, "the study", "what jaxclear.monte_carlo returns")
+    study = _sampled(study)
     names = responses or tuple(study.responses)
     for name in names:
         check_known("response", name, study.responses, " in this study")
