@@ -39,6 +39,7 @@ MOST_BESIDE, MOST_CURVES, IN_LEGEND = 3, 8, 24
 SENTENCES = re.compile(r"(?<=[.!?]) +(?=[A-Z0-9])")
 
 
+@answering
 def monte_carlo(study: MonteCarlo | Campaign, *, ax: Any = None) -> Any:
     """Histogram of every response over the sample (or a campaign's), with mean and 5 to 95 % range.
     `ax`: one axes for each response."""
@@ -84,6 +85,7 @@ def _warned_samples(study: MonteCarlo) -> list[str]:
     return told
 
 
+@answering
 def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
     """Every derivative by every method, with its 95 % interval; a method that refused is named, not
     drawn. `ax`: one axes for each derivative.
@@ -124,6 +126,7 @@ def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
     return sheet.done([whose(names) + sentence for sentence, names in rest.items()])
 
 
+@answering
 def sweep(study: Sweep, *, ax: Any = None) -> Any:
     """Every response over the first swept variable, with a line for each value of a second one, or
     over both as colours where these are many. `ax`: one axes for each response. Raises `ValueError`
@@ -158,6 +161,7 @@ def sweep(study: Sweep, *, ax: Any = None) -> Any:
     return sheet.done([*study.warnings])
 
 
+@answering
 def work_precision(advice: Advice, *, ax: Any = None) -> Any:
     """Error of every setting against its work, one line a method, with the accuracy asked and the
     recommended setting.
