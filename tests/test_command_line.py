@@ -162,6 +162,13 @@ def test_every_command_shows_examples_and_understands_them(name, tmp_path, monke
     assert "Examples:" in shown and all(example in shown for example in command.examples)
 
 
+def test_the_command_is_a_module_too():
+    """Where the script is not on the path."""
+    asked = [sys.executable, "-m", "jaxclear", "four-barr"]
+    answered = subprocess.run(asked, capture_output=True, text=True)
+    assert answered.returncode == 2 and "four-bar" in answered.stderr
+
+
 def test_a_slip_of_the_pen_is_answered_without_jax():
     """JAX takes two seconds to load; what it loads would stand among the modules."""
     ask = "import sys; from jaxclear_command.cli import main\ntry: main(['four-barr'])\n"

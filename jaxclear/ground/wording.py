@@ -18,7 +18,10 @@ def described(value: Any) -> str:
     """What was given, in a few words: a number as it is, of anything large its kind."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
-    if value is None or isinstance(value, (str, bytes, bool, int, float, complex)):
+    if isinstance(value, float):
+        # NumPy's are floats that would tell their type.
+        text = repr(float(value))
+    elif value is None or isinstance(value, (str, bytes, bool, int, complex)):
         text = repr(value)
     elif isinstance(value, (list, tuple, dict, set)):
         kind = type(value).__name__

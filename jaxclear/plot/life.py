@@ -71,6 +71,7 @@ MOST_BESIDE = 3
 LEAST_SHARE = 1e-8
 
 
+@answering
 def wear_life(life: WearLife, *, ax: Any = None) -> Any:
     """Largest depth and volume of every surface, and every response, over the cycles of a life: the
     curves between stages, the stages as dots, 95 % errors as bands (depth, volume) and bars
@@ -136,6 +137,7 @@ def _response(axis: Any, life: WearLife, name: str) -> None:
         axis.set_title("in doubt: a warning concerns it", fontsize=8, color="C3")
 
 
+@answering
 def design(found: Design, *, ax: Any = None) -> Any:
     """Nominal values with their tolerances, before and after; how much of each limit is used up,
     with 95 % errors, by the last verification; cost over the rounds. `ax`: three axes to draw
@@ -204,6 +206,7 @@ def _history(axis: Any, found: Design) -> None:
         key(axis)
 
 
+@answering
 def design_front(found: Sequence[Design], limit: int = 0, *, ax: Any = None) -> Any:
     """Cost against the bound of one limit, its designs that hold full and the others hollow.
     `ax`: axes to draw in."""

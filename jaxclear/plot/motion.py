@@ -28,6 +28,7 @@ from jaxclear.results.relative_motion import relative_motion
 from jaxclear.results.trajectory import Trajectory
 
 
+@answering
 def displacement(
     runs: Mapping[str, Trajectory], ideal: Trajectory, body: str, *, ax: Any = None
 ) -> Any:
@@ -66,6 +67,7 @@ def displacement(
     return warned(sheet, {**runs, "ideal": ideal})
 
 
+@answering
 def angular_velocity(
     run: Trajectory,
     ideal: Trajectory,
@@ -93,6 +95,7 @@ def angular_velocity(
     return warned(sheet, {label: run, "ideal": ideal})
 
 
+@answering
 def journal_ends(run: Trajectory, joint: str, *, ax: Any = None) -> Any:
     """Centres of the journal's two ends in the bearing's end planes, with the clearance circle.
 
@@ -120,6 +123,7 @@ def journal_ends(run: Trajectory, joint: str, *, ax: Any = None) -> Any:
     return warned(sheet, {"": run})
 
 
+@answering
 def end_centres(run: Trajectory, joint: str) -> np.ndarray:
     """Points where the journal's axis pierces the bearing's lower and upper end plane, (2, time, 2)
     [m].
@@ -236,6 +240,7 @@ LEAST_WIDTH = 1e-3
 BAR = 0.8
 
 
+@answering
 def modes(run: Trajectory, *joints: str, ax: Any = None) -> Any:
     """Free flight, impact and contact over time, a strip for each joint (all with clearance by
     default). Impacts are drawn on top, and never too thin to be seen. `ax`: axes to draw in.
@@ -267,6 +272,7 @@ def modes(run: Trajectory, *joints: str, ax: Any = None) -> Any:
     return warned(sheet, {"": run})
 
 
+@answering
 def pointing_budget(error: PointingError, *, ax: Any = None) -> Any:
     """Pointing and position error of a tip over time, exact beside the adjoint model, with what
     each joint contributes; beside it the root mean squares, each with its share of the mean

@@ -16,6 +16,7 @@ from jaxclear.ground.arguments import check_known, expect
 from jaxclear.ground.shown import as_typed
 from jaxclear.plot.canvas import Roomy, key, panels, readable
 from jaxclear.studies.advice import PRESENT, Advice
+from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.fidelity.result import MultiFidelity
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.reliability.result import Reliability
@@ -39,10 +40,11 @@ MOST_BESIDE, MOST_CURVES, IN_LEGEND = 3, 8, 24
 SENTENCES = re.compile(r"(?<=[.!?]) +(?=[A-Z0-9])")
 
 
-def monte_carlo(study: MonteCarlo, *, ax: Any = None) -> Any:
-    """Histogram of every response over the sample, with mean and 5 to 95 % range.
+@answering
+def monte_carlo(study: MonteCarlo | Campaign, *, ax: Any = None) -> Any:
+    """Histogram of every response over the sample (or a campaign's), with mean and 5 to 95 % range.
     `ax`: one axes for each response."""
-    expect(study, MonteCarlo, "the study", "what jaxclear.monte_carlo returns")
+    study = _sampled(study)
     names = list(study.responses)
     sheet = panels("monte_carlo", ax, 1, len(names), (4.6 * len(names), 3.8))
     for axis, name in zip(sheet.axes.flat, names, strict=True):
@@ -84,6 +86,7 @@ def _warned_samples(study: MonteCarlo) -> list[str]:
     return told
 
 
+@answering
 def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
     """Every derivative by every method, with its 95 % interval; a method that refused is named, not
     drawn. `ax`: one axes for each derivative.
@@ -124,6 +127,7 @@ def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
     return sheet.done([whose(names) + sentence for sentence, names in rest.items()])
 
 
+@answering
 def sweep(study: Sweep, *, ax: Any = None) -> Any:
     """Every response over the first swept variable, with a line for each value of a second one, or
     over both as colours where these are many. `ax`: one axes for each response. Raises `ValueError`
@@ -158,6 +162,7 @@ def sweep(study: Sweep, *, ax: Any = None) -> Any:
     return sheet.done([*study.warnings])
 
 
+@answering
 def work_precision(advice: Advice, *, ax: Any = None) -> Any:
     """Error of every setting against its work, one line a method, with the accuracy asked and the
     recommended setting.
@@ -240,11 +245,18 @@ def worst_case(study: WorstCase, *, ax: Any = None) -> Any:
     return sheet.done()
 
 
+def _sampled(study: MonteCarlo | Campaign) -> MonteCarlo:
+    """The finished samples of a study, in memory."""
+    told = "what jaxclear.monte_carlo or jaxclear.campaign returns"
+    expect(study, (MonteCarlo, Campaign), "the study", told)
+    return study.sample if isinstance(study, Campaign) else study
+
+
 @answering
-def error_budget(study: MonteCarlo, *responses: str, ax: Any = None) -> Any:
+def error_budget(study: MonteCarlo | Campaign, *responses: str, ax: Any = None) -> Any:
     """What each variable contributes to the variance of responses (all by default), as shares of it
     with 95 % intervals. `ax`: axes for each response."""
-    expect(study, MonteCarlo, "the study", "what jaxclear.monte_carlo returns")
+    study = _sampled(study)
     names = responses or tuple(study.responses)
     for name in names:
         check_known("response", name, study.responses, " in this study")

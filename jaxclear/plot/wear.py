@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import matplotlib
 import numpy as np
 
+from jaxclear.ground.answering import answering
 from jaxclear.plot.canvas import MILLI, check_run, key, length, panels, readable, setting, warned
 from jaxclear.results.trajectory import Trajectory
 
@@ -72,6 +73,7 @@ def _wall(wear_map: Any, surface: str) -> Wall:
     return SHAPES.get(surface, _cylinder)(wear_map)
 
 
+@answering
 def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing", *, ax: Any = None) -> Any:
     """Worn depth over direction and position along the axis, the wall rolled out flat; beside it
     the deepest cell of each row. Of a guide or slider the depth along either wall. `ax`: two axes
@@ -127,6 +129,7 @@ def _stretched(values):
     return matplotlib.colors.PowerNorm(0.5, vmin=0.0, vmax=float(values.max()) or 1.0)
 
 
+@answering
 def wear_surface(
     run: Trajectory,
     joint: str,

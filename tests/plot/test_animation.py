@@ -156,6 +156,11 @@ def test_a_notebook_shows_the_page_and_a_file_keeps_it(page, tmp_path):
     assert isinstance(page, Animation) and page._repr_html_().startswith("<iframe srcdoc=")
 
 
+def test_a_page_is_not_written_under_the_name_of_a_film(page, tmp_path):
+    with pytest.raises(ValueError, match=r'run.gif ends in ".gif"; an animation is a page'):
+        page.save(tmp_path / "run.gif")
+
+
 @pytest.mark.parametrize("moments", [(0.01, 0.02, 0.025), (0.01, 0.02, 0.025, 1e-3, -2e-3, 5e-4)])
 def test_a_body_without_a_mesh_is_the_cuboid_with_its_inertia(moments):
     """Sides a, b, c of a uniform cuboid have the moments m (b^2 + c^2) / 12."""

@@ -147,7 +147,10 @@ def life(sizes=1e-12, warnings=(LONG,)):
 
 
 def lives():
-    told = "2 lives, 0 ended early, 2 with warnings. Depths are known to 1.2 % or better."
+    told = (
+        "2 lives, 0 ended early, 2 with warnings. Depths are 3e-12 to 1.2e-05 m, known to 1.2 % or "
+    )
+    told += "better."
     return mock.Mock(spec=WearLives, lives=(life(), life(3e-12)), sentence=lambda: told)
 
 

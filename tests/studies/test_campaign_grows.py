@@ -106,12 +106,12 @@ def test_what_no_chunk_is_finished_of_says_so(tmp_path):
     for ask in (
         lambda: unfinished.sample,
         unfinished.table,
-        unfinished.sentence,
         lambda: unfinished.mean("fit"),
         lambda: jc.sensitivity(problem(), sample=unfinished),
     ):
         with pytest.raises(ValueError, match="no sample of the campaign in .* is finished yet"):
             ask()
+    assert str(unfinished) == "None of 5000 samples is finished yet.", "print must not raise"
 
 
 def test_an_accuracy_decides_how_many_samples_there_are(tmp_path, written, monkeypatch):

@@ -194,6 +194,7 @@ def test_a_verdict_is_right():
     ("of", "sentence"),
     [
         ("magic", 'no statistic of sensitivity "magic"'),
+        ("quantile", "'quantile'; it must be"),
         ([], "of of sensitivity is empty"),
         ([("quantile", 1.5)], '"quantile" of sensitivity is 1.5'),
         ([("beyond", 1.0)], '"above", limit'),

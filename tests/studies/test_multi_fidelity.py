@@ -92,6 +92,14 @@ def test_an_accuracy_is_reached_or_said_to_be_missed(accurate, rough):
     assert missed.work + missed.pilot <= 512
 
 
+@pytest.mark.parametrize("samples", [256, 512, 1024])
+def test_the_work_allowed_is_not_exceeded_from_the_start(accurate, samples):
+    """A model that says nearly all asks for so many of its runs that these alone were more."""
+    near = jc.FunctionProblem(lambda a, b: {"y": 1.01 * a + 1e-3 * b}, NUMBERS)
+    found = jc.multi_fidelity(accurate, near, samples, costs={"cheaper": 0.1})
+    assert len(found.used) == 2 and found.work + found.pilot <= samples
+
+
 def test_cheap_runs_that_fail_bring_no_bias(accurate):
     """A cheaper model that fails where a > 1 and is 100 too large."""
     broken = jc.FunctionProblem(

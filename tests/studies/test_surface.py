@@ -153,6 +153,7 @@ def test_corrected_intervals_hold_the_closed_form():
         )
     assert np.all(held >= (30, 30, 34))
     assert one.gain > 10, "the surface must carry what it explains"
+    assert f'P("big") = {rare}.' in found.sentence(), "what was asked for is told"
     assert found.means["rough"].gain == 1.0 and "its numbers are sampled" in found.sentence()
 
 

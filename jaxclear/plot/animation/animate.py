@@ -110,8 +110,14 @@ class Animation(eqx.Module):
     lasts: float = eqx.field(static=True)
 
     def save(self, path: Any) -> Path:
-        """Writes the page as one file that opens by itself. Returns its path."""
+        """Writes the page as one file (.html) that opens by itself. Returns its path. Raises
+        `ValueError` for the name of a film or a picture."""
         path = Path(path)
+        if path.suffix.lower() not in (".html", ".htm"):
+            raise ValueError(
+                f'{path.name} ends in "{path.suffix}"; an animation is a page, and must end in '
+                ".html."
+            )
         path.write_text(self.html, encoding="utf-8")
         return path
 

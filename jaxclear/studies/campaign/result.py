@@ -147,6 +147,8 @@ class Campaign:
 
     def sentence(self) -> str:
         """How many samples are finished, failed and warned, and of what."""
+        if not self.finished:
+            return f"None of {self.count} samples is finished yet."
         first, *others = self.problem.response_names
         return self._reduced(first, *filter(self.problem.endless, others)).sentence()
 

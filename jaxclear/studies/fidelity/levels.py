@@ -154,13 +154,18 @@ class Links:
         parts = self.question.parts
         return sum(parts * link.points * link.cost for link in self.links)
 
-    def begin(self) -> None:
-        """The first points of each link, in the proportion that the pilot sample asks for."""
+    def begin(self, most: float) -> None:
+        """The first points of each link, in the proportion that the pilot sample asks for; fewer of
+        what takes most where that is more work than `most`."""
         need, each = self.chain.need, [link.cost for link in self.links]
         times = np.sqrt(np.maximum(need / each, 0.0) / max(need[0] / each[0], 1e-300))
+        ratio = np.clip(times, 1.0, MOST_FIRST / FIRST)
+        wish = [FIRST, *(FIRST * 2 ** int(np.log2(own)) for own in ratio[1:])]
+        taken = lambda i: self.question.parts * wish[i] * each[i]
+        while sum(map(taken, range(len(wish)))) > most and max(wish) > FIRST:
+            wish[max((i for i, own in enumerate(wish) if own > FIRST), key=taken)] //= 2
         for i, link in enumerate(self.links):
-            wish = FIRST * 2 ** int(np.log2(np.clip(times[i], 1.0, MOST_FIRST / FIRST)))
-            self._grow(i, link, wish if i else FIRST)
+            self._grow(i, link, wish[i])
 
     def grow(self, most: float, hardest: Callable[[np.ndarray], int]) -> bool:
         """Doubles the link that tells most of the hardest mean for its cost, of those for which

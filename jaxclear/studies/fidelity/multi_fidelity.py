@@ -92,7 +92,7 @@ def multi_fidelity(
     wanted, target = pilot.wanted(asked)
     chain = chosen(pilot.moments(), pilot.costs, wanted, SCRAMBLINGS)
     links = Links(question, models, chain, pilot.costs)
-    links.begin()
+    links.begin(samples - pilot.work)
     count = len(question.names)
     times = student(SCRAMBLINGS) / np.sqrt(SCRAMBLINGS)
     half = lambda parts: times * parts[:, :count].std(axis=0, ddof=1)

@@ -211,9 +211,14 @@ class WearLives(AbstractAnswer):
         return np.array(found)
 
     def sentence(self) -> str:
-        """How many lives there are, how many ended early and warn, and how far depths are known."""
-        known = [life.error for life in self.lives if life]
-        worst = f" Depths are known to {100 * max(known):.2g} % or better." if known else ""
+        """How many lives there are, how many ended early and warn, between which depths they end,
+        and how far these are known."""
+        there = [life for life in self.lives if life]
+        worst = ""
+        if there:
+            depths = [life.at_end(DEPTH) for life in there]
+            worst = f" Depths are {min(depths):.4g} to {max(depths):.4g} m, known to "
+            worst += f"{100 * max(life.error for life in there):.2g} % or better."
         return (
             f"{len(self.lives)} lives, {len(self.ended)} ended early, {len(self.warned)} with "
             f"warnings.{worst}"

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.shown import AbstractShown, shown_in_words, with_error
+from jaxclear.ground.shown import AbstractShown, in_few, shown_in_words, with_error
 from jaxclear.ground.wording import unit_of_rate
 from jaxclear.studies.answer import (
     DATASET,
@@ -257,7 +257,7 @@ def _agreement(
     nearest = min(estimates[other].error for other in partners)
     zero = best.error > abs(best.value)
     verdict = f"Agreed by {name} and {' and '.join(partners)}"
-    verdict += f" within ±{nearest:.2g}" if nearest > ROUNDING * abs(best.value) else ""
+    verdict += f" within ±{in_few(nearest, 2)}" if nearest > ROUNDING * abs(best.value) else ""
     verdict += f"; not by {' and '.join(others)}." if others else "."
     # What is wider than the value agrees with its opposite too.
     if nearest > abs(best.value) and not zero:

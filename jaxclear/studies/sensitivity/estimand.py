@@ -200,7 +200,7 @@ def _several(given: Any) -> list:
 
 
 def _functional(response: str, given: Any) -> Functional:
-    if isinstance(given, str):
+    if isinstance(given, str) and given not in KINDS:
         check_known("statistic of sensitivity", given, WORDS)
         return Functional(response, given)
     if not isinstance(given, (tuple, list)) or len(given) != 2 or given[0] not in KINDS:

@@ -73,9 +73,12 @@ class Corrected(AbstractAnswer):
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def sentence(self) -> str:
-        """How many runs, how many failed, and which responses got nothing from the surface."""
+        """How many runs, how many failed, the probabilities of the limits, and which responses got
+        nothing from the surface."""
         text = f"{self.runs} runs in {self.scramblings} independent scramblings beside the "
         text += f"{len(self.surface.values)} of the surface, {self.failed} failed."
+        for name, own in self.probabilities.items():
+            text += f' P("{name}") = {own}.'
         rough = [n for n in self.means if not self.surface.trusted(n)]
         for name in rough:
             text += f' "{name}": the surface has a leave-one-out R2 of '
