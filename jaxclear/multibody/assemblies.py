@@ -122,6 +122,8 @@ def assemblies(
         )
     first = first_found(mechanism, concentric)
     modes = _modes(mechanism, first, samples)
+    if not modes and first.is_doubted:
+        modes = first.without_redundancy().modes(samples)
     if not modes:
         start_check.refuse(first.mechanism, first.start)
     starts = [mode.start for mode in modes]

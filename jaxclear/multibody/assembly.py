@@ -258,6 +258,18 @@ class FirstFound(NamedTuple):
     worn: dict | None
 
     @property
+    def is_doubted(self) -> bool:
+        """Whether redundant rows were told at a place where loops are open: what is nearest to
+        closing a loop lies stretched in one line, where rows depend that elsewhere do not."""
+        known = self.mechanism.topology.depend and not self.sound
+        return bool(known and start_check.open_by(self.start) > 0)
+
+    def without_redundancy(self) -> "FirstFound":
+        """The same with all rows."""
+        bare = with_redundancy(self.mechanism, None)
+        return self._replace(mechanism=bare, sought=bare)
+
+    @property
     def is_taken(self) -> bool:
         """Whether no other beginning is tried: the start is where it was guessed, or what is wrong
         with it is not where it stands."""
@@ -326,6 +338,14 @@ def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = N
     first = first_found(mechanism, concentric, worn)
     found = [] if first.is_taken else first.modes(assembly_modes.SEARCHES)
     start, sound = (found[0].start, True) if found else (first.start, first.sound)
+    if not found and first.is_doubted:
+        other = first.without_redundancy()
+        found = other.modes(assembly_modes.SEARCHES)
+        if found:
+            begin = assembly_modes.at(found[0].start.coordinates)
+            judged = lambda m: _judged(m, concentric, worn, begin)[:2]
+            known = _known(other.mechanism, found[0].start, True, 0.0, judged)
+            first, start, sound = other._replace(mechanism=known[0]), *known[1:]
     said = [assembly_modes.doubt(first.mechanism, first.tree, found)] if sound else []
     said += [first.tree.turned(mechanism, start)] if sound else []
     doubt = " ".join(filter(None, said))

@@ -285,3 +285,26 @@ def test_the_two_modes_of_a_four_bar_are_told_apart_by_a_sign():
     for i, own in enumerate(starts):
         mode = nominal(rigs[0], own, True)
         assert [bool(mode.keeps(rigs[0], start)) for start in starts] == [i == 0, i == 1]
+
+
+def test_a_four_bar_is_assembled_whose_nearest_place_is_stretched():
+    """With all parts at their joints' places, the loop is nearest to closed where its links lie in
+    one line, and there its rows depend; elsewhere they do not. Freudenstein's equation is met."""
+    revolute, parts = jc.joint.Revolute, {"coupler": 0.2, "rocker": 0.12}
+    rig = jc.Mechanism(
+        {name: jc.Body(0.3, 1e-3) for name in ("crank", *parts)},
+        {
+            "A": jc.Connection(revolute(drive=jc.drive.ConstantSpeed(20.0)), "ground", "crank"),
+            "B": jc.Connection(revolute(), "crank", "coupler", at=(0.06, 0)),
+            "C": jc.Connection(
+                revolute(), "coupler", jc.Marker("rocker", at=(0.12, 0)), at=(0.2, 0)
+            ),
+            "D": jc.Connection(revolute(), jc.Marker("ground", at=(0.18, 0)), "rocker"),
+        },
+    )
+    found = jc.assemblies(rig)
+    # Crank along the ground's line: the triangle of coupler, rocker and the 0.12 m that are left.
+    angle = np.arccos((0.12**2 + 0.12**2 - 0.2**2) / (2 * 0.12 * 0.12))
+    turns = np.sort([float(np.squeeze(found.guess(i)["D"])) for i in range(len(found))])
+    np.testing.assert_allclose(turns, np.sort([np.pi - angle, angle - np.pi]), atol=1e-9)
+    assert jc.simulate(rig, 0.01, verify=False).outcome == jc.integrator.Outcome.REACHED

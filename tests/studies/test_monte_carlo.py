@@ -286,7 +286,10 @@ def test_one_number_under_two_variables_is_refused():
     ("other", "difference"),
     [
         (lambda p: eqx.tree_at(lambda p: p.duration, p, 2.0), "duration is 1.0 there, 2.0 here"),
-        (lambda p: eqx.tree_at(lambda p: p.integrator.step, p, 5e-3), "step is 0.01 there, 0.005 here"),
+        (
+            lambda p: eqx.tree_at(lambda p: p.integrator.step, p, 5e-3),
+            "step is 0.01 there, 0.005 here",
+        ),
         (
             lambda p: eqx.tree_at(lambda p: p.integrator, p, jc.integrator.ImplicitStep(1e-2)),
             "integrator is FixedStep there, ImplicitStep here",
