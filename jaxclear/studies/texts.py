@@ -20,6 +20,7 @@ from types import CodeType, ModuleType
 from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
 
 from jaxclear.ground.quantity import IF_ANY
@@ -32,6 +33,8 @@ LONGEST = 60
 DIGITS = 16
 # How a function begins to be told.
 FUNCTION = "the function"
+# What a class may hold beside its functions that these go by.
+VALUES = (bool, int, float, complex, str, tuple, list, dict, np.ndarray, np.generic, jax.Array)
 # Where in memory a thing lies is no part of what it is.
 ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
 # Where libraries lie.
@@ -146,7 +149,8 @@ def _tell_piece(thing: Any, path: str, found: dict[str, str], inside: tuple[int,
 
 
 def _tell_class(kind: type, found: dict[str, str], inside: tuple[int, ...]) -> str:
-    """The name of a class. What the functions of one that no library brings do is told once."""
+    """The name of a class. What the functions of one that no library brings do, and with which
+    values of the class, is told once."""
     for owner in kind.__mro__:
         path = f"class {owner.__module__}.{owner.__qualname__}"
         if path in found or _of_library(owner.__module__):
@@ -158,7 +162,14 @@ def _tell_class(kind: type, found: dict[str, str], inside: tuple[int, ...]) -> s
             told = not name.startswith("__") or name == "__call__"
             if told and (function := _function(member)) is not None:
                 _tell_function(function, f"{path}.{name}", found, inside)
+            elif told and isinstance(member, VALUES) and not _is_field(owner, name):
+                _tell(member, f"{path}.{name}", found, inside)
     return kind.__name__
+
+
+def _is_field(kind: type, name: str) -> bool:
+    """Whether a class's value is what a field has by default: its things tell their own."""
+    return name in getattr(kind, "__dataclass_fields__", {})
 
 
 def _function(thing: Any) -> Any:

@@ -97,6 +97,31 @@ def test_what_a_class_does_belongs_to_its_objects():
     assert texts_of(law(2)) == texts_of(law(2)) != texts_of(law(3))
 
 
+def test_what_a_class_holds_beside_its_functions_belongs_to_it():
+    """Settings that a function reads from a class; not what a field has by default, which each
+    object tells."""
+
+    class Settings:
+        factor = 2.0
+        _room = (1.0, 2.0)
+
+    def scaled(v):
+        return Settings.factor * v["a"]
+
+    told = texts_of(scaled)
+    Settings.factor = 3.0
+    assert "factor is 2.0 there, 3.0 here" in first_difference(told, texts_of(scaled))
+    Settings.factor, Settings._room = 2.0, (1.0, 3.0)
+    assert "_room[1] is 2.0 there, 3.0 here" in first_difference(told, texts_of(scaled))
+
+    class Law(eqx.Module):
+        factor: float = 2.0
+
+    assert texts_of(Law(3.0)) == {"": "Law", ".factor": "3.0"} | {
+        name: text for name, text in texts_of(Law(4.0)).items() if name.startswith("class")
+    }
+
+
 def test_long_texts_that_differ_at_their_end_are_two():
     assert texts_of("x" * 100 + "1") != texts_of("x" * 100 + "2")
     assert texts_of(jnp.arange(3)) != texts_of(jnp.arange(3.0))
