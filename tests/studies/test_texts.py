@@ -3,6 +3,7 @@
 import functools
 import subprocess
 import sys
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -113,6 +114,15 @@ def test_what_a_class_holds_beside_its_functions_belongs_to_it():
     assert "factor is 2.0 there, 3.0 here" in first_difference(told, texts_of(scaled))
     Settings.factor, Settings._room = 2.0, (1.0, 3.0)
     assert "_room[1] is 2.0 there, 3.0 here" in first_difference(told, texts_of(scaled))
+
+    # A folder that knows nothing of them yet.
+    earlier = {part: text for part, text in told.items() if "factor" not in part}
+    assert first_difference(earlier, told) == ""
+
+    class Pair(NamedTuple):
+        first: float = 1.0
+
+    assert not [part for part in texts_of(Pair()) if "_field" in part]
 
     class Law(eqx.Module):
         factor: float = 2.0
