@@ -89,6 +89,17 @@ def test_a_damaged_chunk_is_computed_again_and_said(whole, folder, computed, nam
     assert contents(folder) == contents(whole)
 
 
+def test_a_chunk_under_the_name_of_another_is_not_that(whole, folder):
+    """Where files were renamed, or copied over one another."""
+    files = Samples.opened(folder)
+    first, second = (files.pieces.path(files.address(i)) for i in (0, 1))
+    first.write_bytes(second.read_bytes())
+    assert jc.open_campaign(folder).finished == 10_000 - 4096
+    with pytest.warns(UserWarning, match=f"1 of 3 chunks.*{first.name}.*computed again"):
+        ask(folder)
+    assert contents(folder) == contents(whole)
+
+
 def test_every_flipped_bit_is_seen_or_does_no_harm(folder):
     """At 300 places of a file: its numbers are right, or it counts for nothing."""
     files = Samples.opened(folder)

@@ -3,6 +3,7 @@
 import functools
 import subprocess
 import sys
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -95,6 +96,40 @@ def test_what_a_class_does_belongs_to_its_objects():
         return Own(1.0)
 
     assert texts_of(law(2)) == texts_of(law(2)) != texts_of(law(3))
+
+
+def test_what_a_class_holds_beside_its_functions_belongs_to_it():
+    """Settings that a function reads from a class; not what a field has by default, which each
+    object tells."""
+
+    class Settings:
+        factor = 2.0
+        _room = (1.0, 2.0)
+
+    def scaled(v):
+        return Settings.factor * v["a"]
+
+    told = texts_of(scaled)
+    Settings.factor = 3.0
+    assert "factor is 2.0 there, 3.0 here" in first_difference(told, texts_of(scaled))
+    Settings.factor, Settings._room = 2.0, (1.0, 3.0)
+    assert "_room[1] is 2.0 there, 3.0 here" in first_difference(told, texts_of(scaled))
+
+    # A folder that knows nothing of them yet.
+    earlier = {part: text for part, text in told.items() if "factor" not in part}
+    assert first_difference(earlier, told) == ""
+
+    class Pair(NamedTuple):
+        first: float = 1.0
+
+    assert not [part for part in texts_of(Pair()) if "_field" in part]
+
+    class Law(eqx.Module):
+        factor: float = 2.0
+
+    assert texts_of(Law(3.0)) == {"": "Law", ".factor": "3.0"} | {
+        name: text for name, text in texts_of(Law(4.0)).items() if name.startswith("class")
+    }
 
 
 def test_long_texts_that_differ_at_their_end_are_two():

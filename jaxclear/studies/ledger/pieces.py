@@ -1,8 +1,8 @@
 """Files of a study's folder: the numbers of one answer each, named by a digest of what was asked.
 
-A file is a NumPy archive (.npz): arrays and text, each with a checksum, and nothing that is run
-when it is read. It is written beside and renamed, so it is whole or not there; two processes that
-computed the same wrote the same bytes.
+A file is a NumPy archive (.npz): arrays and text, each with a checksum, and the name that it was
+given; nothing in it is run when it is read. It is written beside and renamed, so it is whole or not
+there; two processes that computed the same wrote the same bytes.
 """
 
 import errno
@@ -26,6 +26,8 @@ from jaxclear.ground.wording import described
 # Within a study's folder: its files, those on their way, and who is at which.
 PIECES, UNFINISHED, CLAIMS = "pieces", ".unfinished", ".claims"
 ABOUT = "about.json"
+# Within that, by which name a file was written: a renamed one answers another question.
+NAMED = "address"
 # Of a digest, in hexadecimal.
 DIGITS = 32
 # Age [s] of what a process that died left behind.
@@ -74,13 +76,15 @@ class Pieces:
         return self.folder / PIECES / f"{address}.npz"
 
     def read(self, address: str, names: Sequence[str] | None = None) -> Piece | None:
-        """A piece, with all its numbers or those of these names; None where it is not there, or
-        damaged."""
+        """A piece, with all its numbers or those of these names; None where it is not there,
+        damaged, or that of another address."""
         try:
             with zipfile.ZipFile(self.path(address)) as archive:
                 there = [own[: -len(".npy")] for own in archive.namelist() if own != ABOUT]
                 wanted = there if names is None else [own for own in names if own in there]
                 about = json.loads(archive.read(ABOUT))
+                if about.pop(NAMED) != address:
+                    raise ValueError("another piece")
                 return Piece(about, {own: _array(archive.read(f"{own}.npy")) for own in wanted})
         except FileNotFoundError:
             return None
@@ -102,7 +106,8 @@ class Pieces:
         digits of others are noise to a compressor. Raises `Unwritable`."""
         whole = io.BytesIO()
         with zipfile.ZipFile(whole, "w") as archive:
-            archive.writestr(zipfile.ZipInfo(ABOUT), json.dumps(about, sort_keys=True))
+            told = json.dumps({**about, NAMED: address}, sort_keys=True)
+            archive.writestr(zipfile.ZipInfo(ABOUT), told)
             for name, numbers in arrays.items():
                 how = zipfile.ZIP_DEFLATED if name in squeezed else zipfile.ZIP_STORED
                 raw = io.BytesIO()
