@@ -113,5 +113,7 @@ def test_print_of_derivatives_shows_the_derivative():
 class _Sample:
     """What a table of derivatives asks of a sample."""
 
+    count = 64
+
     def __init__(self, problem):
         self.problem = problem

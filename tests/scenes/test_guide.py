@@ -220,9 +220,10 @@ def test_the_complementarity_residual_is_rounding_at_every_step(driven, free):
         # Where a driven slider turns round its speed is nought but for the drift of the closed
         # loop.
         turning = np.abs(speed) < 1e-5
-        assert min(backward.min(), forward.min()) > -1e-13
-        assert np.abs(np.minimum(np.maximum(speed, 0), forward))[~turning].max() < 1e-13
-        assert np.abs(np.minimum(np.maximum(-speed, 0), backward))[~turning].max() < 1e-13
+        # Sweeps over the joints end at a last change of 1e-13, each with rounding of its own.
+        assert min(backward.min(), forward.min()) > -1e-12
+        assert np.abs(np.minimum(np.maximum(speed, 0), forward))[~turning].max() < 1e-12
+        assert np.abs(np.minimum(np.maximum(-speed, 0), backward))[~turning].max() < 1e-12
 
 
 def test_lemke_finds_the_same_friction_for_the_driven_crank(driven):
