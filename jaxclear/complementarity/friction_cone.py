@@ -16,8 +16,6 @@ from jaxtyping import Array, Float
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
 
-__all__ = ["LinearisedLaw", "alart_curnier", "natural_map", "one_contact", "project_on_cone"]
-
 # Newton steps for the sliding direction of one contact; 6 reach rounding in 99 of 100
 # well-conditioned contacts, 10 in 999 of 1000 ill-conditioned ones (measured).
 LOCAL_STEPS = 10

@@ -20,8 +20,6 @@ from jaxtyping import Array, Bool, Float
 from jaxclear.complementarity.friction_cone import natural_map
 from jaxclear.complementarity.problem import LCP, AbstractLinearProblem, as_floats, check_shapes
 
-__all__ = ["FrictionContact"]
-
 
 def _as_rows(matrix: Any) -> tuple[Array, ...]:
     """A matrix, or its rows, as rows: small arrays stay in the registers of a kernel."""

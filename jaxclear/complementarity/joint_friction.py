@@ -24,8 +24,6 @@ from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
 
-__all__ = ["BoxedGaussSeidel", "JointFriction"]
-
 
 class Caught(NamedTuple):
     """A ball whose friction holds it up to this `share` [1] of what it carries."""

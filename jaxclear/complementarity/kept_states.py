@@ -19,8 +19,6 @@ from jaxclear.complementarity.friction_contact import FrictionContact
 from jaxclear.ground.factorisation import eliminate
 from jaxclear.ground.tangents import derived, moved
 
-__all__ = ["Scaled", "keep_states", "linearised", "scaled_contacts", "with_kept_states"]
-
 # States are told apart by this share of the largest reaction where derivatives are taken: a contact
 # nearer to a corner stays in the state that `alart_curnier` names.
 CORNER = 1e-9

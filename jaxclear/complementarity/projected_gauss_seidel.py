@@ -29,8 +29,6 @@ from jaxclear.ground.factorisation import eliminate
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
 
-__all__ = ["Iterate", "ProjectedGaussSeidel"]
-
 # Sweeps between two tries of Newton's method, which a kernel leaves out beyond so many unknowns:
 # there its elimination is written out.
 SWEEPS, LARGEST_ELIMINATED = 2, 24

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 else:
     ModuleMeta = type(eqx.Module)
 
-__all__ = ["AnsweringMeta", "answering", "nothing_else", "refuse_misfit"]
-
 P, R = ParamSpec("P"), TypeVar("R")
 OWN_PATH = re.compile(r"\bjaxclear(\.\w+)+")
 KEYWORDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)

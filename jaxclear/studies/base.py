@@ -22,14 +22,6 @@ from jaxclear.integrators.checks import Checks
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
 from jaxclear.studies.inputs import Inputs, joint
 
-__all__ = [
-    "AbstractProblem",
-    "AbstractVariable",
-    "SampleResult",
-    "one_distribution",
-    "stacked",
-]
-
 
 class SampleResult(eqx.Module):
     """Responses of one sample by name, how it ended (`integrator.Outcome`), when [s] (0 where there

@@ -14,16 +14,6 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution.discrete import Discrete
 
-__all__ = [
-    "answered",
-    "bounded",
-    "check_told",
-    "endless_sentences",
-    "finite_beside",
-    "refuse_endless",
-    "why_unanswered",
-]
-
 # What has a share of 3 / n is missing from n samples once in twenty times.
 RULE_OF_THREE = 3.0
 INSTEAD = "ask for a quantile, or for the share of samples beyond a limit"

@@ -33,8 +33,6 @@ from jaxclear.studies.distribution import AbstractDistribution
 from jaxclear.studies.inputs import correlation_matrix
 from jaxclear.studies.ledger.batch import sample_of_chunk
 
-__all__ = ["Dimension", "FunctionProblem"]
-
 ALONE = "response"
 # Functions take few operations a sample; above about this many the numbers of a chunk leave the
 # cache (measured by benchmarks/claims/positions.py).

@@ -28,8 +28,6 @@ from jaxclear.studies.variable import (
     with_values,
 )
 
-__all__ = ["Thinned", "answer", "by_name", "check_answers", "check_responses"]
-
 
 class AbstractMechanismProblem(AbstractProblem):
     """A mechanism whose `variables` vary, and the responses wanted of it."""

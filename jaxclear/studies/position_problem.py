@@ -34,8 +34,6 @@ from jaxclear.studies.variable import (
     AbstractMechanismVariable,
 )
 
-__all__ = ["PositionProblem"]
-
 # Samples a chunk: beyond it the rows of the kernel leave the cache
 # (benchmarks/claims/positions.py).
 LARGEST_CHUNK = 256

@@ -26,17 +26,6 @@ from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.scrambling import LatinHypercube, ScrambledSequence, normal_scores
 
-__all__ = [
-    "SAMPLINGS",
-    "Drawing",
-    "by_scrambling",
-    "check_sampled",
-    "checked_scramblings",
-    "draw",
-    "groups",
-    "usual_scramblings",
-]
-
 SAMPLINGS = ("sobol", "random")
 # A Latin hypercube has all its points at once, and so only serves samples that do not grow.
 OF_ONE_SIZE = (*SAMPLINGS, "latin")

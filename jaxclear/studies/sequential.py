@@ -12,8 +12,6 @@ from jaxclear.studies.endless import INSTEAD
 from jaxclear.studies.sampling import Drawing
 from jaxclear.studies.statistics.accuracy import Asked, Piece, told, unreached
 
-__all__ = ["FIRST_SAMPLES", "Grown", "first_of", "responses_of", "until_accurate"]
-
 # What a study begins with that goes on until it is accurate.
 FIRST_SAMPLES = 256
 

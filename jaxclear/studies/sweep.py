@@ -21,8 +21,6 @@ from jaxclear.studies.endless import answered, why_unanswered
 from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.warned import told
 
-__all__ = ["Sweep", "sweep"]
-
 
 class Sweep(AbstractAnswer):
     """Responses over a grid. `over` are the values of each swept variable, in its unit;

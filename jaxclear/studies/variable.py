@@ -20,16 +20,6 @@ from jaxclear.multibody.topology import own_numbers
 from jaxclear.studies.base import AbstractVariable, one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
 
-__all__ = [
-    "AbstractMechanismVariable",
-    "Condition",
-    "Heating",
-    "Variable",
-    "check_variables",
-    "places_of",
-    "with_values",
-]
-
 # The least quantile of a response that studies tell.
 TOLD_QUANTILE = 0.05
 # A derived number and the mechanism's own may differ by this share: data sheets round.

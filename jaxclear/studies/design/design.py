@@ -23,8 +23,6 @@ from jaxclear.studies.design.search import DesignSettings, Sought, sought
 from jaxclear.studies.endless import endless_sentences
 from jaxclear.studies.warned import sentences
 
-__all__ = ["design", "design_front"]
-
 
 @answering
 def design(
