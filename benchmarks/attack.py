@@ -31,7 +31,7 @@ from benchmarks.attacks.numbers import Draw
 from benchmarks.attacks.structures import DRAWS, NUMBERS, ROOM, Structure, structures
 from benchmarks.attacks.tables import Row, accused, tables
 from benchmarks.measure import about, report
-from jaxclear.ground.shown import as_typed
+from jaxclear.ground.printing import as_typed
 
 # Saving times of every run.
 SAVES = 201

@@ -46,7 +46,7 @@ from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.files.model_import import ImportedSoft, NotImported, read_mjcf, read_shapes, read_urdf
 from jaxclear.files.scene import Scene, read_scene, scene_schema, write_scene
 from jaxclear.ground import numerics, pose
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.datasets import installed
 from jaxclear.ground.outcome import why_unknown
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector

@@ -12,8 +12,8 @@ import pandas
 import pytest
 
 import jaxclear as jc
+from jaxclear.ground.printing import AbstractShown, with_error
 from jaxclear.ground.quantity import AbstractQuantified
-from jaxclear.ground.shown import AbstractShown, with_error
 from jaxclear.ground.table import MOST_ROWS, as_table
 from tests.test_architecture import CLASSES
 

@@ -17,7 +17,7 @@ import xarray
 
 import jaxclear as jc
 from jaxclear.commands.own_scene import EXAMPLES
-from jaxclear.ground.shown import with_error
+from jaxclear.ground.printing import with_error
 from jaxclear_command import offered
 from jaxclear_command.cli import main
 

@@ -27,7 +27,7 @@ from benchmarks.measure import about
 from benchmarks.trade import questions
 from benchmarks.trade.curves import Measured, copies, ladders, measure
 from benchmarks.trade.questions import Question
-from jaxclear.ground.shown import as_typed
+from jaxclear.ground.printing import as_typed
 
 # Copies beside the nominal one by which the advisor is judged, drawn by another seed.
 OTHERS = 3

@@ -20,7 +20,7 @@ from jaxclear.complementarity.problem import (
     natural_residual,
 )
 from jaxclear.complementarity.projected_gauss_seidel import Iterate, ProjectedGaussSeidel
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 
 __all__ = [
     "LCP",

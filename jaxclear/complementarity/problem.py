@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.ground.outcome import AbstractOutcome
+from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.quantity import AbstractQuantified, as_given
-from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.wording import described
 
 

@@ -15,6 +15,7 @@ from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import AXES, Pose, frame_with_axis, rotation_from_quaternion
+from jaxclear.ground.printing import in_a_line, number_in_words
 from jaxclear.ground.quantity import (
     AbstractQuantified,
     Scalar,
@@ -23,7 +24,6 @@ from jaxclear.ground.quantity import (
     quantity,
     vector,
 )
-from jaxclear.ground.shown import in_a_line, number_in_words
 from jaxclear.ground.wording import described
 
 GROUND = "ground"

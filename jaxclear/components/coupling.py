@@ -14,7 +14,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.numerics import direction_angle, safe_sqrt
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.components.function_of_time import AbstractFunctionOfTime, check_function_of_time
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.numerics import smooth_step
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
 

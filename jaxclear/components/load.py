@@ -26,7 +26,7 @@ from jaxclear.components.function_of_time import (
     vector_or_function,
 )
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt, smooth_sign, smooth_step
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity, vector

@@ -11,8 +11,8 @@ import numpy as np
 
 from jaxclear.errors.observables import Apart, Observables, apart, observed
 from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.printing import in_a_line
 from jaxclear.ground.quantity import is_traced
-from jaxclear.ground.shown import in_a_line
 from jaxclear.ground.wording import described, public_name
 from jaxclear.integrators.base import Promise
 from jaxclear.results.response import unit_of

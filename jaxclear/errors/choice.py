@@ -17,7 +17,7 @@ import numpy as np
 from jaxclear.errors.estimates import richardson
 from jaxclear.errors.verification import DOUBT
 from jaxclear.formulations.contact_rates import contact_rates
-from jaxclear.ground.shown import as_typed
+from jaxclear.ground.printing import as_typed
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.fixed_step import USUAL_STEP, FixedStep

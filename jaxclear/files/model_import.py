@@ -17,7 +17,7 @@ from jaxclear.components.load import Gravity
 from jaxclear.files.model_loads import STOPS, gives_way, loads_of
 from jaxclear.files.model_tree import HERE, Tree, equalities_of, rotation_of
 from jaxclear.files.mujoco_model import Compiled, compiled, names_of, not_taken_over
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_known
 from jaxclear.ground.warning import warn
 from jaxclear.multibody.exchange import without_loads_on

@@ -37,7 +37,7 @@ from jaxclear.files.forms import (
 from jaxclear.files.parts import Part, mapping
 from jaxclear.files.places import NumberPlaces, check_numbers
 from jaxclear.files.text import JSON, YAML, Misread, Node, misread, parsed, text_of
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_known, expect
 from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.ground.wording import described, listed, unknown

@@ -24,7 +24,7 @@ from jaxclear.formulations.delassus import DelassusOperator, delassus_operator
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.permanent import PermanentContact
 from jaxclear.formulations.rigid import RigidContact
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.multibody.kinematics import along
 
 __all__ = [

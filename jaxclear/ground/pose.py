@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 
 __all__ = [
     "AXES",

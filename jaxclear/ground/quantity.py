@@ -29,9 +29,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.answering import AnsweringMeta
+from jaxclear.ground.argument_errors import AnsweringMeta
 from jaxclear.ground.precision import check_double_precision, check_not_forked
-from jaxclear.ground.shown import AbstractShown, part_in_words
+from jaxclear.ground.printing import AbstractShown, part_in_words
 from jaxclear.ground.wording import described, final_members, offered_like, public_name
 
 SIMPLE: dict[Any, tuple[tuple[type, ...], str]] = {

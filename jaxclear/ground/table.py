@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxclear.ground.shown import PLAIN, SMALL, WIDTH, error_told, in_few, with_error
+from jaxclear.ground.printing import PLAIN, SMALL, WIDTH, error_told, in_few, with_error
 
 # Spaces between columns; where the names of rows, and heads over narrow columns, are broken.
 APART, NAMES, HEAD = 2, 40, 12

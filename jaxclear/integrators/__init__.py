@@ -7,7 +7,7 @@ contacts. `MuntheKaas` is a solver for `Adaptive` that keeps rotations on their 
 your own derives from `AbstractIntegrator`.
 """
 
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import (
     AbstractIntegrator,

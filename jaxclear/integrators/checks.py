@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground.outcome import AbstractOutcome
+from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.quantity import is_traced
-from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.table import as_table
 
 

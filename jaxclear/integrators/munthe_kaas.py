@@ -27,7 +27,7 @@ from jaxtyping import Array, Float
 from jaxclear.components.joint import AbstractGroupJoint
 from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.answering import refuse_misfit
+from jaxclear.ground.argument_errors import refuse_misfit
 from jaxclear.ground.quantity import AbstractQuantified, concrete
 
 

@@ -4,7 +4,7 @@ One question: which elastic modulus does a pair of surfaces press with? Sources 
 beside each factory.
 """
 
-from jaxclear.ground.answering import answering, nothing_else
+from jaxclear.ground.argument_errors import answering, nothing_else
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 

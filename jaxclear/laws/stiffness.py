@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, concrete, quantity

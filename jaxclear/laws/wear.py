@@ -7,7 +7,7 @@ wear map's business.
 
 from abc import abstractmethod
 
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.law import AbstractLaw
 

@@ -1,6 +1,6 @@
 """Worn parts as meshes of hexahedra whose inside follows the worn wall: `jaxclear.mesh`."""
 
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.mesh.block_mesh import BlockMesh
 from jaxclear.mesh.solids import Solid
 from jaxclear.mesh.worn_part import solid, write

@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_number, expect
 from jaxclear.ground.wording import described
 from jaxclear.mesh.block_mesh import BlockMesh

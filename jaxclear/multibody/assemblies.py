@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.quantity import is_traced
-from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import listed
 from jaxclear.multibody import assembly_modes, start_check

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.precision import check_double_precision

@@ -13,7 +13,7 @@ import jax
 
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.components.clearance import AbstractClearance
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_known, check_number, expect
 from jaxclear.multibody.mechanism import Mechanism
 

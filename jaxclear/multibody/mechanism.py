@@ -22,14 +22,14 @@ from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractLoad
 from jaxclear.ground.arguments import check_known, expect
-from jaxclear.ground.quantity import IF_ANY, AbstractQuantified, as_number
-from jaxclear.ground.shown import (
+from jaxclear.ground.printing import (
     INDENT,
     fields_in_words,
     in_a_line,
     number_in_words,
     numbers_in_words,
 )
+from jaxclear.ground.quantity import IF_ANY, AbstractQuantified, as_number
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described, public_name
 from jaxclear.multibody import validation

@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.printing import shown_in_words
 from jaxclear.ground.quantity import is_traced
-from jaxclear.ground.shown import shown_in_words
 from jaxclear.multibody import constraints, given, kinematics
 from jaxclear.multibody.given import at_start
 from jaxclear.multibody.loops import Closure

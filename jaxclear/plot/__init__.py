@@ -3,7 +3,7 @@ neither shows nor saves it; given axes as `ax`, it draws in them and returns the
 a page of a run that moves.
 """
 
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.plot.animation import animate
 from jaxclear.plot.life import design, design_front, settled, wear_life, wear_lives
 from jaxclear.plot.motion import (

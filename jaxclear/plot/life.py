@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
 from jaxclear.plot.canvas import Roomy, key, panels, readable, volume
 from jaxclear.studies.design.result import Design

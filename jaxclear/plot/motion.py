@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.patches import Patch
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_known, check_number, expect
 from jaxclear.plot.canvas import (
     MILLI,

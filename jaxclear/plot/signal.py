@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_known, check_number, expect
 from jaxclear.plot.canvas import check_run, over_time, panels, readable, warned
 from jaxclear.results.relative_motion import relative_motion

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_known, expect
-from jaxclear.ground.shown import as_typed
+from jaxclear.ground.printing import as_typed
 from jaxclear.plot.canvas import Roomy, key, panels, readable
 from jaxclear.studies.advice import PRESENT, Advice
 from jaxclear.studies.campaign.result import Campaign

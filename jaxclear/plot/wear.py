@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import matplotlib
 import numpy as np
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.plot.canvas import MILLI, check_run, key, length, panels, readable, setting, warned
 from jaxclear.results.trajectory import Trajectory
 

@@ -22,8 +22,8 @@ from jaxclear.components.clearance import SITUATIONS, AbstractClearance, situati
 from jaxclear.components.coupling import AbstractBodyCoupling
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
+from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.quantity import is_traced
-from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.table import as_table
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import public_name

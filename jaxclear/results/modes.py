@@ -25,7 +25,7 @@ import scipy
 
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.shown import shown_in_words
+from jaxclear.ground.printing import shown_in_words
 from jaxclear.ground.table import as_table
 from jaxclear.ground.warning import warn
 from jaxclear.integrators.events import Events

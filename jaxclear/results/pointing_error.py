@@ -19,10 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.components.body import GROUND, Marker
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.datasets import Column, dataset
-from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described
 from jaxclear.multibody.product_of_exponentials import (

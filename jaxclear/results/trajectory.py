@@ -19,8 +19,8 @@ from jaxtyping import Array, Float, Int
 from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground.arguments import check_count, check_flags, check_known
+from jaxclear.ground.printing import AbstractShown, shown_in_words
 from jaxclear.ground.quantity import is_traced
-from jaxclear.ground.shown import AbstractShown, shown_in_words
 from jaxclear.ground.table import as_table
 from jaxclear.integrators.checks import Checks, Outcome
 from jaxclear.integrators.events import Events

@@ -12,8 +12,8 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxclear.ground.printing import AbstractShown, in_few, shown_in_words, with_error
 from jaxclear.ground.quantity import is_traced
-from jaxclear.ground.shown import AbstractShown, in_few, shown_in_words, with_error
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described
 

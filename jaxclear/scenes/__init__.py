@@ -1,6 +1,6 @@
 """The mechanisms of the papers, and a slider-crank, ready to run."""
 
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.scenes.antenna import antenna
 from jaxclear.scenes.flap import flap
 from jaxclear.scenes.four_bar import four_bar

@@ -29,7 +29,7 @@ from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.joint import Free, Revolute
 from jaxclear.components.load import MotorTorque
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact import CarvalhoMartins

@@ -30,7 +30,7 @@ from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.clearance import PlanarJournalBearing
 from jaxclear.components.drive import AbstractDrive, Harmonic
 from jaxclear.components.joint import Prismatic, Revolute
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_number
 from jaxclear.laws.contact import AdamsImpact
 from jaxclear.laws.friction import AdamsStep

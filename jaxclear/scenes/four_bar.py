@@ -30,7 +30,7 @@ from jaxclear.components.drive import ConstantSpeed
 from jaxclear.components.joint import Revolute, Spherical
 from jaxclear.components.load import Gravity
 from jaxclear.components.wear_map import Wearing
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_known, check_number
 from jaxclear.laws.contact import LankaraniNikravesh
 from jaxclear.laws.friction import ThreeZone

@@ -35,7 +35,7 @@ from jaxclear.components.drive import AbstractDrive, Harmonic
 from jaxclear.components.joint import Revolute, Spherical
 from jaxclear.components.load import Gravity
 from jaxclear.components.wear_map import Wearing
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.laws.contact import ModifiedFlores
 from jaxclear.laws.friction import Ambrosio

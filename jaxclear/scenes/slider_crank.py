@@ -21,7 +21,7 @@ from jaxclear.components.drive import AbstractDrive, ConstantSpeed
 from jaxclear.components.joint import Prismatic, Revolute
 from jaxclear.components.load import Gravity
 from jaxclear.components.wear_map import Wearing
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.laws.contact import AbstractContactLaw, LankaraniNikravesh
 from jaxclear.laws.friction import AbstractFrictionLaw, Ambrosio

@@ -14,7 +14,7 @@ from jaxclear.errors.accuracy import Asked, of_run
 from jaxclear.errors.choice import Again, Chosen, Question, chosen, rungs_of
 from jaxclear.errors.estimates import HALF
 from jaxclear.errors.verification import Replica, verified
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.ground.precision import check_double_precision

@@ -18,7 +18,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.datasets import Column, dataset
 from jaxclear.ground.pose import quaternion_from_rotation
-from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.given import source
 from jaxclear.multibody.kinematics import relative_motion

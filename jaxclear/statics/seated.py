@@ -24,7 +24,7 @@ from jaxclear.components.coupling import AbstractBodyCoupling
 from jaxclear.formulations import CompliantContact, model_of
 from jaxclear.formulations.permanent_reactions import ReactionNotUnique
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.pose import frame_with_axis, quaternion_from_rotation

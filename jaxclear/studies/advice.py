@@ -28,12 +28,12 @@ from jaxclear.errors.choice import (
     others_of,
     rungs_of,
 )
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_known, check_number, expect
 from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.printing import as_typed
 from jaxclear.ground.quantity import AbstractQuantified, count, inside, numbers
-from jaxclear.ground.shown import as_typed
 from jaxclear.ground.wording import described
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.simulation.initial_state import beginning

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxclear.ground import datasets
-from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.table import as_table
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.texts import in_texts

@@ -14,8 +14,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxclear.ground.printing import in_a_line, number_in_words
 from jaxclear.ground.quantity import AbstractQuantified
-from jaxclear.ground.shown import in_a_line, number_in_words
 from jaxclear.ground.wording import described, listed, public_name
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks

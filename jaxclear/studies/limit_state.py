@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.arguments import expect
+from jaxclear.ground.printing import as_written
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
-from jaxclear.ground.shown import as_written
 from jaxclear.ground.wording import described, unknown
 
 __all__ = ["Above", "AbstractLimitState", "Below", "Parallel", "Series"]

@@ -19,7 +19,7 @@ from jaxclear.errors.estimates import remedy_of_depths
 from jaxclear.errors.observables import GAPS
 from jaxclear.errors.verification import between, replica
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.shown import part_in_words
+from jaxclear.ground.printing import part_in_words
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
 from jaxclear.integrators.base import PART_OF, STUDIES, Promise
 from jaxclear.integrators.checks import Checks

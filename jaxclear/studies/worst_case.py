@@ -20,9 +20,9 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
-from jaxclear.ground.shown import AbstractShown, shown_in_words
+from jaxclear.ground.printing import AbstractShown, shown_in_words
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import (

@@ -10,7 +10,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.ground.shown import as_typed
+from jaxclear.ground.printing import as_typed
 from jaxclear.studies.advice import PRESENT, REFERENCE, Asked
 
 STEPS = (5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)

@@ -11,7 +11,7 @@ import pytest
 import scipy
 
 import jaxclear as jc
-from jaxclear.ground.shown import with_error
+from jaxclear.ground.printing import with_error
 from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.plot.studies import _warned_samples
 from jaxclear.studies.base import SampleResult

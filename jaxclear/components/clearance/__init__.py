@@ -22,7 +22,7 @@ from jaxclear.components.clearance.journal_base import (
     PermanentRevolute,
 )
 from jaxclear.components.joint.base import CarriedContact, CarryingEnd, carried_load
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 
 __all__ = [
     "SITUATIONS",

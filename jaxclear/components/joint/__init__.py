@@ -10,7 +10,7 @@ from jaxclear.components.joint.base import (
 from jaxclear.components.joint.group import Free, Planar, Spherical
 from jaxclear.components.joint.plain import AbstractRubbingBall, BallJoint, PlainBearing, Slideway
 from jaxclear.components.joint.vector import Cylindrical, Fixed, Prismatic, Revolute, Universal
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 
 __all__ = [
     "AbstractDrivenJoint",

@@ -5,7 +5,7 @@ usual products have names of their own, any other is `ContactForce(force, factor
 and rigid contact stand by themselves. A new law is a subclass of an abstract base.
 """
 
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.laws.contact import cylinder, dissipation, elastic
 from jaxclear.laws.contact.base import (
     AbstractContactLaw,

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.quantity import Scalar, concrete, quantity
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import public_name

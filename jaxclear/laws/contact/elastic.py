@@ -5,7 +5,7 @@ Each answers which force [N] an indentation [m] costs; for a journal in a bearin
 
 from typing import Any
 
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.numerics import positive_part, power, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact.base import AbstractElasticForce, exponent_field, stiffness_field

@@ -4,7 +4,7 @@ Slip laws are functions of the sliding speed, bristle laws remember a deflection
 set-valued. A new law is a subclass of one of the abstract bases and serves every formulation.
 """
 
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.laws.friction.base import (
     AbstractForceFriction,
     AbstractFrictionLaw,

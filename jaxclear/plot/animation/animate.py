@@ -23,7 +23,7 @@ import numpy as np
 
 from jaxclear.components.body import GROUND
 from jaxclear.components.load import Gravity
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_number
 from jaxclear.plot.animation.insets import Pushes, arrow, inset, pushes
 from jaxclear.plot.canvas import check_run

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from jaxclear.ground.arguments import check_known
-from jaxclear.ground.shown import shown_in_words
+from jaxclear.ground.printing import shown_in_words
 from jaxclear.integrators.checks import Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.dataset import dataset_of

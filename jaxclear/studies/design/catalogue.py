@@ -9,7 +9,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
 from jaxclear.ground.wording import described

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float, Int
 
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
 

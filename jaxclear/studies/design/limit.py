@@ -21,10 +21,10 @@ import numpy as np
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.ground.printing import as_written
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
-from jaxclear.ground.shown import as_written
 from jaxclear.studies.endless import check_told, finite_beside
 
 # A quantile is a mean over values whose shares lie within so much of the one asked for, as a part

@@ -6,7 +6,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.shown import as_written, in_few, with_error
+from jaxclear.ground.printing import as_written, in_few, with_error
 from jaxclear.ground.table import as_table
 from jaxclear.studies.answer import VARIABLE, AbstractAnswer, Column, Stated, columns_of
 from jaxclear.studies.base import AbstractProblem

@@ -6,7 +6,7 @@ and `discrete`; `tabulated` has beta distributions and all of scipy's. A new one
 `AbstractDistribution` with `quantile` and `deviation`.
 """
 
-from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.studies.distribution.base import AbstractDistribution
 from jaxclear.studies.distribution.closed_forms import (
     Lognormal,

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.fidelity.levels import FIRST, Chain, Links, chosen

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_known, check_number, expect
-from jaxclear.ground.shown import shown_in_words
+from jaxclear.ground.printing import shown_in_words
 from jaxclear.ground.wording import unit_of_rate
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError

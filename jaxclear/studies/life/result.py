@@ -12,7 +12,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from jaxclear.ground.arguments import check_known, check_number
-from jaxclear.ground.shown import shown_in_words
+from jaxclear.ground.printing import shown_in_words
 from jaxclear.integrators.checks import Checks
 from jaxclear.results.response import concerned
 from jaxclear.results.state_history import State

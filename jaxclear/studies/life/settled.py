@@ -7,7 +7,7 @@ After some cycles it ends each one as it began it, or it never does: then a cycl
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.state_history import State

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from jaxclear.ground.shown import shown_in_words
+from jaxclear.ground.printing import shown_in_words
 from jaxclear.studies.reliability.models import AbstractModel
 
 # A point is found where the limit and the nearest point are this near, in deviations.

@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_methods, check_number, expect
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import check_told, endless_sentences

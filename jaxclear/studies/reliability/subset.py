@@ -16,7 +16,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.ground.shown import in_digits
+from jaxclear.ground.printing import in_digits
 from jaxclear.studies.limit_state import system_margin
 from jaxclear.studies.reliability.models import Probability, RunModel, refused
 

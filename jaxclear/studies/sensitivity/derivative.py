@@ -11,7 +11,7 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.shown import AbstractShown, in_few, shown_in_words, with_error
+from jaxclear.ground.printing import AbstractShown, in_few, shown_in_words, with_error
 from jaxclear.ground.wording import unit_of_rate
 from jaxclear.studies.answer import (
     DATASET,

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxclear.ground.arguments import check_known, check_number
-from jaxclear.ground.shown import shown_in_words
+from jaxclear.ground.printing import shown_in_words
 from jaxclear.studies.statistics.scrambled import jackknifed, student
 
 # What is asked of each response by name, and whether it is a share of its root mean square.

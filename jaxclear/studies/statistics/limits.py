@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from jaxclear.ground.arguments import check_known, check_number, expect
-from jaxclear.ground.shown import shown_in_words
+from jaxclear.ground.printing import shown_in_words
 from jaxclear.ground.wording import described
 from jaxclear.studies.statistics.scrambled import (
     Statistic,

@@ -20,7 +20,7 @@ import equinox as eqx
 import numpy as np
 import scipy
 
-from jaxclear.ground.shown import shown_in_words, with_error
+from jaxclear.ground.printing import shown_in_words, with_error
 
 # A 95 % interval leaves half of 5 % on each side.
 CONFIDENCE = 0.95

@@ -22,9 +22,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags
-from jaxclear.ground.shown import left_out
+from jaxclear.ground.printing import left_out
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import (
     RESPONSE,

@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
-from jaxclear.ground.shown import shown_in_words, with_error
+from jaxclear.ground.printing import shown_in_words, with_error
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import (
     RESPONSE,

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_known, check_number, expect
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.result import GivenSample, given_sample
