@@ -167,7 +167,21 @@ class Positions(AbstractShown):
 
     def to_dataset(self) -> Any:
         """Everything over the positions as an xarray Dataset with units and provenance: drives,
-        bodies, journals in their gaps."""
+        bodies, journals in their gaps; where they were asked for, under "reversed ..." what is
+        different under reversed loads."""
+        columns = self._columns()
+        if self.other is not None:
+            other = self.reversed._columns().items()
+            held = self.scene.held
+            columns |= {f"reversed {name}": own for name, own in other if name not in held}
+        coordinates = {
+            "axis": Column(("axis",), ["x", "y", "z"]),
+            "component": Column(("component",), ["w", "x", "y", "z"]),
+        }
+        mechanism = str(self.scene.mechanism)
+        return dataset(columns, coordinates, what="positions", mechanism=mechanism)
+
+    def _columns(self) -> dict[str, Column]:
         scene, columns = self.scene, {}
         over, axis = ("position",), ("position", "axis")
         for name in scene.held:
@@ -184,11 +198,7 @@ class Positions(AbstractShown):
             meaning = f"journal against bearing of {name}, bearing axes"
             columns[f"{name}.offset"] = Column(axis, self.offset(name), "m", meaning)
         columns["found"] = Column(over, self.found, "1", "whether the mechanism closes")
-        coordinates = {
-            "axis": Column(("axis",), ["x", "y", "z"]),
-            "component": Column(("component",), ["w", "x", "y", "z"]),
-        }
-        return dataset(columns, coordinates, what="positions", mechanism=str(scene.mechanism))
+        return columns
 
     def _unit(self, name: str) -> str:
         joint: Any = self.scene.mechanism.connections[name].joint

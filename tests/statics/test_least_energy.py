@@ -65,6 +65,11 @@ def test_a_held_horn_leaves_its_lever_the_angle_of_its_play():
     np.testing.assert_allclose(np.linalg.norm(lies, axis=1), PLAY, rtol=1e-9)
     cosine = np.sum(push * lies, axis=1) / np.linalg.norm(push, axis=1) / PLAY
     np.testing.assert_allclose(cosine, -1.0, rtol=1e-12)
+    kept = stands.to_dataset()
+    for name in stands.scene.mechanism.bodies:
+        there, back = kept[f"{name}.com"].values, kept[f"reversed {name}.com"].values
+        np.testing.assert_array_equal(there, stands.body(name).com)
+        np.testing.assert_array_equal(back, stands.reversed.body(name).com)
 
 
 def test_springs_of_horns_add_to_the_play(sprung):
