@@ -2,9 +2,6 @@
 for both drives.
 
 Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
-
-Figures of the antenna study: motion by joint model, stick and slip by friction law, errors of
-the tip, its path in space.
 """
 
 from collections.abc import Mapping

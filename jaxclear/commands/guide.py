@@ -2,9 +2,6 @@
 run with a small clearance.
 
 Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
-
-Figures of the guide study: which corners carry, what happens about a switching, reactions of the
-crank.
 """
 
 from pathlib import Path

@@ -1,17 +1,10 @@
-"""A page as it is written: sections of text, tables and figures, in one file that needs no other.
+"""`jaxclear report`: one HTML page of what a folder holds, a campaign, a run, or the figures and
+tables of a study.
 
-Figures are PNG within the text, and there are no scripts and no fonts from elsewhere: it opens
-without a network, and can be sent by mail.
-
-What a report says of a campaign: how many samples ended how, statistics with errors, what
-decides the spread, failures and warnings, what was run and by which versions.
-
-What a report says of a folder with figures (PNG) and tables (CSV): of a run, which also tells
-how it ended, or of a study of the command line.
-
-Answers `jaxclear report`.
-
-One HTML page of what a folder holds: a campaign, a run, or the figures and tables of a study.
+Of a campaign it tells how many samples ended how, statistics with errors, what decides the spread,
+failures and warnings, what was run and by which versions; of a run also how it ended. Figures are
+PNG within the text, and there are no scripts and no fonts from elsewhere: the page opens without a
+network, and can be sent by mail.
 """
 
 import base64

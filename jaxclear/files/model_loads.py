@@ -1,17 +1,7 @@
-r"""How far MuJoCo's soft constraints on hinges and slides give way: limits under what presses into
-them at rest, dry friction under what it holds.
-
-MuJoCo has :math:`a = (1 - d) a_0 - d (b v + k d r)` for the acceleration :math:`a_0` without the
-constraint, the way r beyond the limit and the speed v; :math:`k, b` come from `solref`, the
-impedance :math:`d(r)` from `solimp`. At rest, :math:`a = v = 0`, a force F on the inertia m
-(`dof_invweight0`) gives way by r with :math:`m k d^2 r = (1 - d) F`. F is that of the tree of
-bodies: what loops add to it is left out. Source: MuJoCo documentation, "Computation", section
-"Constraint model", and "Modeling", "Solver parameters" (mujoco.readthedocs.io, version 3).
-
-What acts on the hinges and slides of a model of MuJoCo, as loads on their coordinates: damping
+r"""What acts on the hinges and slides of a model of MuJoCo, as loads on their coordinates: damping
 and stiffness, armature, dry friction, limits.
 
-MuJoCo holds limits and dry friction by soft constraints (`model_softness`), :math:`a = (1 - d) a_0
+MuJoCo holds limits and dry friction by soft constraints (see below), :math:`a = (1 - d) a_0
 - d (b v + k d r)` as long as the force pushes (a limit's) or is less than the bound (friction's).
 Here they are forces on the inertia :math:`m` that the coordinate has in the reference
 configuration. MuJoCo weakens by d what presses into a limit, too; a spring and a damper do not, so
@@ -25,6 +15,16 @@ they are right in one of two cases:
 
 Friction has the speed :math:`v_0 = \tau (1 - d) / (m d b)` at which a small steady load creeps as
 fast.
+
+How far MuJoCo's soft constraints on hinges and slides give way: limits under what presses into
+them at rest, dry friction under what it holds.
+
+MuJoCo has :math:`a = (1 - d) a_0 - d (b v + k d r)` for the acceleration :math:`a_0` without the
+constraint, the way r beyond the limit and the speed v; :math:`k, b` come from `solref`, the
+impedance :math:`d(r)` from `solimp`. At rest, :math:`a = v = 0`, a force F on the inertia m
+(`dof_invweight0`) gives way by r with :math:`m k d^2 r = (1 - d) F`. F is that of the tree of
+bodies: what loops add to it is left out. Source: MuJoCo documentation, "Computation", section
+"Constraint model", and "Modeling", "Solver parameters" (mujoco.readthedocs.io, version 3).
 """
 
 from collections.abc import Iterator

@@ -1,10 +1,10 @@
-"""Which programs compute here: what numbers are kept with, so that they can be had again.
-
-Results as xarray Datasets: numbers by name with units, and where they come from as attributes.
+"""Results as xarray Datasets: numbers by name with units, and where they come from as attributes.
 
 Values and attributes are of kinds that netCDF and Zarr keep: numbers, texts, no truths and no
 objects. What computed them and what was asked stand in the attributes `versions` and `problem`, as
 JSON.
+
+Which programs compute here: what numbers are kept with, so that they can be had again.
 """
 
 import datetime

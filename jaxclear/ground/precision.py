@@ -45,7 +45,7 @@ def check_not_forked() -> None:
 
 def check_double_precision() -> None:
     """Raises `RuntimeError` where float64 has been switched off since jaxclear was imported, and in
-    the child of a fork (see `forking`)."""
+    the child of a fork."""
     check_not_forked()
     # Not every version of JAX names its settings to type checkers.
     settings: Any = jax.config

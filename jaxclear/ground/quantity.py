@@ -1,10 +1,4 @@
-"""What a field of a class may hold, read from its declaration once a class: a number, several, a
-part of a family, a name, a count, a flag, a function.
-
-A field says it by its type (`AbstractWearLaw | None`, `int`, `str`, `Callable`) and its metadata
-(`unit`, `counts`, `at_least`). What this module does not know (`Any`, arrays) is left to the class.
-
-Fields that know their unit and meaning, so that a mechanism can print its own table of
+"""Fields that know their unit and meaning, so that a mechanism can print its own table of
 parameters.
 
 A quantity is a float64 leaf of a pytree: it can be varied, differentiated and batched. `None` means
@@ -14,6 +8,12 @@ known to be zero before tracing.
 
 Every class with quantities derives from `AbstractQuantified`, which checks their ranges when an
 object is built from numbers; a number that is being traced was checked before, or is a sample's.
+
+What a field of a class may hold, read from its declaration once a class: a number, several, a
+part of a family, a name, a count, a flag, a function.
+
+A field says it by its type (`AbstractWearLaw | None`, `int`, `str`, `Callable`) and its metadata
+(`unit`, `counts`, `at_least`). What this module does not know (`Any`, arrays) is left to the class.
 """
 
 import dataclasses

@@ -127,7 +127,7 @@ NEAR = 0.9
 
 class Peaks(NamedTuple):
     """The largest so far of every possible contact: indentation [m], and normal force [N] where
-    some contact damps (`damped_contacts`; None: where none does)."""
+    some contact damps (None: where none does)."""
 
     depths: PerContact
     forces: Any = None

@@ -1,17 +1,17 @@
-r"""Rows of couplings between coordinates, $\sum_i r_i q_i = c$: residual, rate, Jacobian, second
-derivative, and what the multiplier does to joints outside the tree.
-
-A coordinate that the tree carries is read, whole turns and all, and its entry of the Jacobian is
-its factor; one outside the tree is read between its two markers, as loads read it
-(`closure_coordinates`), its whole turns so that the sum is least.
-
-Constraints of the joints that close loops: residuals, Jacobian, what the accelerations must
+r"""Constraints of the joints that close loops: residuals, Jacobian, what the accelerations must
 give, and the reactions.
 
 For residuals :math:`\Phi(q, t) = 0` the accelerations satisfy :math:`\Phi_q \dot v = \gamma` with
 :math:`\gamma = -(\ddot\Phi \text{ at } \dot v = 0) - 2\alpha\dot\Phi - \beta^2\Phi`, the last two
 Baumgarte's (Nikravesh 1988, Computer-Aided Analysis of Mechanical Systems, section 3.2; see
 `loops`). Reactions are :math:`\Phi_q^T \lambda`.
+
+Rows of couplings between coordinates, $\sum_i r_i q_i = c$: residual, rate, Jacobian, second
+derivative, and what the multiplier does to joints outside the tree.
+
+A coordinate that the tree carries is read, whole turns and all, and its entry of the Jacobian is
+its factor; one outside the tree is read between its two markers, as loads read it
+(`closure_coordinates`), its whole turns so that the sum is least.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

@@ -152,7 +152,7 @@ SLIP_ROUNDING = 1e-14
 
 class PointState(NamedTuple):
     """What one possible contact remembers: speed of first touch [m/s], 0 while apart, and bristle
-    deflections [m], where its laws do. `share`: whether it counts as closed (`counted_laws`; None:
+    deflections [m], where its laws do. `share`: whether it counts as closed (`saltation`; None:
     as its indentation has it).
     """
 

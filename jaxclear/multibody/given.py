@@ -1,11 +1,11 @@
-"""Coordinates and speeds of a joint that the tree goes through from its child to its parent.
+"""What is given for a start, as equations in the free speeds: coordinates and speeds of joints,
+whether they carry coordinates, close a loop or have clearance, and places of bodies.
+
+Coordinates and speeds of a joint that the tree goes through from its child to its parent.
 
 Those of a connection are always its child's, seen from its parent. With its markers turned by
 `reversal` a joint of one coordinate or two has the same ones either way; a rotation, or a place
 with an orientation, becomes its inverse.
-
-What is given for a start, as equations in the free speeds: coordinates and speeds of joints,
-whether they carry coordinates, close a loop or have clearance, and places of bodies.
 """
 
 from typing import Any, NamedTuple

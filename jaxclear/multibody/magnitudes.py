@@ -1,16 +1,16 @@
-"""When a body moves in the plane: its inertia is known about z only, and all that is given of it,
-of its joints and of what acts on it lies in the plane.
-
-A body that ideal joints hold shows by its motion whether it turns about z only (`start_check`); one
-that only contacts hold is given three freedoms, and would ignore silently what points out of the
-plane. It is refused here.
-
-Numbers that no mechanism has, warned about where a mechanism is built: a slip of unit runs as
+"""Numbers that no mechanism has, warned about where a mechanism is built: a slip of unit runs as
 well as any other number, and answers nonsense.
 
 A field says itself what is usual (`usual` of `jaxclear.quantity`). Lengths are compared with the
 places of the joints, in which a mechanism has its size. Bounds lie far beyond what is built, so
 that nothing built is warned about. Numbers that are being traced are not looked at.
+
+When a body moves in the plane: its inertia is known about z only, and all that is given of it,
+of its joints and of what acts on it lies in the plane.
+
+A body that ideal joints hold shows by its motion whether it turns about z only (`start_check`); one
+that only contacts hold is given three freedoms, and would ignore silently what points out of the
+plane. It is refused here.
 """
 
 import math

@@ -1,14 +1,14 @@
-"""Error of a tip over the saving times of a run: a marker's pose against that of the same chain
-with ideal joints.
-
-The arithmetic of one instant is `multibody.product_of_exponentials`; here it is mapped over a run,
-against itself or against another run.
-
-Pointing error of a tip: exact, by the adjoint error model, and joint by joint.
+"""Pointing error of a tip: exact, by the adjoint error model, and joint by joint.
 
 The joints' deviations come from a run, so the error follows from the dynamics instead of from
 assumed distributions. Twists of the tip are in the axes of the nominal tip, linear then angular;
 the z axis of the tip is its boresight.
+
+Error of a tip over the saving times of a run: a marker's pose against that of the same chain
+with ideal joints.
+
+The arithmetic of one instant is `multibody.product_of_exponentials`; here it is mapped over a run,
+against itself or against another run.
 """
 
 from typing import Any

@@ -1,11 +1,11 @@
-"""What a run tells of a singular position: where rows of closed loops depend on each other, a
-linkage stretched flat, say. There drives do not say which way the linkage goes on, and reactions
-are not determined.
-
-What a simulation returns: states over time, and by name everything that follows from them.
+"""What a simulation returns: states over time, and by name everything that follows from them.
 
 Poses, contacts, reactions and energies are computed from the saved states when asked for, so a run
 pays for none of them. The methods here are fronts of the functions that do it.
+
+What a run tells of a singular position: where rows of closed loops depend on each other, a
+linkage stretched flat, say. There drives do not say which way the linkage goes on, and reactions
+are not determined.
 """
 
 from collections.abc import Callable

@@ -11,7 +11,7 @@ Clearance joints that are always in contact: ideal joints that know where in the
 reaction is carried.
 
 The clearance is small beside everything else, so the motion is that of the ideal joint; the gap
-only decides which points carry, and these rub (`joint.rubbing`). Source: Li, Lyu & Ding 2022, Chin.
+only decides which points carry, and these rub (`joint.base`). Source: Li, Lyu & Ding 2022, Chin.
 J. Aeronaut., no. 8, "Dynamics modeling and error analysis for antenna pointing mechanisms with
 frictional spatial revolute joints on SE(3)", section 3.
 """

@@ -1,10 +1,10 @@
-"""What is seen of the joints in the first view: which bodies lie between the eye and a joint with
-clearance, and so are drawn as glass.
-
-A run as an animation in one file: `jaxclear.plot.animate`.
+"""A run as an animation in one file: `jaxclear.plot.animate`.
 
 The scene in space is K3D's (three.js inside), whose page holds all its scripts; beside it the page
 magnifies every joint with clearance. It opens without a server, and loads nothing from the network.
+
+What is seen of the joints in the first view: which bodies lie between the eye and a joint with
+clearance, and so are drawn as glass.
 """
 
 import base64

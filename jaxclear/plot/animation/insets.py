@@ -1,11 +1,11 @@
-"""Forces of contacts in space: for every possible contact of a joint with clearance an arrow that
-ends where it touches, along the normal force on the journal, while it touches.
-
-What the insets of an animation show: every joint with clearance, its gap magnified.
+"""What the insets of an animation show: every joint with clearance, its gap magnified.
 
 A joint is told by views. In a round one the journal (or ball) lies in its bearing, the wall being
 the places that its centre reaches before it touches a new surface; in a slot the corners of a
 slider lie before its walls. Another joint shows how deep its contacts are.
+
+Forces of contacts in space: for every possible contact of a joint with clearance an arrow that
+ends where it touches, along the normal force on the journal, while it touches.
 """
 
 from collections.abc import Callable
