@@ -336,28 +336,58 @@ class JointTorque(AbstractCoordinateLoad):
         return False
 
 
+class Side(NamedTuple):
+    """One side of a stop: the coordinate is held where `sign` times it is above `sign` times the
+    `place` [rad, m]."""
+
+    sign: float
+    place: Any
+
+    def beyond(self, position: Any) -> Any:
+        """How far the coordinate is beyond it [rad, m]."""
+        return self.sign * (self.place - position)
+
+
 class JointStop(AbstractCoordinateLoad):
-    r"""Stops of a joint that turns or slides, ideal or with clearance: where the coordinate is by
-    :math:`\delta` beyond `lower` or `upper`, a spring and a damper push it back,
+    r"""Stops of a joint that turns or slides, ideal or with clearance. What runs into `lower` or
+    `upper` comes back with the share `restitution` of its speed.
 
-    .. math:: F = \max(0,\ k\,\delta + d\,s(\delta)\,\dot\delta),
+    In `MoreauJean` a stop with a restitution is rigid, and gives it in one step; in `NonColliding`
+    it is rigid, and what runs into it stays (with a load that presses). Elsewhere, and without a
+    restitution, it is a spring and a damper that push the coordinate back where it is by
+    :math:`\delta` beyond, and never pull:
 
-    and never pull. :math:`s` grows as a cubic step from 0 to 1 over `depth`, so that the force
-    begins at 0 however fast the stop is met, and derivatives of a run pass through it (the law of
-    Adams' IMPACT with exponent 1). A stiff stop needs short steps.
+    .. math:: F = \min(\max(0,\ k\,\delta + d\,\dot\delta),\ 2\,k\,\delta).
+
+    The bound of the damper lets the force begin at 0 however fast the stop is met, so that
+    derivatives of a run pass through it, and the share of the speed that comes back hangs on
+    :math:`d/\sqrt{k m}` alone. Without a `damping` it follows from the restitution, for the inertia
+    m along the coordinate where a run starts. With a `depth` the damper sets in over it instead, as
+    a cubic step (Adams' IMPACT with exponent 1): a stop that what strikes goes into less deep damps
+    less. A stiff stop needs short steps; `MoreauJean` and `NonColliding` take one as rigid that
+    their steps do not resolve.
+
+    Source: the bounded damper of Modelica's ElastoBacklash2 (Modelica Standard Library 4.0).
     """
 
     connection: str = eqx.field(static=True)
     lower: Scalar | None = quantity(None, "rad", "least coordinate (m for a sliding joint)")
     upper: Scalar | None = quantity(None, "rad", "largest coordinate (m for a sliding joint)")
-    stiffness: Scalar = quantity(
-        unit="N m/rad", meaning="stiffness k (N/m for a sliding joint)", above=0, kw_only=True
+    stiffness: Scalar | None = quantity(
+        None, "N m/rad", "stiffness k (N/m for a sliding joint)", above=0, kw_only=True
     )
     damping: Scalar | None = quantity(
         None, "N m s/rad", "damping d (N s/m for a sliding joint)", at_least=0, kw_only=True
     )
-    depth: Scalar = quantity(
-        1e-3, "rad", "way over which damping sets in (m for a sliding joint)", above=0, kw_only=True
+    restitution: Scalar | None = quantity(
+        None, "1", "share of the speed that comes back", at_least=0, at_most=1, kw_only=True
+    )
+    depth: Scalar | None = quantity(
+        None,
+        "rad",
+        "way over which damping sets in (m for a sliding joint; None: by the spring's own force)",
+        above=0,
+        kw_only=True,
     )
 
     def __check_init__(self):
@@ -368,27 +398,38 @@ class JointStop(AbstractCoordinateLoad):
             raise ValueError(
                 f"load.JointStop has lower {low:g} and upper {high:g}; lower must be below upper."
             )
+        if self.stiffness is None and self.restitution is None:
+            raise ValueError(
+                "load.JointStop needs restitution (rigid in MoreauJean and NonColliding) or "
+                "stiffness, or both; it has neither."
+            )
+
+    def sides(self) -> tuple[Side, ...]:
+        """Its sides, the lower one first."""
+        ends = (Side(1.0, self.lower), Side(-1.0, self.upper))
+        return tuple(side for side in ends if side.place is not None)
 
     def force(self, time, position, speed):
         force, stored, dissipated = 0, 0, 0
-        if self.upper is not None:
-            force, stored, dissipated = self._push(position - self.upper, speed)
-            force = -force
-        if self.lower is not None:
-            push, spring, loss = self._push(self.lower - position, -speed)
-            force, stored = sp.add(force, push), sp.add(stored, spring)
+        for side in self.sides():
+            push, spring, loss = self.push(side.beyond(position), -side.sign * speed)
+            force, stored = sp.add(force, side.sign * push), sp.add(stored, spring)
             dissipated = sp.add(dissipated, loss)
         return force, stored, dissipated, 0
 
-    def _push(self, beyond, rate):
-        """Force of one stop, its stored energy and dissipated power."""
+    def push(self, beyond: Any, rate: Any) -> tuple[Any, Any, Any]:
+        """Force of one side that the coordinate is so far `beyond` [rad, m] at this rate, its
+        stored energy and dissipated power."""
         depth = positive_part(beyond)
         spring = self.stiffness * depth
         stored = 0.5 * spring * depth
         if self.damping is None:
             return spring, stored, 0
-        damper = self.damping * smooth_step(depth, 0.0, self.depth) * rate
-        push = positive_part(spring + damper)
+        damper = self.damping * rate
+        if self.depth is None:
+            push = jnp.clip(spring + damper, 0.0, 2 * spring)
+        else:
+            push = positive_part(spring + smooth_step(depth, 0.0, self.depth) * damper)
         # Where the damper would pull the spring goes back without the body, and its energy is lost.
         return push, stored, (push - spring) * rate
 
