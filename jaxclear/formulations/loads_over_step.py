@@ -21,6 +21,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.laws.rebound import restitution_of
 from jaxclear.multibody import closure_coordinates, kinematics
 from jaxclear.multibody.forces import Forces, add_action_and_reaction
+from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, coordinate_loads
 from jaxclear.multibody.tree import Motion
@@ -192,6 +193,13 @@ class LoadsInStep(NamedTuple):
         """Their rows, those of stops signed as they open."""
         return [one.row for one in (*self.stops, *self.rubs)]
 
+    def lost(self, forces: Any, change: list) -> Any:
+        """Power [W] that these forces along the rows take at speeds that differ so from those at
+        which the loads were read."""
+        speeds = [*(one.opening for one in self.stops), *(one.speed for one in self.rubs)]
+        rates = [sp.add(x, along(row, change)) for x, row in zip(speeds, self.rows, strict=True)]
+        return sp.neg(sp.dot(forces, rates))
+
     def by_load(self, system: System, values: Any) -> dict[str, Any]:
         """Forces or impulses along the rows, as sums by load."""
         found = dict.fromkeys(over_step(system), 0.0)
@@ -199,6 +207,9 @@ class LoadsInStep(NamedTuple):
             sign = one.side.sign if isinstance(one, StopInStep) else 1.0
             found[one.name] = found[one.name] + sign * value
         return found
+
+
+NO_LOADS = LoadsInStep((), ())
 
 
 def loads_in_step(system: System, at: dict[str, Coordinate]) -> LoadsInStep:

@@ -68,7 +68,6 @@ from jaxclear.ground import sparse as sp
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import applied_forces
-from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import components, contact_components, unpack_motion
 from jaxclear.multibody.topology import rubbing_in
@@ -248,9 +247,7 @@ def _given(
     ones."""
     stops = impact.by_contact[len(impact.by_contact) - len(loads.stops) :]
     forces = [*(sp.mul(1 / h, own[0]) for own in stops), *rubbed.loads]
-    speeds = [*(one.opening for one in loads.stops), *(one.speed for one in loads.rubs)]
-    rates = [sp.add(x, along(row, change)) for x, row in zip(speeds, loads.rows, strict=True)]
-    return Given(loads.by_load(system, forces), sp.neg(sp.dot(forces, rates)))
+    return Given(loads.by_load(system, forces), loads.lost(forces, change))
 
 
 def check_friction(mechanism: Mechanism, integrator: str) -> None:
