@@ -3,7 +3,7 @@ r"""What a spring with a damper that is bounded by it gives back of an impact.
 The force of a stop is :math:`k\delta + d\dot\delta` between 0 and :math:`2k\delta`
 (`flank.ElastoBacklash`). It is of first degree in place and speed, so that a mass m comes back
 with a share e of its speed that hangs on :math:`\zeta = d/(2\sqrt{km})` alone. The damper is first
-at its bound, so that the mass sees the stiffness 2 k until :math:`\delta = 2\zeta\dot\delta/\omega`;
+at its bound, so that the mass sees the stiffness 2 k until :math:`k\delta = d\dot\delta`;
 from there it is a damped oscillator until the force is 0, and with :math:`s = \sqrt{1 - \zeta^2}`
 
 .. math:: e = \exp\!\left(-\frac{\zeta}{s}\,\operatorname{atan2}(4\zeta s,\ 4\zeta^2 - 1)\right),
