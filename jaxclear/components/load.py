@@ -266,6 +266,19 @@ class LoadState(NamedTuple):
     start: Any = 0.0
 
 
+class Side(NamedTuple):
+    """One side of a `stop`: the coordinate is held where `sign` times it is above `sign` times the
+    `place` [rad, m]."""
+
+    sign: float
+    place: Any
+    stop: "JointStop"
+
+    def beyond(self, position: Any) -> Any:
+        """How far the coordinate is beyond it [rad, m]."""
+        return self.sign * (self.place - position)
+
+
 class CoordinateEffect(NamedTuple):
     """What a load on coordinates does at one instant: the generalised force [N m, N] on each, the
     rate of each of its states; energy in J, powers in W, `external` power enters the mechanism."""
@@ -314,6 +327,17 @@ class AbstractStateLoad(AbstractLoad):
     def inertia_along(self) -> Scalar | None:
         """Inertia [kg m^2] that moves with its only coordinate and with nothing else; None unless
         overridden. Only a joint that the tree carries can have some."""
+        return None
+
+    def sides(self) -> tuple[Side, ...]:
+        """The sides at which it stops its only coordinate, none unless overridden: `MoreauJean` and
+        `NonColliding` take them as rigid, and do not ask for its `effect`."""
+        return ()
+
+    def dry_friction(self) -> Scalar | None:
+        """The friction [N m, N] with which it holds its only coordinate or resists it, None unless
+        overridden: `MoreauJean` and `NonColliding` take it as set-valued, and do not ask for its
+        `effect`."""
         return None
 
 
@@ -393,18 +417,6 @@ class JointTorque(AbstractCoordinateLoad):
         return False
 
 
-class Side(NamedTuple):
-    """One side of a stop: the coordinate is held where `sign` times it is above `sign` times the
-    `place` [rad, m]."""
-
-    sign: float
-    place: Any
-
-    def beyond(self, position: Any) -> Any:
-        """How far the coordinate is beyond it [rad, m]."""
-        return self.sign * (self.place - position)
-
-
 class JointStop(AbstractCoordinateLoad):
     r"""Stops of a joint that turns or slides, ideal or with clearance. What runs into `lower` or
     `upper` comes back with the share `restitution` of its speed.
@@ -461,9 +473,8 @@ class JointStop(AbstractCoordinateLoad):
                 "stiffness, or both; it has neither."
             )
 
-    def sides(self) -> tuple[Side, ...]:
-        """Its sides, the lower one first."""
-        ends = (Side(1.0, self.lower), Side(-1.0, self.upper))
+    def sides(self):
+        ends = (Side(1.0, self.lower, self), Side(-1.0, self.upper, self))
         return tuple(side for side in ends if side.place is not None)
 
     def force(self, time, position, speed):
@@ -477,6 +488,12 @@ class JointStop(AbstractCoordinateLoad):
     def push(self, beyond: Any, rate: Any) -> tuple[Any, Any, Any]:
         """Force of one side that the coordinate is so far `beyond` [rad, m] at this rate, its
         stored energy and dissipated power."""
+        if self.stiffness is None:
+            raise ValueError(
+                f'load.JointStop on joint "{self.connection}" has no stiffness: it is rigid, for '
+                "integrator.MoreauJean and NonColliding. Give its stiffness too, by which what "
+                "strikes it with speed v goes v sqrt(m / k) deep."
+            )
         depth = positive_part(beyond)
         spring = self.stiffness * depth
         stored = 0.5 * spring * depth
@@ -491,14 +508,28 @@ class JointStop(AbstractCoordinateLoad):
         return push, stored, (push - spring) * rate
 
 
-class JointFriction(AbstractCoordinateLoad):
-    r"""Dry friction of a joint that turns or slides, ideal or with clearance, as a torque [N m]
-    whatever the joint carries: :math:`F = -\tau \tanh(\dot q / v_0)`, of a gear or a seal.
+class JointFriction(AbstractStateLoad):
+    r"""Dry friction of a joint that turns or slides, ideal or with clearance, as a torque
+    :math:`\tau` [N m] whatever the joint carries: of a gear or a seal. It holds what is driven by
+    less, without creep.
 
-    Creeps under a steady load, at a speed below :math:`v_0`. Friction by what the joint carries,
-    and friction that sticks, is that of `joint.PlainBearing` and `joint.Slideway`.
+    In `MoreauJean` and `NonColliding` it is set-valued. Elsewhere a bristle holds: a spring with a
+    damper that yields at the deflection :math:`z_0` (`presliding`),
 
-    Source: Andersson, Söderberg & Björklund 2007, Tribol. Int. 40, 580,
+    .. math:: F = -\operatorname{clip}(\tau\,(z + t_0\,\dot q)/z_0,\ \pm\tau), \qquad
+        \dot z = \dot q \text{ within } \pm z_0,
+
+    so that a joint at rest stands by up to :math:`z_0` beside where it came to rest; the steps must
+    resolve the spring :math:`\tau/z_0`. With a `transition_speed` :math:`v_0` it is a function of
+    the speed instead, :math:`F = -\tau\tanh(\dot q/v_0)`, in every integrator: softer, and it creeps
+    under a steady load. Friction by what the joint carries is that of `joint.PlainBearing` and
+    `joint.Slideway`. In closed loops what each of several such loads holds at rest is not unique
+    (Wojtyra 2017, Multibody Syst. Dyn. 39, 337, doi:10.1007/s11044-016-9535-6): one of the many
+    answers is told.
+
+    Source: elasto-plastic bristle: Dupont, Hayward, Armstrong & Altpeter 2002, IEEE Trans. Autom.
+    Control 47, 787, doi:10.1109/TAC.2002.1000274, with a break-away deflection that is the steady
+    one; tanh: Andersson, Söderberg & Björklund 2007, Tribol. Int. 40, 580,
     doi:10.1016/j.triboint.2005.11.014.
     """
 
@@ -506,19 +537,55 @@ class JointFriction(AbstractCoordinateLoad):
     torque: Scalar = quantity(
         unit="N m", meaning="friction when it slides (N for a sliding joint)", at_least=0
     )
-    transition_speed: Scalar = quantity(
-        1e-2,
+    transition_speed: Scalar | None = quantity(
+        None,
         "rad/s",
-        "speed v_0 at which three quarters of the friction act (m/s for a sliding joint)",
+        "speed v_0 at which three quarters of the friction act (m/s for a sliding joint; None: it "
+        "holds)",
         above=0,
     )
+    presliding: Scalar = quantity(
+        1e-4,
+        "rad",
+        "deflection z_0 at which the bristle yields (m for a sliding joint)",
+        above=0,
+        kw_only=True,
+    )
+    settling_time: Scalar = quantity(
+        1e-3, "s", "damping time t_0 of the bristle", above=0, kw_only=True
+    )
 
-    def force(self, time, position, speed):
-        force = -self.torque * smooth_sign(jnp.asarray(speed, float), self.transition_speed)
-        return force, 0, -force * speed, 0
+    def coordinates(self):
+        return (self.connection,)
+
+    def states(self):
+        return () if self.transition_speed is not None else (LoadState("bristle", "rad"),)
+
+    def effect(self, time, positions, speeds, states):
+        (speed,) = speeds
+        if self.transition_speed is not None:
+            force = -self.torque * smooth_sign(jnp.asarray(speed, float), self.transition_speed)
+            return CoordinateEffect((force,), (), 0, -force * speed, 0)
+        (bristle,) = states
+        held = jnp.clip(bristle, -self.presliding, self.presliding)
+        stiffness = self.torque / self.presliding
+        elastic = stiffness * held
+        friction = jnp.clip(
+            elastic + stiffness * self.settling_time * speed, -self.torque, self.torque
+        )
+        # A bristle that yields stands still, and comes back to where it yields if a step has taken
+        # it further.
+        yields = bristle * speed > self.presliding * jnp.abs(speed)
+        rate = jnp.where(yields, (held - bristle) / self.settling_time, speed)
+        stored = 0.5 * elastic * held
+        moved = jnp.where(jnp.abs(bristle) < self.presliding, elastic * speed, 0.0)
+        return CoordinateEffect((-friction,), (rate,), stored, friction * speed - moved, 0)
 
     def reads_position(self):
         return False
+
+    def dry_friction(self):
+        return self.torque if self.transition_speed is None else None
 
 
 class RotorInertia(AbstractCoordinateLoad):

@@ -116,7 +116,7 @@ def with_rows_of_loads(
     for k, stop in enumerate(loads.stops):
         closed = stop.beyond - 0.5 * h * free[k] >= 0
         low, high = 0.0, jnp.where(closed, jnp.inf, 0.0)
-        if stop.load.restitution is None:
+        if stop.side.stop.restitution is None:
             followed, spring = stop.followed(moves[k][first + k] / h, h), stop.spring()
             low, high = jnp.where(followed, spring, low), jnp.where(followed, spring, high)
         rules.append(Between(low, high))
@@ -162,7 +162,7 @@ def moved_to_stops(
     for k, stop in enumerate(loads.stops):
         matrix.append([h * along(rows[k], unit.accelerations) for unit in units[: len(rows)]])
         held = forces[k] > 0
-        if stop.load.restitution is None:
+        if stop.side.stop.restitution is None:
             held = held & ~stop.followed(matrix[k][k] / h, h)
         most = jnp.where(held, jnp.inf, 0.0)
         rules.append(Between(-most, most))

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxclear.components.load import AbstractCoordinateLoad, JointFriction, JointStop, Side
+from jaxclear.components.load import AbstractCoordinateLoad, AbstractStateLoad, Side
 from jaxclear.formulations.contact_rows import ContactJacobianRow
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
@@ -35,7 +35,7 @@ class OverStep(AbstractCoordinateLoad):
     """A load whose force steps find themselves."""
 
     connection: str = eqx.field(static=True)
-    load: Any
+    load: AbstractStateLoad
 
     def force(self, time, position, speed):
         return 0, 0, 0, 0
@@ -43,25 +43,26 @@ class OverStep(AbstractCoordinateLoad):
     def reads_position(self):
         return self.load.reads_position()
 
+    def sides(self):
+        return self.load.sides()
+
+    def dry_friction(self):
+        return self.load.dry_friction()
+
 
 def found_over_steps(system: System) -> System:
     """The system with stops and dry friction as loads whose force steps find."""
-    if not any(isinstance(load, (JointFriction, JointStop)) for load in system.loads.values()):
-        return system
-    loads = {
-        name: OverStep(load.connection, load)
-        if isinstance(load, (JointFriction, JointStop))
-        else load
-        for name, load in system.loads.items()
+    found = {
+        name: OverStep(load.coordinates()[0], load)
+        for name, load in coordinate_loads(system)
+        if load.sides() or load.dry_friction() is not None
     }
-    return dataclasses.replace(system, loads=loads)
+    return dataclasses.replace(system, loads=system.loads | found) if found else system
 
 
-def over_step(system: System) -> dict[str, Any]:
+def over_step(system: System) -> dict[str, OverStep]:
     """The loads of a system whose force steps find, by name."""
-    return {
-        name: load.load for name, load in coordinate_loads(system) if isinstance(load, OverStep)
-    }
+    return {name: load for name, load in coordinate_loads(system) if isinstance(load, OverStep)}
 
 
 def load_components(system: System) -> tuple[tuple[str, int], ...]:
@@ -142,11 +143,10 @@ def forces_of_means(instant: Instant) -> dict[str, Any]:
 
 
 class StopInStep(NamedTuple):
-    """A side of a stop in a step: its load and side, how far the coordinate is beyond it in the
-    middle [rad, m], and its row of the rate by which that falls."""
+    """A side of a stop in a step: its load, how far the coordinate is beyond it in the middle [rad,
+    m], the rate by which that falls, and the row of this rate."""
 
     name: str
-    load: JointStop
     side: Side
     beyond: Any
     opening: Any
@@ -154,21 +154,21 @@ class StopInStep(NamedTuple):
 
     def spring(self) -> Any:
         """Force [N m, N] of what gives way there."""
-        return self.load.push(self.beyond, -self.opening)[0]
+        return self.side.stop.push(self.beyond, -self.opening)[0]
 
     def followed(self, lightness: Any, h: Any) -> Any:
         """Whether steps of length h [s] follow its spring and damper, which move an inertia of this
         inverse."""
-        soft = h * h * self.load.stiffness * lightness < FOLLOWED**2
-        if self.load.damping is not None:
-            soft = soft & (h * self.load.damping * lightness < FOLLOWED)
+        soft = h * h * self.side.stop.stiffness * lightness < FOLLOWED**2
+        if self.side.stop.damping is not None:
+            soft = soft & (h * self.side.stop.damping * lightness < FOLLOWED)
         return soft
 
     def restitution(self, lightness: Any) -> Any:
         """Share of its speed [1] that comes back where steps do not follow its spring."""
-        if self.load.damping is None:
+        if self.side.stop.damping is None:
             return 1.0
-        ratio = 0.5 * self.load.damping * jnp.sqrt(lightness / self.load.stiffness)
+        ratio = 0.5 * self.side.stop.damping * jnp.sqrt(lightness / self.side.stop.stiffness)
         return restitution_of(ratio)
 
 
@@ -218,18 +218,18 @@ def loads_in_step(system: System, at: dict[str, Coordinate]) -> LoadsInStep:
     rubs: list[RubInStep] = []
     for name, load in over_step(system).items():
         own = at[load.connection]
-        if isinstance(load, JointFriction):
-            rubs.append(RubInStep(name, load.torque, own.speed, own.row))
-            continue
+        bound = load.dry_friction()
+        if bound is not None:
+            rubs.append(RubInStep(name, bound, own.speed, own.row))
         for side in load.sides():
             row = {j: sp.mul(side.sign, entry) for j, entry in own.row.items()}
             beyond, opening = side.beyond(own.position), side.sign * own.speed
-            stops.append(StopInStep(name, load, side, beyond, opening, row))
+            stops.append(StopInStep(name, side, beyond, opening, row))
     return LoadsInStep(tuple(stops), tuple(rubs))
 
 
 def counts_of_rows(system: System) -> tuple[int, int]:
     """How many sides stops have, and how many loads rub."""
     loads = over_step(system).values()
-    stops = sum(len(load.sides()) for load in loads if isinstance(load, JointStop))
-    return stops, sum(isinstance(load, JointFriction) for load in loads)
+    stops = sum(len(load.sides()) for load in loads)
+    return stops, sum(load.dry_friction() is not None for load in loads)

@@ -156,7 +156,7 @@ def stops_as_contacts(loads: LoadsInStep, last: list) -> list[UnilateralContact]
             [one.row],
             [one.opening],
             [],
-            0.0 if one.load.restitution is None else one.load.restitution,
+            0.0 if one.side.stop.restitution is None else one.side.stop.restitution,
             None,
             f"{one.name} {k}",
             last[k],
@@ -175,7 +175,7 @@ def with_laws_of_stops(
     found = list(contacts)
     first = sum(len(contact.rows) for contact in contacts) - len(loads.stops)
     for k, one in enumerate(loads.stops):
-        if one.load.restitution is not None:
+        if one.side.stop.restitution is not None:
             continue
         own = len(contacts) - len(loads.stops) + k
         light = along(delassus.rows[first + k], delassus.responses[first + k][0])
