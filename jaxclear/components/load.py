@@ -521,8 +521,8 @@ class JointFriction(AbstractStateLoad):
 
     so that a joint at rest stands by up to :math:`z_0` beside where it came to rest; the steps must
     resolve the spring :math:`\tau/z_0`. With a `transition_speed` :math:`v_0` it is a function of
-    the speed instead, :math:`F = -\tau\tanh(\dot q/v_0)`, in every integrator: softer, and it creeps
-    under a steady load. Friction by what the joint carries is that of `joint.PlainBearing` and
+    the speed instead, :math:`F = -\tau\tanh(\dot q/v_0)`, in every integrator, and creeps under a
+    steady load. Friction by what the joint carries is that of `joint.PlainBearing` and
     `joint.Slideway`. In closed loops what each of several such loads holds at rest is not unique
     (Wojtyra 2017, Multibody Syst. Dyn. 39, 337, doi:10.1007/s11044-016-9535-6): one of the many
     answers is told.

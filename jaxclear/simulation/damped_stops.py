@@ -61,9 +61,10 @@ def lightness_along(
     system: System, motions: tuple, row: ContactJacobianRow, mechanism: Mechanism
 ) -> Any:
     """By how much a unit of force along a row accelerates it, the loops closed."""
-    masses: list[Any] = []
-    for subtree in system.topology.subtrees:
-        masses.append(tree.mass_matrix(*kinematics.by_subtree(subtree, system.links, motions)))
+    masses: list[Any] = [
+        tree.mass_matrix(*kinematics.by_subtree(subtree, system.links, motions))
+        for subtree in system.topology.subtrees
+    ]
     loops = ClosureEquations([], [], (), None)
     if system.closures:
         loops = constraints.acceleration_equations(system, motions, mechanism.baumgarte)

@@ -30,9 +30,9 @@ from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, ver
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
 from jaxclear.simulation import progress
+from jaxclear.simulation.damped_stops import with_damped_stops
 from jaxclear.simulation.error_weights import error_weights
 from jaxclear.simulation.initial_state import Past
-from jaxclear.simulation.damped_stops import with_damped_stops
 from jaxclear.simulation.invariants import contact_names, judged, sunk_in
 from jaxclear.simulation.saving import with_few_enough_steps
 from jaxclear.simulation.wear import (
