@@ -65,6 +65,11 @@ def over_step(system: System) -> dict[str, OverStep]:
     return {name: load for name, load in coordinate_loads(system) if isinstance(load, OverStep)}
 
 
+def may_strike(system: System) -> bool:
+    """Whether something may strike: a contact, or a coordinate its stop."""
+    return bool(system.bearings) or any(load.sides() for load in over_step(system).values())
+
+
 def load_components(system: System) -> tuple[tuple[str, int], ...]:
     """By load whose force steps find, how many components it has in states that hold impulses."""
     return tuple((impulse_of(name), 1) for name in over_step(system))

@@ -13,6 +13,7 @@ from jaxtyping import Array
 
 from jaxclear.complementarity import FrictionContact
 from jaxclear.complementarity.joint_friction import across
+from jaxclear.complementarity.kept_states import with_kept_states
 from jaxclear.components.clearance import CarryingEnd, carried_load
 from jaxclear.formulations.contact_rows import (
     ContactJacobianRow,
@@ -111,6 +112,10 @@ def searched(
 ) -> tuple[Array, Any]:
     """(impulses along all rows [N s], residual of the laws relative to the largest velocity)."""
     h = search.h
+    if not search.joints:
+        problem, guess, back = _problem(search, as_reactions(respond(start / h)), start)
+        found = settings.solver().iterate(problem, guess)
+        return back(with_kept_states(problem, found.z)), found.residual
 
     def improve(carry):
         z, numbers, _, sweeps = carry
@@ -127,10 +132,7 @@ def searched(
         return (left > settings.tolerance) & (sweeps < settings.most_sweeps)
 
     first = (start, respond(start / h), jnp.asarray(jnp.inf), jnp.zeros((), int))
-    if not search.joints:
-        z, _, left, _ = improve(first)
-    else:
-        z, _, left, _ = jax.lax.while_loop(unfinished, improve, first)
+    z, _, left, _ = jax.lax.while_loop(unfinished, improve, first)
     return z, left
 
 
