@@ -52,7 +52,12 @@ from jaxclear.formulations.rubbing_percussions import (
     percussions_and_friction,
     rubbed_over,
 )
-from jaxclear.formulations.state_rate import Passive, link_accelerations, passive_rates
+from jaxclear.formulations.state_rate import (
+    Passive,
+    followed_rates,
+    link_accelerations,
+    passive_rates,
+)
 from jaxclear.formulations.unilateral import (
     MoreauJeanSettings,
     Percussions,
@@ -66,7 +71,6 @@ from jaxclear.formulations.unilateral import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import kinematics
-from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import components, contact_components, unpack_motion
@@ -285,7 +289,7 @@ def _passive(
     impulses += [] if rubbed is None else [h * force for force in rubbed.forces]
     impulses += [] if given is None else [h * force for force in given.forces.values()]
     if not layout.wear and not layout.energies:
-        rates = angle_rates(system, layout, free_motion.forces.motions)
+        rates = followed_rates(system, layout, free_motion.forces)
         return [*(sp.mul(h, rate) for rate in rates), *impulses]
     forces = [tuple(sp.mul(1 / h, part) for part in own) for own in by_contact]
     change = middle.change_to(mean)
@@ -297,8 +301,8 @@ def _passive(
         travelled = [sp.add(x, sp.mul(1 / h, m)) for x, m in zip(mean, end.moved, strict=True)]
         motion = unpack_motion(system, [*middle.halfway, *travelled])
         motions = kinematics.link_motions(system, *motion, time_step.middle)
-        angles = free_motion.forces.angles
-        acting = applied_forces(system, motions, reports, *motion, time_step.middle, angles)
+        followed = free_motion.forces.followed
+        acting = applied_forces(system, motions, reports, *motion, time_step.middle, followed)
         if rubbed is not None:
             acting = with_friction(system, acting, rubbed.friction)
         if given is not None:
