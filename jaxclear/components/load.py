@@ -552,7 +552,7 @@ class JointFriction(AbstractStateLoad):
         kw_only=True,
     )
     settling_time: Scalar = quantity(
-        1e-3, "s", "damping time t_0 of the bristle", above=0, kw_only=True
+        1e-2, "s", "damping time t_0 of the bristle", above=0, kw_only=True
     )
 
     def coordinates(self):

@@ -9,6 +9,7 @@ Nothing here is evaluated in a mechanism without such loads.
 """
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -90,26 +91,36 @@ class Coordinate(NamedTuple):
 
 
 def coordinates_of(
-    system: System, motions: tuple[Motion, ...], q: tuple, v: tuple, angles: dict[str, Any]
+    system: System, motions: tuple[Motion, ...], q: tuple, v: tuple, angles: Mapping[str, Any]
 ) -> dict[str, Coordinate]:
-    """The coordinates on which loads act whose force steps find, by joint."""
-    found = {}
-    for name in dict.fromkeys(load.connection for load in over_step(system).values()):
-        branch = system.topology.branch_of(name)
-        if branch is not None:
-            k = system.topology.branches.index(branch)
-            found[name] = Coordinate(q[k][0], v[k][0], {branch.speeds.start: 1})
-            continue
-        own = system.measured[name]
-        now = closure_coordinates.read(own, motions, angles.get(name))
-        rates = own.joint.speeds_at
-        (row,) = kinematics.relative_jacobian(system, motions, own.closure, now.pose, rates)
-        found[name] = Coordinate(now.position, now.speed, row)
-    return found
+    """The coordinates on which loads act whose force steps find, by joint or motor."""
+    names = dict.fromkeys(load.connection for load in over_step(system).values())
+    return {name: _coordinate(system, motions, name, (q, v), angles) for name in names}
+
+
+def _coordinate(
+    system: System, motions: tuple[Motion, ...], name: str, moving: tuple, angles: Mapping[str, Any]
+) -> Coordinate:
+    if name in system.geared:
+        geared = system.geared[name]
+        joint = _coordinate(system, motions, geared.joint, moving, angles)
+        position = geared.ratio * joint.position
+        position = position if geared.offset is None else position + geared.offset
+        row = {j: sp.mul(geared.ratio, entry) for j, entry in joint.row.items()}
+        return Coordinate(position, geared.ratio * joint.speed, row)
+    branch, (q, v) = system.topology.branch_of(name), moving
+    if branch is not None:
+        k = system.topology.branches.index(branch)
+        return Coordinate(q[k][0], v[k][0], {branch.speeds.start: 1})
+    own = system.measured[name]
+    now = closure_coordinates.read(own, motions, angles.get(name))
+    rates = own.joint.speeds_at
+    (row,) = kinematics.relative_jacobian(system, motions, own.closure, now.pose, rates)
+    return Coordinate(now.position, now.speed, row)
 
 
 def coordinates_at(
-    model: Model, time: Any, entries: list, angles: dict[str, Any]
+    model: Model, time: Any, entries: list, angles: Mapping[str, Any]
 ) -> dict[str, Coordinate]:
     """The same at coordinates and speeds, one after the other, near these angles."""
     motion = unpack_motion(model.system, entries)
@@ -125,15 +136,18 @@ def with_loads(system: System, forces: Forces, given: dict[str, Any]) -> Forces:
     on, wrenches = list(forces.coordinate_forces), list(forces.wrenches)
     on_joints = dict(forces.on_joints)
     for name, load in loads.items():
-        branch = system.topology.branch_of(load.connection)
+        joint, force = load.connection, given[name]
+        if joint in system.geared:
+            geared = system.geared[joint]
+            joint, force = geared.joint, sp.mul(geared.ratio, force)
+        branch = system.topology.branch_of(joint)
         if branch is not None:
             k = system.topology.branches.index(branch)
-            on[k] = (sp.add(on[k][0], given[name]),)
+            on[k] = (sp.add(on[k][0], force),)
             continue
-        joint = load.connection
         own = system.measured[joint]
-        now = closure_coordinates.read(own, forces.motions, forces.angles.get(joint))
-        wrench = tuple(sp.scale(given[name], part) for part in now.wrench)
+        now = closure_coordinates.read(own, forces.motions, forces.followed.angles.get(joint))
+        wrench = tuple(sp.scale(force, part) for part in now.wrench)
         add_action_and_reaction(wrenches, own.closure, now.pose, *wrench)
         before = on_joints[joint]
         on_joints[joint] = type(before)(*map(sp.plus, before, wrench))

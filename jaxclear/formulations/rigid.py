@@ -229,7 +229,7 @@ def _begun(model: Model, time_step: TimeStep, state: State, last: Float[Array, "
     if over_step(model.system):
         motion = unpack_motion(model.system, [*middle.halfway, *middle.predicted])
         forces = middle.free_motion.forces
-        at = coordinates_of(model.system, forces.motions, *motion, forces.angles)
+        at = coordinates_of(model.system, forces.motions, *motion, forces.followed.angles)
         loads = loads_in_step(model.system, at)
         first = count + sum(own for _, own in contact_components(model.system))
         contacts += stops_as_contacts(loads, handed[first:])
