@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from jaxclear.components.acting import AbstractStateLoad, CoordinateEffect, LoadState
+from jaxclear.components.acting import AbstractStateLoad, CoordinateEffect, LoadState, MotorEnd
 from jaxclear.components.function_of_time import (
     check_function_of_time,
     number_or_function,
@@ -21,15 +21,6 @@ from jaxclear.ground.arguments import check_known
 from jaxclear.ground.quantity import Scalar, count, quantity
 
 ENCODERS = ("motor", "load")
-
-
-class MotorEnd(eqx.Module):
-    """The motor that turns a joint, whose `coordinate` is `ratio` times that of the joint and an
-    `offset` where nothing lies between."""
-
-    coordinate: str = eqx.field(static=True)
-    ratio: Any
-    offset: Any
 
 
 class Servo(AbstractStateLoad):
@@ -125,11 +116,18 @@ class Servo(AbstractStateLoad):
         others = (0,) * (len(positions) - 1)
         return CoordinateEffect((*others, force), rates, 0, 0, force * speeds[-1])
 
+    def sampled_every(self):
+        return self.period
+
     def sampled(self, time, positions, speeds, states):
         torque, error = self._asked(time, positions, speeds, states)
         integral = () if self.ki is None else (states[0] + self.period * error,)
         queue = states[len(integral) :]
         return (*integral, *queue[1:], torque)
+
+    def behind(self, motors):
+        found = motors.get(self.joint)
+        return eqx.tree_at(lambda own: own.motor, self, found, is_leaf=lambda x: x is None)
 
     def _asked(self, time, positions, speeds, states):
         """The torque [N m] that the controller asks for, and the rate of its integral [rad]."""
