@@ -90,16 +90,35 @@ def thread_friction(lead: Any, diameter: Any, flank_angle: Any) -> ThreadFrictio
     return ThreadFriction(lead / (jnp.pi * diameter) * secant, 0.5 * diameter * secant)
 
 
-def loss_level(force: Any, speed: Any, efficiency: Any, backwards: Any) -> Any:
-    r"""Friction [N, N m] at the driving end of a transmission whose line of action carries `force`
-    and moves by `speed`, positive where power goes forwards: :math:`|F|(1/\eta - 1)` where power
-    goes forwards, :math:`|F|(1 - \eta_b)` where it comes back.
+class Holding(NamedTuple):
+    """The `share` of the largest friction that acts, from -1 to 1 along the slip, and the `rate` of
+    the deflection."""
+
+    share: Any
+    rate: Any
+
+
+def holding(deflection: Any, slip: Any, yields: Any) -> Holding:
+    """Friction that holds: a spring up to the deflection at which it `yields`, and no more beyond.
+    It does not creep, and sliding fast it is no stiffer than at rest.
+
+    Source: Prandtl 1928, Z. angew. Math. Mech. 8, 85, doi:10.1002/zamm.19280080202 (an elastic,
+    perfectly plastic element).
+    """
+    beyond = (jnp.abs(deflection) >= yields) & (deflection * slip > 0)
+    return Holding(jnp.clip(deflection / yields, -1.0, 1.0), jnp.where(beyond, 0.0, slip))
+
+
+def loss(force: Any, share: Any, efficiency: Any, backwards: Any) -> Any:
+    r"""Friction [N, N m] against the motion of the driving end of a transmission that pushes back
+    on it by `force` F, of which a `share` from -1 to 1 acts: in full :math:`|F|(1/\eta - 1)` where
+    power goes forwards, :math:`|F|(1 - \eta_b)` where it comes back.
 
     What comes out is :math:`\eta` times what goes in; one that is self-locking has :math:`\eta_b =
-    0`.
+    0`. F is positive where it pushes against a positive motion.
 
     Source: Pelchen, Schweiger & Otter 2002, Modeling and simulating the efficiency of gearboxes and
     of planetary gearboxes, Proc. 2nd Int. Modelica Conference, 257.
     """
-    share = jnp.where(force * speed > 0, 1 / efficiency - 1, 1 - backwards)
-    return jnp.abs(force) * share
+    full = jnp.where(force * share > 0, 1 / efficiency - 1, 1 - backwards)
+    return jnp.abs(force) * full * share

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxclear.laws.transmission import freewheel, loss_level, one_sided, thread_friction
+from jaxclear.laws.transmission import freewheel, holding, loss, one_sided, thread_friction
 
 K, D = 2e3, 0.7
 
@@ -60,7 +60,16 @@ def test_inclined_flanks_take_more():
 
 def test_what_comes_out_is_its_share_of_what_goes_in():
     force = 40.0
-    forwards = force + loss_level(force, 2.0, 0.9, 0.7)
+    forwards = force + loss(force, 1.0, 0.9, 0.7)
     np.testing.assert_allclose(force / forwards, 0.9, rtol=1e-14)
-    back = force - loss_level(force, -2.0, 0.9, 0.7)
+    back = force + loss(force, -1.0, 0.9, 0.7)
     np.testing.assert_allclose(back / force, 0.7, rtol=1e-14)
+    # self-locking: nothing is left to turn it
+    assert force + loss(force, -1.0, 0.4, 0.0) == 0
+
+
+def test_friction_that_holds_is_a_spring_and_then_no_more():
+    assert holding(2e-4, 0.0, 1e-3) == (0.2, 0.0)
+    share, rate = holding(1e-3, 5.0, 1e-3)
+    assert share == 1 and rate == 0
+    assert holding(1e-3, -5.0, 1e-3).rate == -5.0
