@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxclear.components.load import AbstractCoordinateLoad, AbstractStateLoad, Side
+from jaxclear.components.acting import AbstractCoordinateLoad, AbstractStateLoad, Side
 from jaxclear.formulations.contact_rows import ContactJacobianRow
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
