@@ -50,7 +50,7 @@ class Side(NamedTuple):
 
 class MotorEnd(eqx.Module):
     """The motor behind a joint: its `coordinate`, which is `ratio` times that of the joint and an
-    `offset` where nothing lies between."""
+    `offset` (None: 0) where nothing lies between."""
 
     coordinate: str = eqx.field(static=True)
     ratio: Any

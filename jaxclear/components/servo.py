@@ -127,13 +127,16 @@ class Servo(AbstractStateLoad):
 
     def behind(self, motors):
         found = motors.get(self.joint)
+        if found is None:
+            return self
         return eqx.tree_at(lambda own: own.motor, self, found, is_leaf=lambda x: x is None)
 
     def _asked(self, time, positions, speeds, states):
         """The torque [N m] that the controller asks for, and the rate of its integral [rad]."""
         position, speed = positions[0], speeds[0]
         if self.motor is not None and self.encoder != "load":
-            position = (position - self.motor.offset) / self.motor.ratio
+            offset = 0 if self.motor.offset is None else self.motor.offset
+            position = (position - offset) / self.motor.ratio
             speed = speed / self.motor.ratio
         wanted, rate = _motion(self.reference, time)
         error = wanted - position

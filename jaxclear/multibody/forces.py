@@ -42,7 +42,7 @@ class Forces(NamedTuple):
     `on_joints`: wrenches of loads on coordinates outside the tree, by joint, on its child about its
     marker in the parent marker's axes; `followed`: what of the state such coordinates were read by;
     `state_rates` of loads and flanks, by load or coupling; `pressing`: what couplings with play or
-    stiffness do.
+    stiffness do; `on_drives`: forces of couplings on coordinates that drives prescribe, by link.
     """
 
     motions: tuple[Motion, ...]
@@ -56,6 +56,7 @@ class Forces(NamedTuple):
     followed: Followed
     state_rates: dict[str, tuple]
     pressing: dict[str, Pressing]
+    on_drives: dict[int, Any]
 
 
 def contact_reports(
@@ -101,10 +102,10 @@ def applied_forces(
                     _add(wrenches, link, _in_link(action, motions[link], marker))
             stored, damping = sp.add(stored, effect.stored), sp.add(damping, effect.dissipated)
             external = sp.add(external, effect.external)
-    acting = _Acting(wrenches, [(0,) * len(motion.columns) for motion in motions], {})
+    acting = _Acting(wrenches, [(0,) * len(motion.columns) for motion in motions], {}, {})
     rates: dict[str, tuple] = {}
     for label, held in coordinate_loads(system):
-        seen = [_seen(system, motions, name, (q, v), followed) for name in held.coordinates()]
+        seen = [_seen(system, motions, name, followed) for name in held.coordinates()]
         states = states_of(label, held, followed)
         found = held.effect(
             time, tuple(own.position for own in seen), tuple(own.speed for own in seen), states
@@ -120,15 +121,15 @@ def applied_forces(
         _give(system, motions, own, pressed[name].torque, acting)
         if own.has_twist:
             rates[name] = (pressed[name].end_rate,)
-        given = transmissions.driven_power(motions, own, pressed[name].torque)
         stored, damping = (
             sp.add(stored, pressed[name].stored),
             sp.add(damping, pressed[name].dissipated),
         )
-        external = sp.add(external, given)
+    for link, force in acting.on_drives.items():
+        external = sp.sub(external, sp.mul(force, motions[link].speeds[0]))
     links = (tuple(acting.wrenches), tuple(acting.forces))
     told = (stored, damping, external, acting.on_joints, followed, rates, pressed)
-    return Forces(motions, reports, *links, *told)
+    return Forces(motions, reports, *links, *told, acting.on_drives)
 
 
 def pressing_of(
@@ -151,11 +152,20 @@ def states_of(name: str, load: AbstractStateLoad, followed: Followed) -> tuple:
 
 class _Acting(NamedTuple):
     """What acts so far: wrenches on links, forces on their coordinates, wrenches of loads on
-    coordinates outside the tree, by joint."""
+    coordinates outside the tree, by joint, and forces on coordinates that drives prescribe, by
+    link."""
 
     wrenches: list[Wrench]
     forces: list[tuple]
     on_joints: dict[str, Wrench]
+    on_drives: dict[int, Any]
+
+    def along(self, link: int, force: Any) -> None:
+        """Adds a force on the single coordinate of a link."""
+        if self.forces[link]:
+            self.forces[link] = (sp.add(self.forces[link][0], force),)
+        else:
+            self.on_drives[link] = sp.add(self.on_drives.get(link, 0), force)
 
 
 class _Seen(NamedTuple):
@@ -166,25 +176,28 @@ class _Seen(NamedTuple):
     push: Callable[[_Acting, Any], None]
 
 
-def _seen(
-    system: System, motions: tuple[Motion, ...], name: str, moving: tuple, followed: Followed
-) -> _Seen:
+def seen_coordinates(
+    system: System, motions: tuple[Motion, ...], load: AbstractStateLoad, followed: Followed
+) -> tuple[tuple, tuple]:
+    """Positions and speeds of the coordinates that a load reads."""
+    seen = [_seen(system, motions, name, followed) for name in load.coordinates()]
+    return tuple(own.position for own in seen), tuple(own.speed for own in seen)
+
+
+def _seen(system: System, motions: tuple[Motion, ...], name: str, followed: Followed) -> _Seen:
     """The coordinate of a joint, or of a motor."""
     if name in system.geared:
         own = system.geared[name]
-        joint = _seen(system, motions, own.joint, moving, followed)
+        joint = _seen(system, motions, own.joint, followed)
         position = sp.mul(own.ratio, joint.position)
         position = position if own.offset is None else position + own.offset
         turned = lambda acting, force: joint.push(acting, sp.mul(own.ratio, force))
         return _Seen(position, sp.mul(own.ratio, joint.speed), turned)
-    branch, (q, v) = system.topology.branch_of(name), moving
+    branch = system.topology.branch_of(name)
     if branch is not None:
         index = system.topology.branches.index(branch)
-
-        def along(acting, force):
-            acting.forces[index] = (sp.add(acting.forces[index][0], force),)
-
-        return _Seen(q[index][0], v[index][0], along)
+        own, along = motions[index], lambda acting, force: acting.along(index, force)
+        return _Seen(own.coordinates[0], own.speeds[0], along)
     coordinate = system.measured[name]
     now = closure_coordinates.read(coordinate, motions, followed.angles.get(name))
 
@@ -198,8 +211,8 @@ def _seen(
 
 def _give(system, motions, own, torque, acting) -> None:
     """Adds the torque of a coupling."""
-    for link, force in transmissions.on_coordinates(system, own, torque):
-        acting.forces[link] = (sp.add(acting.forces[link][0], force),)
+    for link, force in transmissions.on_coordinates(own, torque):
+        acting.along(link, force)
     for closure, pose, wrench, joint in transmissions.on_closures(motions, own, torque):
         add_action_and_reaction(acting.wrenches, closure, pose, *wrench)
         if joint is not None:

@@ -17,10 +17,11 @@ from jaxclear.components.clearance import AbstractClearance, ContactLaws
 from jaxclear.components.coupling import (
     AbstractCoordinateCoupling,
     AbstractCoupling,
+    AbstractForceCoupling,
     CoordinateTerm,
 )
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Revolute
-from jaxclear.components.load import AbstractBodyLoad, AbstractStateLoad, Gravity
+from jaxclear.components.load import AbstractBodyLoad, AbstractStateLoad, Gravity, MotorEnd
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST, Pose
 from jaxclear.multibody.contact_point import fitted_laws
@@ -139,7 +140,7 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
         joint = mechanism.connections[name].joint
         bearings[name] = Bearing(closure(name, joint.ideal_rows), joint, fitted_laws(joint))
     loads, load_markers, gravity = {}, {}, sp.ZERO
-    for name, load in mechanism.loads.items():
+    for name, load in acting_in(mechanism).items():
         if isinstance(load, Gravity):
             gravity = sp.vec3(load.acceleration)
         else:
@@ -164,6 +165,29 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     if not topology.depend:
         return system
     return dataclasses.replace(system, arm=longest_arm(system))
+
+
+def acting_in(mechanism: Mechanism) -> dict[str, Any]:
+    """Loads and the couplings that are forces between coordinates, by name; each knows the motors
+    behind its joints."""
+    ends: dict[str, MotorEnd] = {}
+    for name, coupling in mechanism.couplings.items():
+        joints = coupling.joints()
+        if coupling.motor is not None and coupling.gives and len(joints) == 1:
+            ends[joints[0]] = _motor_end(mechanism, name)
+    found = {}
+    for name, load in mechanism.loads.items():
+        found[name] = load.behind(ends) if isinstance(load, AbstractStateLoad) else load
+    own = mechanism.couplings.items()
+    return found | {n: c for n, c in own if isinstance(c, AbstractForceCoupling)}
+
+
+def _motor_end(mechanism: Mechanism, name: str) -> MotorEnd:
+    """The motor of a coupling as its joint sees it."""
+    motor, terms = motor_name(name), dict(_terms(mechanism, name))
+    own, total = terms.pop(motor), mechanism.couplings[name].total()
+    (factor,) = terms.values()
+    return MotorEnd(motor, -factor / own, None if total is None else total / own)
 
 
 def _row(mechanism: Mechanism, name: str, places: dict, frames: dict) -> Closure:
@@ -195,11 +219,8 @@ def geared_motors(mechanism: Mechanism) -> dict[str, Geared]:
     for name, coupling in mechanism.couplings.items():
         motor = motor_name(name)
         if motor in dict(mechanism.topology.geared):
-            terms, total = dict(_terms(mechanism, name)), coupling.total()
-            own = terms.pop(motor)
-            ((joint, factor),) = terms.items()
-            offset = None if total is None else total / own
-            found[motor] = Geared(joint, -factor / own, offset)
+            end = _motor_end(mechanism, name)
+            found[motor] = Geared(coupling.joints()[0], end.ratio, end.offset)
     return found
 
 
@@ -233,7 +254,7 @@ def _summed(mechanism: Mechanism, name: str, places: dict[str, Closure]) -> Clos
 
 def _measured(mechanism: Mechanism, places: dict[str, Closure]) -> dict[str, ClosureCoordinate]:
     """Joints outside the tree, of these closures, on whose coordinate loads act."""
-    acting = [x for x in mechanism.loads.values() if isinstance(x, AbstractStateLoad)]
+    acting = [x for x in acting_in(mechanism).values() if isinstance(x, AbstractStateLoad)]
     found = {}
     for name, closure in places.items():
         own = [load for load in acting if name in load.coordinates()]

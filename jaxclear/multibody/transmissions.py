@@ -170,15 +170,14 @@ class Acting(NamedTuple):
     joint: str | None
 
 
-def on_coordinates(system: System, own: Transmission, torque: Any) -> list[tuple[int, Any]]:
+def on_coordinates(own: Transmission, torque: Any) -> list[tuple[int, Any]]:
     """(link, generalised force) of a torque against the twist on coordinates that the tree
     carries."""
     reading = own.closure.reading
     if not isinstance(reading, CoordinateSum):
         return []
     along = -torque / own.scale
-    free = {i for i, b in enumerate(system.topology.branches) if b.speed_count}
-    return [(t.link, t.factor * along) for t in reading.terms if t.link in free]
+    return [(t.link, t.factor * along) for t in reading.terms if t.link is not None]
 
 
 def on_closures(motions: tuple[Motion, ...], own: Transmission, torque: Any) -> list[Acting]:
@@ -191,13 +190,3 @@ def on_closures(motions: tuple[Motion, ...], own: Transmission, torque: Any) -> 
     (slope,) = pose_rows.gradients(closure.reading, pose)[1]
     parts = (sp.scale(along, part) for part in slope.wrench(pose))
     return [Acting(closure, pose, Wrench(*parts), None)]
-
-
-def driven_power(motions: tuple[Motion, ...], own: Transmission, torque: Any) -> Any:
-    """Power [W] that such a torque takes from coordinates that drives prescribe."""
-    reading = own.closure.reading
-    if not isinstance(reading, CoordinateSum):
-        return 0
-    along = -torque / own.scale
-    terms = [t for t in reading.terms if t.link is not None and motions[t.link].prescribed]
-    return sp.total(-along * t.factor * motions[t.link].speeds[0] for t in terms)

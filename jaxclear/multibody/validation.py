@@ -18,7 +18,11 @@ import numpy as np
 
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance
-from jaxclear.components.coupling import AbstractCoordinateCoupling, AbstractCoupling
+from jaxclear.components.coupling import (
+    AbstractCoordinateCoupling,
+    AbstractCoupling,
+    AbstractForceCoupling,
+)
 from jaxclear.components.drive import AbstractDrive
 from jaxclear.components.joint import AbstractJoint, Revolute
 from jaxclear.components.joint.base import drive_of
@@ -411,6 +415,9 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
                     f'coupling "{name}" names joint "{joint}" twice; it couples different joints.'
                 )
             check_known("joint", joint, connections, f' for coupling "{name}"')
+        if isinstance(coupling, AbstractForceCoupling):
+            _check_forces(name, coupling, couplings, bodies, connections)
+            continue
         if isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None:
             if coupling.motor is not None:
                 coupling.terms()
@@ -428,6 +435,25 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
                 coupling.check(drawn_pose(coupling, bodies, connections))
             except ValueError as error:
                 raise ValueError(f'coupling "{name}" {error}') from None
+
+
+def _check_forces(
+    name: str, coupling: Any, couplings: dict, bodies: dict, connections: dict
+) -> None:
+    """That the joints of a coupling that is a force have one coordinate each, one of them at least
+    free, and its motors are there."""
+    known, driven = _motors(bodies, connections, couplings), []
+    for place in coupling.coordinates():
+        if place not in coupling.joints():
+            check_known("motor", place, known, f' for coupling "{name}"')
+            continue
+        joint = one_coordinate(f'coupling "{name}" speaks of', place, bodies, connections)
+        driven += [place] if drive_of(joint) is not None else []
+    if len(driven) == len(coupling.coordinates()):
+        raise ValueError(
+            f'coupling "{name}" ties joints {listed(driven)}, all of which are driven; leave one '
+            "of the drives out."
+        )
 
 
 def _warn_of_locks(couplings: dict) -> None:

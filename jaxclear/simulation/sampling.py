@@ -66,7 +66,7 @@ def sampled(model: Model, time: Any, state: Float[Array, " n"]) -> Float[Array, 
     followed = unpack_followed(layout, entries)
     owners = [owner for owner, _ in layout.states]
     for name, load in sampled_loads(system).items():
-        positions, speeds = seen_coordinates(system, load, motions, followed.angles)
+        positions, speeds = seen_coordinates(system, motions, load, followed)
         held = followed.states[name]
         found = load.sampled(time, positions, speeds, held)
         turns = time / load.sampled_every()

@@ -85,3 +85,9 @@ class Cam(AbstractForceCoupling):
             rub = self.friction * force * smooth_sign(jnp.asarray(slip), self.transition_speed)
             torque, lost = torque - lever * rub, lost + rub * slip
         return CoordinateEffect((torque, force), (), stored, lost, 0)
+
+    def transmitted(self, effect):
+        return effect.forces[1]
+
+    def along(self):
+        return self.follower

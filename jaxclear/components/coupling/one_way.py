@@ -47,3 +47,9 @@ class OneWay(AbstractForceCoupling):
 
     def reads_position(self):
         return False
+
+    def transmitted(self, effect):
+        return -effect.forces[0]
+
+    def along(self):
+        return self.a

@@ -48,3 +48,9 @@ class Rope(AbstractForceCoupling):
         slack = self.pretension / self.stiffness
         force, stored, lost = one_sided(longer + slack, rate, self.stiffness, self.damping)
         return CoordinateEffect(tuple(-r * force for r in self.radii), (), stored, lost, 0)
+
+    def transmitted(self, effect):
+        return -effect.forces[0] / self.radii[0]
+
+    def along(self):
+        return None
