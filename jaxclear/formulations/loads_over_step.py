@@ -9,7 +9,6 @@ Nothing here is evaluated in a mechanism without such loads.
 """
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -19,12 +18,14 @@ from jaxclear.components.acting import AbstractCoordinateLoad, AbstractStateLoad
 from jaxclear.formulations.contact_rows import ContactJacobianRow
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part
 from jaxclear.laws.rebound import restitution_of
-from jaxclear.multibody import closure_coordinates, kinematics
-from jaxclear.multibody.forces import Forces, add_action_and_reaction
+from jaxclear.multibody import constraints, kinematics
+from jaxclear.multibody.forces import Acting, Forces, give, seen_at
 from jaxclear.multibody.kinematics import along
-from jaxclear.multibody.state import unpack_motion
-from jaxclear.multibody.system import System, coordinate_loads
+from jaxclear.multibody.state import Followed, unpack_motion
+from jaxclear.multibody.system import System, Transmission, coordinate_loads
+from jaxclear.multibody.transmissions import Pressing, twist_of
 from jaxclear.multibody.tree import Motion
 
 # Explicit steps h follow a spring up to h omega = 2 and a damper up to h d / m = 2; they are left
@@ -51,6 +52,16 @@ class OverStep(AbstractCoordinateLoad):
         return self.load.dry_friction()
 
 
+class Held(NamedTuple):
+    """What a step finds the force of: the coordinate `on` which it acts, of a joint, a motor, or
+    the twist of a coupling (then a `flank`), the sides at which it stops that, and its friction."""
+
+    on: str
+    sides: tuple[Side, ...]
+    friction: Any
+    flank: bool = False
+
+
 def found_over_steps(system: System) -> System:
     """The system with stops and dry friction as loads whose force steps find."""
     found = {
@@ -61,19 +72,41 @@ def found_over_steps(system: System) -> System:
     return dataclasses.replace(system, loads=system.loads | found) if found else system
 
 
-def over_step(system: System) -> dict[str, OverStep]:
-    """The loads of a system whose force steps find, by name."""
-    return {name: load for name, load in coordinate_loads(system) if isinstance(load, OverStep)}
+def with_rigid_flanks(system: System) -> System:
+    """The system whose plays with a restitution are between rigid flanks."""
+    plays = {name: own.coupling.play for name, own in system.transmissions.items()}
+    rigid = [name for name, play in plays.items() if play and play.restitution is not None]
+    if not rigid:
+        return system
+    others = {n: own for n, own in system.transmissions.items() if n not in rigid}
+    flanks = {name: system.transmissions[name] for name in rigid}
+    return dataclasses.replace(system, transmissions=others, flanks=flanks)
+
+
+def held(system: System) -> dict[str, Held]:
+    """What steps find the force of, by the name under which states hold its impulse: loads, then
+    plays."""
+    found = {
+        impulse_of(name): Held(load.connection, load.sides(), load.dry_friction())
+        for name, load in coordinate_loads(system)
+        if isinstance(load, OverStep)
+    }
+    for name, own in system.flanks.items():
+        play = own.coupling.play
+        middle, half = 0.0 if play.middle is None else play.middle, 0.5 * play.play
+        sides = Side(1.0, middle - half, play), Side(-1.0, middle + half, play)
+        found[play_of(name)] = Held(name, sides, None, True)
+    return found
 
 
 def may_strike(system: System) -> bool:
-    """Whether something may strike: a contact, or a coordinate its stop."""
-    return bool(system.bearings) or any(load.sides() for load in over_step(system).values())
+    """Whether something may strike: a contact, a coordinate its stop, or a flank the other."""
+    return bool(system.bearings) or any(own.sides for own in held(system).values())
 
 
 def load_components(system: System) -> tuple[tuple[str, int], ...]:
-    """By load whose force steps find, how many components it has in states that hold impulses."""
-    return tuple((impulse_of(name), 1) for name in over_step(system))
+    """How many components what steps find the force of has in states that hold impulses."""
+    return tuple((name, 1) for name in held(system))
 
 
 def impulse_of(name: str) -> str:
@@ -81,9 +114,14 @@ def impulse_of(name: str) -> str:
     return f"load {name}"
 
 
+def play_of(name: str) -> str:
+    """What states call the impulse of the flanks of a coupling, along its twist."""
+    return f"play {name}"
+
+
 class Coordinate(NamedTuple):
-    """The coordinate of a joint at an instant: its `position` [rad, m] and `speed`, and the row of
-    its speed by the speeds of the mechanism."""
+    """A coordinate at an instant: its `position` [rad, m] and `speed`, and the row of its speed by
+    the speeds of the mechanism."""
 
     position: Any
     speed: Any
@@ -91,74 +129,82 @@ class Coordinate(NamedTuple):
 
 
 def coordinates_of(
-    system: System, motions: tuple[Motion, ...], q: tuple, v: tuple, angles: Mapping[str, Any]
+    system: System, motions: tuple[Motion, ...], followed: Followed
 ) -> dict[str, Coordinate]:
-    """The coordinates on which loads act whose force steps find, by joint or motor."""
-    names = dict.fromkeys(load.connection for load in over_step(system).values())
-    return {name: _coordinate(system, motions, name, (q, v), angles) for name in names}
+    """The coordinates of all that steps find the force of, by its name."""
+    return {
+        name: _twist(system, motions, system.flanks[own.on])
+        if own.flank
+        else _coordinate(system, motions, own.on, followed)
+        for name, own in held(system).items()
+    }
+
+
+def _twist(system: System, motions: tuple[Motion, ...], own: Transmission) -> Coordinate:
+    rows = constraints.constraint_rows(system, motions, own.closure)
+    row = {j: entry / own.scale for j, entry in rows.jacobian[0].items()}
+    return Coordinate(rows.residuals[0] / own.scale, rows.rates[0] / own.scale, row)
 
 
 def _coordinate(
-    system: System, motions: tuple[Motion, ...], name: str, moving: tuple, angles: Mapping[str, Any]
+    system: System, motions: tuple[Motion, ...], name: str, followed: Followed
 ) -> Coordinate:
     if name in system.geared:
-        geared = system.geared[name]
-        joint = _coordinate(system, motions, geared.joint, moving, angles)
-        position = geared.ratio * joint.position
-        position = position if geared.offset is None else position + geared.offset
-        row = {j: sp.mul(geared.ratio, entry) for j, entry in joint.row.items()}
-        return Coordinate(position, geared.ratio * joint.speed, row)
-    branch, (q, v) = system.topology.branch_of(name), moving
-    if branch is not None:
-        k = system.topology.branches.index(branch)
-        return Coordinate(q[k][0], v[k][0], {branch.speeds.start: 1})
-    own = system.measured[name]
-    now = closure_coordinates.read(own, motions, angles.get(name))
-    rates = own.joint.speeds_at
-    (row,) = kinematics.relative_jacobian(system, motions, own.closure, now.pose, rates)
+        ratio = system.geared[name].ratio
+        joint = _coordinate(system, motions, system.geared[name].joint, followed).row
+        row = {j: sp.mul(ratio, entry) for j, entry in joint.items()}
+    elif system.topology.branch_of(name) is not None:
+        row = {system.topology.branch_of(name).speeds.start: 1}
+    else:
+        own = system.measured[name]
+        pose, rates = kinematics.relative_motion(own.closure, motions)[1], own.joint.speeds_at
+        (row,) = kinematics.relative_jacobian(system, motions, own.closure, pose, rates)
+    now = seen_at(system, motions, name, followed)
     return Coordinate(now.position, now.speed, row)
 
 
 def coordinates_at(
-    model: Model, time: Any, entries: list, angles: Mapping[str, Any]
+    model: Model, time: Any, entries: list, followed: Followed
 ) -> dict[str, Coordinate]:
-    """The same at coordinates and speeds, one after the other, near these angles."""
-    motion = unpack_motion(model.system, entries)
-    motions = kinematics.link_motions(model.system, *motion, time)
-    return coordinates_of(model.system, motions, *motion, angles)
+    """The same at coordinates and speeds, one after the other."""
+    motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
+    return coordinates_of(model.system, motions, followed)
 
 
 def with_loads(system: System, forces: Forces, given: dict[str, Any]) -> Forces:
-    """The forces with those [N m, N] `given` by loads that steps find, by load."""
-    loads = over_step(system)
-    if not loads:
+    """The forces with those `given` by what steps find the force of [N m, N], by its name."""
+    every = held(system)
+    if not every:
         return forces
-    on, wrenches = list(forces.coordinate_forces), list(forces.wrenches)
-    on_joints = dict(forces.on_joints)
-    for name, load in loads.items():
-        joint, force = load.connection, given[name]
-        if joint in system.geared:
-            geared = system.geared[joint]
-            joint, force = geared.joint, sp.mul(geared.ratio, force)
-        branch = system.topology.branch_of(joint)
-        if branch is not None:
-            k = system.topology.branches.index(branch)
-            on[k] = (sp.add(on[k][0], force),)
+    links = list(forces.wrenches), list(forces.coordinate_forces)
+    acting, pressing = Acting(*links, dict(forces.on_joints), {}), dict(forces.pressing)
+    for name, own in every.items():
+        if not own.flank:
+            seen_at(system, forces.motions, own.on, forces.followed).push(acting, given[name])
             continue
-        own = system.measured[joint]
-        now = closure_coordinates.read(own, forces.motions, forces.followed.angles.get(joint))
-        wrench = tuple(sp.scale(force, part) for part in now.wrench)
-        add_action_and_reaction(wrenches, own.closure, now.pose, *wrench)
-        before = on_joints[joint]
-        on_joints[joint] = type(before)(*map(sp.plus, before, wrench))
+        flanks, torque = system.flanks[own.on], -given[name]
+        give(system, forces.motions, flanks, torque, acting)
+        twist, none = twist_of(system, forces.motions, flanks), (0.0, 0.0)
+        torques = positive_part(torque), positive_part(-torque)
+        pressing[own.on] = Pressing(torque, None, 0.0, 0.0, twist, none, none, torques)
+    external, on_drives = forces.external_power, dict(forces.on_drives)
+    for link, force in acting.on_drives.items():
+        external = sp.sub(external, sp.mul(force, forces.motions[link].speeds[0]))
+        on_drives[link] = sp.add(on_drives.get(link, 0), force)
     return forces._replace(
-        wrenches=tuple(wrenches), coordinate_forces=tuple(on), on_joints=on_joints
+        wrenches=tuple(acting.wrenches),
+        coordinate_forces=tuple(acting.forces),
+        on_joints=acting.on_joints,
+        pressing=pressing,
+        external_power=external,
+        on_drives=on_drives,
     )
 
 
 def forces_of_means(instant: Instant) -> dict[str, Any]:
-    """By load its force [N m, N] at a saved instant whose state holds impulses."""
-    return {name: instant.means_of(impulse_of(name))[0] for name in over_step(instant.model.system)}
+    """By its name the force [N m, N] of all that steps find it of, at a saved instant whose state
+    holds impulses."""
+    return {name: instant.means_of(name)[0] for name in held(instant.model.system)}
 
 
 class StopInStep(NamedTuple):
@@ -221,7 +267,7 @@ class LoadsInStep(NamedTuple):
 
     def by_load(self, system: System, values: Any) -> dict[str, Any]:
         """Forces or impulses along the rows, as sums by load."""
-        found = dict.fromkeys(over_step(system), 0.0)
+        found = dict.fromkeys(held(system), 0.0)
         for one, value in zip((*self.stops, *self.rubs), values, strict=True):
             sign = one.side.sign if isinstance(one, StopInStep) else 1.0
             found[one.name] = found[one.name] + sign * value
@@ -235,12 +281,11 @@ def loads_in_step(system: System, at: dict[str, Coordinate]) -> LoadsInStep:
     """The loads as a step finds their coordinates."""
     stops: list[StopInStep] = []
     rubs: list[RubInStep] = []
-    for name, load in over_step(system).items():
-        own = at[load.connection]
-        bound = load.dry_friction()
-        if bound is not None:
-            rubs.append(RubInStep(name, bound, own.speed, own.row))
-        for side in load.sides():
+    for name, load in held(system).items():
+        own = at[name]
+        if load.friction is not None:
+            rubs.append(RubInStep(name, load.friction, own.speed, own.row))
+        for side in load.sides:
             row = {j: sp.mul(side.sign, entry) for j, entry in own.row.items()}
             beyond, opening = side.beyond(own.position), side.sign * own.speed
             stops.append(StopInStep(name, side, beyond, opening, row))
@@ -248,7 +293,6 @@ def loads_in_step(system: System, at: dict[str, Coordinate]) -> LoadsInStep:
 
 
 def counts_of_rows(system: System) -> tuple[int, int]:
-    """How many sides stops have, and how many loads rub."""
-    loads = over_step(system).values()
-    stops = sum(len(load.sides()) for load in loads)
-    return stops, sum(load.dry_friction() is not None for load in loads)
+    """How many sides there are at which something is stopped, and how many loads rub."""
+    every = held(system).values()
+    return sum(len(own.sides) for own in every), sum(own.friction is not None for own in every)

@@ -174,7 +174,7 @@ class PermanentContact(AbstractFormulation):
         forces = applied_forces(system, motions, {}, *motion, time_step.middle, followed)
         held = touching(system)
         slips = [slips_of(system, motions, one, middle) for one in held]
-        loads = loads_in_step(system, coordinates_of(system, motions, *motion, followed.angles))
+        loads = loads_in_step(system, coordinates_of(system, motions, followed))
         response = friction_response(model, forces, motion[0], loads)
         if self.regularised:
             speeds = [[slip.at(middle) for slip in own] for own in slips]
@@ -206,7 +206,7 @@ class PermanentContact(AbstractFormulation):
             own = own_rows(loads, friction)
             given = loads.by_load(system, own)
             gained += [h * force for force in given.values()]
-            at_end = coordinates_at(model, time_step.end, [*end, *after], followed.angles)
+            at_end = coordinates_at(model, time_step.end, [*end, *after], followed)
             moved = moved_to_stops(loads, loads_in_step(system, at_end), response, own, h)
             end = displace(system, end, moved.way, 1.0)
         if layout.energies:

@@ -29,10 +29,11 @@ from jaxclear.formulations.loads_over_step import (
     counts_of_rows,
     forces_of_means,
     found_over_steps,
+    held,
     load_components,
     loads_in_step,
-    over_step,
     with_loads,
+    with_rigid_flanks,
 )
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.permanent_reactions import (
@@ -112,7 +113,7 @@ class RigidContact(AbstractFormulation):
         return mechanism
 
     def prepared(self, system):
-        return found_over_steps(system)
+        return with_rigid_flanks(found_over_steps(system))
 
     def impulses(self, system):
         return contact_components(system) + joint_components(system) + load_components(system)
@@ -226,10 +227,9 @@ def _begun(model: Model, time_step: TimeStep, state: State, last: Float[Array, "
     names = [name for name, own in model.system.bearings.items() for _ in own.contact_laws]
     contacts = unilateral_contacts(middle.free_motion.contacts, names, handed[count:-1])
     loads = LoadsInStep((), ())
-    if over_step(model.system):
-        motion = unpack_motion(model.system, [*middle.halfway, *middle.predicted])
+    if held(model.system):
         forces = middle.free_motion.forces
-        at = coordinates_of(model.system, forces.motions, *motion, forces.followed.angles)
+        at = coordinates_of(model.system, forces.motions, forces.followed)
         loads = loads_in_step(model.system, at)
         first = count + sum(own for _, own in contact_components(model.system))
         contacts += stops_as_contacts(loads, handed[first:])

@@ -313,8 +313,8 @@ def _stops_beyond(
     way."""
     if not stops:
         return []
-    angles = middle.free_motion.forces.followed.angles
-    found = loads_in_step(model.system, coordinates_at(model, time, end, angles)).stops
+    followed = middle.free_motion.forces.followed
+    found = loads_in_step(model.system, coordinates_at(model, time, end, followed)).stops
     each = [(one.beyond, own.spring) for one, own in zip(found, stops, strict=True)]
     return [x if own is None else jnp.where(own.acts, 0.0, x) for x, own in each]
 

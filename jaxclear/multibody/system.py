@@ -89,7 +89,8 @@ class Geared(eqx.Module):
 class System(eqx.Module):
     """Links in the topology's order, loop closures and the joints that make them, clearance joints,
     couplings that give, and loads; `measured`: joints outside the tree on whose coordinate loads
-    act; `geared`: motors that turn with a joint. `arm` [m]: the longest, where rows of loops depend
+    act; `geared`: motors that turn with a joint; `flanks`: couplings whose play is between rigid
+    ones. `arm` [m]: the longest, where rows of loops depend
     on each other; None elsewhere.
     """
 
@@ -105,6 +106,7 @@ class System(eqx.Module):
     topology: Topology = eqx.field(static=True)
     transmissions: dict[str, Transmission] = eqx.field(default_factory=dict)
     geared: dict[str, Geared] = eqx.field(default_factory=dict)
+    flanks: dict[str, Transmission] = eqx.field(default_factory=dict)
 
 
 def _turned(pose: Pose, turn: sp.Mat) -> Pose:

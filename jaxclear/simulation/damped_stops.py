@@ -13,12 +13,16 @@ from jaxtyping import Array, Float
 from jaxclear.components.load import AbstractStateLoad, JointStop
 from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.formulations.contact_rows import ContactJacobianRow
-from jaxclear.formulations.loads_over_step import coordinates_of, found_over_steps
+from jaxclear.formulations.loads_over_step import (
+    coordinates_of,
+    found_over_steps,
+    impulse_of,
+)
 from jaxclear.laws.rebound import damping_ratio_of
 from jaxclear.multibody import constraints, dynamics, kinematics, tree
 from jaxclear.multibody.constraints import ClosureEquations
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
-from jaxclear.multibody.state import unpack_motion
+from jaxclear.multibody.state import Followed, unpack_motion
 from jaxclear.multibody.system import System
 
 
@@ -46,11 +50,11 @@ def with_damped_stops(
     system = found_over_steps(model_of(mechanism, formulation).system)
     q, v = unpack_motion(system, jnp.concatenate([coordinates, speeds]))
     motions = kinematics.link_motions(system, q, v, time)
-    at = coordinates_of(system, motions, q, v, {})
+    at = coordinates_of(system, motions, Followed())
     loads = dict(mechanism.loads)
     for name in names:
         stop: JointStop = loads[name]
-        inertia = 1 / lightness_along(system, motions, at[stop.connection].row, mechanism)
+        inertia = 1 / lightness_along(system, motions, at[impulse_of(name)].row, mechanism)
         ratio = damping_ratio_of(stop.restitution)
         damping = 2 * ratio * jnp.sqrt(stop.stiffness * inertia)
         loads[name] = dataclasses.replace(stop, damping=damping)

@@ -11,6 +11,8 @@ class Backlash(AbstractQuantified):
 
     `play`: the whole of it, half on each side of the `middle`, where the flanks are found; `law`:
     how a flank presses, one of `jaxclear.flank`. Stiffness and damping are those of the coupling.
+    With a `restitution` flanks are rigid in `MoreauJean`, and the parts leave one with this share
+    of the speed with which they meet it; stiffness and damping then count nothing there.
     """
 
     play: Scalar = quantity(
@@ -20,3 +22,11 @@ class Backlash(AbstractQuantified):
         None, "rad", "where the middle of the play is (m for a sliding joint)", kw_only=True
     )
     law: AbstractFlankLaw = eqx.field(default_factory=Nordin, kw_only=True)
+    restitution: Scalar | None = quantity(
+        None,
+        "1",
+        "share of the speed with which rigid flanks part",
+        at_least=0,
+        at_most=1,
+        kw_only=True,
+    )
