@@ -8,6 +8,7 @@ the carried forces are known (a guide); a journal's turn with $T$ and are iterat
 Coordinates move by exponentials of the mean speeds, so rotations stay on their group.
 """
 
+import dataclasses
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -74,11 +75,12 @@ from jaxclear.multibody.system import System, prepare
 
 def fit(mechanism: Mechanism) -> Mechanism:
     """The mechanism with every clearance joint replaced by the joint that it is while it always
-    touches.
+    touches, and every play of couplings seated.
 
     Starts and speeds are kept: they may name joints and bodies whatever holds them. Raises
     `ValueError` where a joint has no such form.
     """
+    mechanism = _with_seated_plays(mechanism)
     if not mechanism.topology.clearances:
         return mechanism
     connections = {}
@@ -88,6 +90,17 @@ def fit(mechanism: Mechanism) -> Mechanism:
             joint = permanent_joint(name, joint)
         connections[name] = Connection(joint, connection.parent, connection.child)
     return rebuilt(mechanism, connections=connections)
+
+
+def _with_seated_plays(mechanism: Mechanism) -> Mechanism:
+    couplings = {
+        name: dataclasses.replace(own, play=dataclasses.replace(own.play, seated=True))
+        for name, own in mechanism.couplings.items()
+        if own.play is not None and not own.play.seated
+    }
+    if not couplings:
+        return mechanism
+    return rebuilt(mechanism, couplings=mechanism.couplings | couplings)
 
 
 def permanent_joint(name: str, joint: AbstractClearance) -> AbstractJoint:

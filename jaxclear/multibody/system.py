@@ -159,7 +159,7 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     for name, coupling in mechanism.couplings.items():
         if coupling.gives:
             own = _row(mechanism, name, places, frames)
-            transmissions[name] = Transmission(own, _scale(mechanism, coupling), coupling)
+            transmissions[name] = Transmission(own, scale_of(mechanism, coupling), coupling)
     measured = _measured(mechanism, places)
     loaded = (loads, measured, load_markers, gravity)
     behind = (transmissions, geared_motors(mechanism))
@@ -201,7 +201,7 @@ def _row(mechanism: Mechanism, name: str, places: dict, frames: dict) -> Closure
     return _meshing(mechanism, coupling, frames)
 
 
-def _scale(mechanism: Mechanism, coupling: Any) -> Any:
+def scale_of(mechanism: Mechanism, coupling: Any) -> Any:
     """What the residual of a coupling is divided by, so that it is its twist."""
     if isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None:
         return coupling.terms()[0].factor
