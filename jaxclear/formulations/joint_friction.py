@@ -112,10 +112,10 @@ def with_rows_of_loads(
     speeds += [one.speed for one in loads.rubs]
     free = [sp.add(x, along(row, ahead)) for x, row in zip(speeds, rows, strict=True)]
     moves = [[h * along(row, unit.accelerations) for unit in response.units] for row in rows]
-    first, rules = problem.components(), []
+    first, rules = problem.components(), list[Any]()
     for k, stop in enumerate(loads.stops):
         closed = stop.beyond - 0.5 * h * free[k] >= 0
-        low, high = 0.0, jnp.where(closed, jnp.inf, 0.0)
+        low, high = jnp.zeros(()), jnp.where(closed, jnp.inf, 0.0)
         if stop.side.stop.restitution is None:
             followed, spring = stop.followed(moves[k][first + k] / h, h), stop.spring()
             low, high = jnp.where(followed, spring, low), jnp.where(followed, spring, high)

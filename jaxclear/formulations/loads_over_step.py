@@ -92,7 +92,7 @@ def held(system: System) -> dict[str, Held]:
         if isinstance(load, OverStep)
     }
     for name, own in system.flanks.items():
-        play = own.coupling.play
+        play: Any = own.coupling.play
         middle, half = 0.0 if play.middle is None else play.middle, 0.5 * play.play
         sides = Side(1.0, middle - half, play), Side(-1.0, middle + half, play)
         found[play_of(name)] = Held(name, sides, None, True)
@@ -149,12 +149,13 @@ def _twist(system: System, motions: tuple[Motion, ...], own: Transmission) -> Co
 def _coordinate(
     system: System, motions: tuple[Motion, ...], name: str, followed: Followed
 ) -> Coordinate:
+    branch = system.topology.branch_of(name)
     if name in system.geared:
         ratio = system.geared[name].ratio
         joint = _coordinate(system, motions, system.geared[name].joint, followed).row
         row = {j: sp.mul(ratio, entry) for j, entry in joint.items()}
-    elif system.topology.branch_of(name) is not None:
-        row = {system.topology.branch_of(name).speeds.start: 1}
+    elif branch is not None:
+        row = {branch.speeds.start: 1}
     else:
         own = system.measured[name]
         pose, rates = kinematics.relative_motion(own.closure, motions)[1], own.joint.speeds_at
@@ -256,7 +257,7 @@ class LoadsInStep(NamedTuple):
     @property
     def rows(self) -> list[ContactJacobianRow]:
         """Their rows, those of stops signed as they open."""
-        return [one.row for one in (*self.stops, *self.rubs)]
+        return [*(one.row for one in self.stops), *(one.row for one in self.rubs)]
 
     def lost(self, forces: Any, change: list) -> Any:
         """Power [W] that these forces along the rows take at speeds that differ so from those at
@@ -268,9 +269,10 @@ class LoadsInStep(NamedTuple):
     def by_load(self, system: System, values: Any) -> dict[str, Any]:
         """Forces or impulses along the rows, as sums by load."""
         found = dict.fromkeys(held(system), 0.0)
-        for one, value in zip((*self.stops, *self.rubs), values, strict=True):
-            sign = one.side.sign if isinstance(one, StopInStep) else 1.0
-            found[one.name] = found[one.name] + sign * value
+        signs = [(one.name, one.side.sign) for one in self.stops]
+        signs += [(one.name, 1.0) for one in self.rubs]
+        for (name, sign), value in zip(signs, values, strict=True):
+            found[name] = found[name] + sign * value
         return found
 
 

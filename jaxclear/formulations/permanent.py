@@ -93,11 +93,13 @@ def fit(mechanism: Mechanism) -> Mechanism:
 
 
 def _with_seated_plays(mechanism: Mechanism) -> Mechanism:
-    couplings = {
-        name: dataclasses.replace(own, play=dataclasses.replace(own.play, seated=True))
-        for name, own in mechanism.couplings.items()
-        if own.play is not None and not own.play.seated
-    }
+    couplings: dict[str, Any] = {}
+    for name, own in mechanism.couplings.items():
+        play: Any = own.play
+        if play is not None and not play.seated:
+            coupling: Any = own
+            play = dataclasses.replace(play, seated=True)
+            couplings[name] = dataclasses.replace(coupling, play=play)
     if not couplings:
         return mechanism
     return rebuilt(mechanism, couplings=mechanism.couplings | couplings)

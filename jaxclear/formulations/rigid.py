@@ -52,6 +52,7 @@ from jaxclear.formulations.rubbing_percussions import (
     joints_in_step,
     percussions_and_friction,
     rubbed_over,
+    springs_of,
 )
 from jaxclear.formulations.state_rate import (
     Passive,
@@ -207,7 +208,7 @@ class RigidContact(AbstractFormulation):
         after = [*end.coordinates, *v, *entries[model.layout.memory_start : remembered]]
         over = None if rubbed is None else rubbed_over(model, middle, joints, rubbed, mean)
         given = None
-        if loads.rows:
+        if loads.rows and rubbed is not None:
             given = _given(model.system, loads, impact, rubbed, middle.change_to(mean), h)
         passive = _passive(model, time_step, middle, delassus, impact, mean, end, over, given)
         after += [x + change for x, change in zip(entries[len(after) :], passive, strict=True)]
@@ -215,7 +216,8 @@ class RigidContact(AbstractFormulation):
         flat += [] if over is None else [h * x for x in over.friction]
         flat += [] if rubbed is None else [h * x for x in rubbed.loads]
         residual = jnp.maximum(handed[-1], impact.residual)
-        return sp.stack(after), sp.stack([*delassus.free, *flat, residual])
+        ahead = _with_springs(contacts, delassus, impact, h)
+        return sp.stack(after), sp.stack([*ahead, *flat, residual])
 
 
 def _begun(model: Model, time_step: TimeStep, state: State, last: Float[Array, " h"]) -> tuple:
@@ -234,6 +236,17 @@ def _begun(model: Model, time_step: TimeStep, state: State, last: Float[Array, "
         first = count + sum(own for _, own in contact_components(model.system))
         contacts += stops_as_contacts(loads, handed[first:])
     return entries, handed, middle, contacts, loads
+
+
+def _with_springs(contacts: list, delassus: DelassusOperator, impact: Percussions, h: Any) -> list:
+    """The accelerations by what acts all the time: without percussions, with the stops that give
+    way in the step."""
+    found = list(delassus.free)
+    for row, number, spring in springs_of(contacts):
+        force = jnp.where(spring.acts, impact.by_contact[number][0] / h, 0.0)
+        moved = delassus.responses[row][0]
+        found = [sp.add(x, sp.mul(force, a)) for x, a in zip(found, moved, strict=True)]
+    return found
 
 
 class Given(NamedTuple):

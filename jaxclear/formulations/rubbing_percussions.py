@@ -303,7 +303,8 @@ def percussions_and_friction(
     return Percussions(by_contact, *_caused(delassus, flat), residual), rubbed
 
 
-def _springs(contacts: list[UnilateralContact]) -> tuple[tuple[int, int, Spring], ...]:
+def springs_of(contacts: list[UnilateralContact]) -> tuple[tuple[int, int, Spring], ...]:
+    """(row, number, spring) of the contacts that may give way."""
     found, row = [], 0
     for k, contact in enumerate(contacts):
         if contact.spring is not None:
@@ -422,5 +423,5 @@ def _search(
         UNMOVED * sp.total([lightness(row, diagonal) for row in joints[k].rows]) for k in numbers
     ]
     rubbing = [joints[k] for k in numbers]
-    known = delassus.matrix(), free, softest, h, loads.rubs, _springs(contacts)
+    known = delassus.matrix(), free, softest, h, loads.rubs, springs_of(contacts)
     return Search(rubbing, numbers, asked, *known)

@@ -48,7 +48,7 @@ def coupling(history: StateHistory, name: str) -> CouplingHistory:
 def _seated(history: StateHistory, name: str) -> CouplingHistory:
     """A coupling whose flanks always press: its twist is half the play to the side that what it
     transmits asks for, and what its stiffness winds up."""
-    own = history.mechanism.couplings[name]
+    own: Any = history.mechanism.couplings[name]
     torque = -transmitted(history, name)
     if name in history.mechanism.topology.couplings:
         torque = torque * scale_of(history.mechanism, own)

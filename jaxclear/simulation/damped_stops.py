@@ -10,7 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.components.load import AbstractStateLoad, JointStop
+from jaxclear.components.acting import AbstractStateLoad
 from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.formulations.contact_rows import ContactJacobianRow
 from jaxclear.formulations.loads_over_step import (
@@ -53,7 +53,7 @@ def with_damped_stops(
     at = coordinates_of(system, motions, Followed())
     loads = dict(mechanism.loads)
     for name in names:
-        stop: JointStop = loads[name]
+        stop: Any = loads[name]
         inertia = 1 / lightness_along(system, motions, at[impulse_of(name)].row, mechanism)
         ratio = damping_ratio_of(stop.restitution)
         damping = 2 * ratio * jnp.sqrt(stop.stiffness * inertia)

@@ -24,7 +24,9 @@ def test_without_integral_it_is_a_spring_and_a_damper():
     decay, square = KD / (2 * J), KP / J
     omega = np.sqrt(square - decay**2)
     t = np.asarray(run.time)
-    wanted = 0.3 * (1 - np.exp(-decay * t) * (np.cos(omega * t) + decay / omega * np.sin(omega * t)))
+    wanted = 0.3 * (
+        1 - np.exp(-decay * t) * (np.cos(omega * t) + decay / omega * np.sin(omega * t))
+    )
     # rk4 in steps of 1e-3 at 19 rad/s: (h omega)^4 / 120 a step
     np.testing.assert_allclose(run.coordinate("A"), wanted, atol=1e-7)
 
