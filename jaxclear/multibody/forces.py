@@ -117,21 +117,31 @@ def applied_forces(
         rates |= {label: found.rates} if found.rates else {}
         stored, damping = sp.add(stored, found.stored), sp.add(damping, found.dissipated)
         external = sp.add(external, found.external)
-    pressed = {}
-    for name, own in system.transmissions.items():
+    pressed: dict[str, Pressing] = {}
+    for name, giving in system.transmissions.items():
         pressed[name] = pressing_of(system, motions, name, followed)
-        _give(system, motions, own, pressed[name].torque, acting)
-        if own.has_twist:
+        _give(system, motions, giving, pressed[name].torque, acting)
+        if giving.has_twist:
             rates[name] = (pressed[name].end_rate,)
-        given = transmissions.driven_power(motions, own, pressed[name].torque)
+        given = transmissions.driven_power(motions, giving, pressed[name].torque)
         stored, damping = (
             sp.add(stored, pressed[name].stored),
             sp.add(damping, pressed[name].dissipated),
         )
         external = sp.add(external, given)
     links = (tuple(acting.wrenches), tuple(acting.forces))
-    told = (stored, damping, external, acting.on_joints, followed, rates, pressed)
-    return Forces(motions, reports, *links, *told)
+    return Forces(
+        motions,
+        reports,
+        *links,
+        stored,
+        damping,
+        external,
+        acting.on_joints,
+        followed,
+        rates,
+        pressed,
+    )
 
 
 def pressing_of(
