@@ -74,6 +74,9 @@ def contact_reports(
     return dict(zip(system.bearings, reports, strict=True))
 
 
+NOTHING_FOLLOWED = Followed()
+
+
 def applied_forces(
     system: System,
     motions: tuple[Motion, ...],
@@ -81,7 +84,7 @@ def applied_forces(
     q: tuple,
     v: tuple,
     time: Any,
-    followed: Followed,
+    followed: Followed = NOTHING_FOLLOWED,
 ) -> Forces:
     """Wrench of contacts, loads and couplings that give on every link, and forces on coordinates;
     `followed`: what the state follows beside the motion."""
@@ -115,11 +118,11 @@ def applied_forces(
         rates |= {label: found.rates} if found.rates else {}
         stored, damping = sp.add(stored, found.stored), sp.add(damping, found.dissipated)
         external = sp.add(external, found.external)
-    pressed = {}
-    for name, own in system.transmissions.items():
+    pressed: dict[str, Pressing] = {}
+    for name, giving in system.transmissions.items():
         pressed[name] = pressing_of(system, motions, name, followed)
-        give(system, motions, own, pressed[name].torque, acting)
-        if own.has_twist:
+        give(system, motions, giving, pressed[name].torque, acting)
+        if giving.has_twist:
             rates[name] = (pressed[name].end_rate,)
         stored, damping = (
             sp.add(stored, pressed[name].stored),

@@ -71,9 +71,9 @@ def _of_loads(history: StateHistory) -> str:
             branches = [topology.branch_of(each) for each in held.coordinates()]
             if is_own(held) and all(branch is not None for branch in branches):
                 places = [topology.branches.index(branch) for branch in branches]
-                seen = (tuple(own[i][0] for i in places) for own in (now.q, now.v))
+                place, fast = (tuple(own[i][0] for i in places) for own in (now.q, now.v))
                 states = states_of(name, held, now.followed)
-                out[name] = sp.total(held.effect(now.time, *seen, states).forces)
+                out[name] = sp.total(held.effect(now.time, place, fast, states).forces)
         return {name: jnp.asarray(x, float) for name, x in out.items()}
 
     seen = [history]
