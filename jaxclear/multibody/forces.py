@@ -78,6 +78,9 @@ def contact_reports(
     return dict(zip(system.bearings, reports, strict=True))
 
 
+NOTHING_FOLLOWED = Followed()
+
+
 def applied_forces(
     system: System,
     motions: tuple[Motion, ...],
@@ -85,7 +88,7 @@ def applied_forces(
     q: tuple,
     v: tuple,
     time: Any,
-    followed: Followed,
+    followed: Followed = NOTHING_FOLLOWED,
 ) -> Forces:
     """Wrench of contacts, loads and couplings that give on every link, and forces on coordinates;
     `followed`: what the state follows beside the motion."""

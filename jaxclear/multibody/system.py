@@ -90,6 +90,12 @@ class Transmission(eqx.Module):
         play = self.coupling.play
         return play is not None and play.law.has_twist
 
+    @property
+    def left_by_torque(self) -> bool:
+        """Whether its flanks are left where the torque would pull."""
+        play = self.coupling.play
+        return play is not None and play.law.left_by_torque
+
 
 class Geared(eqx.Module):
     """A motor that turns with the coordinate of a `joint`: `ratio` of its angle to that coordinate,
