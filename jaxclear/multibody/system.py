@@ -19,6 +19,7 @@ from jaxclear.components.coupling import (
     AbstractCoupling,
     AbstractForceCoupling,
     CoordinateTerm,
+    Efficiency,
 )
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Revolute
 from jaxclear.components.load import AbstractBodyLoad, AbstractStateLoad, Gravity, MotorEnd
@@ -63,11 +64,12 @@ TWIST, SLIP = "twist", "slip"
 
 
 class DrivingEnd(eqx.Module):
-    """The end of a coupling at which it loses power: its coordinate, and by how much the twist
-    changes with it."""
+    """The end of a coupling at which it loses power: its coordinate, by how much the twist changes
+    with it, and what it loses."""
 
     coordinate: str = eqx.field(static=True)
     slope: Any
+    loses: Efficiency
 
 
 class Transmission(eqx.Module):
@@ -81,7 +83,7 @@ class Transmission(eqx.Module):
 
     def states(self) -> tuple[str, ...]:
         """Its states."""
-        rubs = self.driving is not None or self.coupling.rubs is not None
+        rubs = self.driving is not None or self.coupling.thread is not None
         return (TWIST,) * self.has_twist + (SLIP,) * rubs
 
     @property
@@ -207,7 +209,8 @@ def acting_in(mechanism: Mechanism) -> dict[str, Any]:
 def _motor_end(mechanism: Mechanism, name: str) -> MotorEnd:
     """The motor of a coupling as its joint sees it."""
     motor, terms = motor_name(name), dict(_terms(mechanism, name))
-    own, total = terms.pop(motor), mechanism.couplings[name].total()
+    coupling: Any = mechanism.couplings[name]
+    own, total = terms.pop(motor), coupling.total()
     (factor,) = terms.values()
     return MotorEnd(motor, -factor / own, None if total is None else total / own)
 
@@ -230,21 +233,24 @@ def _scale(mechanism: Mechanism, coupling: Any) -> Any:
 
 def _driving_end(mechanism: Mechanism, name: str, scale: Any) -> DrivingEnd | None:
     """Where a coupling loses power; None for one that loses none."""
-    coupling = mechanism.couplings[name]
+    coupling: Any = mechanism.couplings[name]
     if coupling.efficiency is None:
         return None
     if coupling.motor is not None:
         motor = motor_name(name)
-        return DrivingEnd(motor, dict(_terms(mechanism, name))[motor] / scale)
+        slope = dict(_terms(mechanism, name))[motor] / scale
+        return DrivingEnd(motor, slope, coupling.efficiency)
     first = coupling.joints()[0]
     drawn = drawn_pose(coupling, mechanism.bodies, mechanism.connections)
     side = 1.0 if carried(mechanism.connections[first]).is_child else -1.0
-    return DrivingEnd(first, side * coupling.radii(drawn)[0] / scale)
+    slope = side * coupling.radii(drawn)[0] / scale
+    return DrivingEnd(first, slope, coupling.efficiency)
 
 
 def _terms(mechanism: Mechanism, name: str) -> list[CoordinateTerm]:
     """The terms of a coupling, its motor by name."""
-    own = mechanism.couplings[name].terms()
+    coupling: Any = mechanism.couplings[name]
+    own = coupling.terms()
     called = lambda joint: joint if isinstance(joint, str) else motor_name(name)
     return [CoordinateTerm(called(joint), factor) for joint, factor in own]
 
