@@ -21,6 +21,7 @@ from jaxclear.components.load import (
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_alike
 from jaxclear.ground.pose import Pose
+from jaxclear.laws.transmission import holding
 from jaxclear.multibody import (
     closure_coordinates,
     contact_point,
@@ -34,6 +35,8 @@ from jaxclear.multibody.state import Followed
 from jaxclear.multibody.system import System, body_loads, coordinate_loads
 from jaxclear.multibody.transmissions import Pressing
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
+
+AXIS: sp.Vec = (0, 0, 1)
 
 
 class Forces(NamedTuple):
@@ -93,6 +96,9 @@ def applied_forces(
         closure = system.bearings[name].closure
         pose = kinematics.relative_motion(closure, motions)[1]
         add_action_and_reaction(wrenches, closure, pose, report.force, report.torque)
+    stored: Any
+    damping: Any
+    external: Any
     stored, damping, external = 0, 0, 0
     with jax.named_scope("loads"):
         for name, load in body_loads(system):
@@ -111,10 +117,10 @@ def applied_forces(
         seen = [seen_at(system, motions, name, followed) for name in held.coordinates()]
         states = states_of(label, held, followed)
         found = held.effect(
-            time, tuple(own.position for own in seen), tuple(own.speed for own in seen), states
+            time, tuple(one.position for one in seen), tuple(one.speed for one in seen), states
         )
-        for own, force in zip(seen, found.forces, strict=True):
-            own.push(acting, force)
+        for one, force in zip(seen, found.forces, strict=True):
+            one.push(acting, force)
         rates |= {label: found.rates} if found.rates else {}
         stored, damping = sp.add(stored, found.stored), sp.add(damping, found.dissipated)
         external = sp.add(external, found.external)
@@ -122,8 +128,11 @@ def applied_forces(
     for name, giving in system.transmissions.items():
         pressed[name] = pressing_of(system, motions, name, followed)
         give(system, motions, giving, pressed[name].torque, acting)
-        if giving.has_twist:
-            rates[name] = (pressed[name].end_rate,)
+        moved = (pressed[name].end_rate,) if giving.has_twist else ()
+        rubbed = _rubbed(system, motions, name, pressed[name].torque, followed, acting)
+        if moved or rubbed is not None:
+            rates[name] = moved if rubbed is None else (*moved, rubbed.rate)
+        damping = damping if rubbed is None else sp.add(damping, rubbed.lost)
         stored, damping = (
             sp.add(stored, pressed[name].stored),
             sp.add(damping, pressed[name].dissipated),
@@ -131,8 +140,61 @@ def applied_forces(
     for link, force in acting.on_drives.items():
         external = sp.sub(external, sp.mul(force, motions[link].speeds[0]))
     links = (tuple(acting.wrenches), tuple(acting.forces))
-    told = (stored, damping, external, acting.on_joints, followed, rates, pressed)
-    return Forces(motions, reports, *links, *told, acting.on_drives)
+    found = Forces(
+        motions,
+        reports,
+        *links,
+        stored,
+        damping,
+        external,
+        acting.on_joints,
+        followed,
+        rates,
+        pressed,
+        acting.on_drives,
+    )
+    return found
+
+
+class _Rubbed(NamedTuple):
+    """Rate of a deflection that holds, and what is lost [W]."""
+
+    rate: Any
+    lost: Any
+
+
+def _rubbed(
+    system: System,
+    motions: tuple[Motion, ...],
+    name: str,
+    torque: Any,
+    followed: Followed,
+    acting: "Acting",
+) -> _Rubbed | None:
+    """Adds the friction of a coupling that transmits a torque against its twist; None of one
+    without."""
+    own = system.transmissions[name]
+    end, thread = own.driving, own.coupling.thread
+    if end is None and thread is None:
+        return None
+    known = followed.states.get(name)
+    deflection = jnp.zeros(()) if known is None else known[-1]
+    if end is not None:
+        seen = seen_at(system, motions, end.coordinate, followed)
+        held = holding(deflection, seen.speed, end.loses.presliding, end.loses.settling_time)
+        friction = end.loses.loss(torque * end.slope, held.share)
+        seen.push(acting, -friction)
+        return _Rubbed(held.rate, friction * seen.speed)
+    assert thread is not None
+    _, pose, relative = kinematics.relative_motion(own.closure, motions)
+    helix = thread.helix
+    slip = sp.add(sp.mul(helix.axial, relative.velocity[2]), sp.mul(helix.lever, relative.spin[2]))
+    slip = jnp.asarray(slip, float)
+    held = holding(deflection, slip, thread.presliding, thread.settling_time)
+    friction = -thread.coefficient * helix.normal * jnp.abs(torque) * held.share
+    force, turned = sp.scale(friction * helix.axial, AXIS), sp.scale(friction * helix.lever, AXIS)
+    add_action_and_reaction(acting.wrenches, own.closure, pose, force, turned)
+    return _Rubbed(held.rate, -friction * slip)
 
 
 def pressing_of(
@@ -199,8 +261,8 @@ def seen_at(system: System, motions: tuple[Motion, ...], name: str, followed: Fo
     branch = system.topology.branch_of(name)
     if branch is not None:
         index = system.topology.branches.index(branch)
-        own, along = motions[index], lambda acting, force: acting.along(index, force)
-        return _Seen(own.coordinates[0], own.speeds[0], along)
+        along = lambda acting, force: acting.along(index, force)
+        return _Seen(motions[index].coordinates[0], motions[index].speeds[0], along)
     coordinate = system.measured[name]
     now = closure_coordinates.read(coordinate, motions, followed.angles.get(name))
 

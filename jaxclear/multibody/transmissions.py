@@ -24,7 +24,7 @@ from jaxclear.multibody import kinematics, pose_rows
 from jaxclear.multibody.coordinate_sums import outer_wrenches, sum_equation
 from jaxclear.multibody.loops import Closure, CoordinateSum
 from jaxclear.multibody.state import Layout
-from jaxclear.multibody.system import System, Transmission
+from jaxclear.multibody.system import TWIST, System, Transmission
 from jaxclear.multibody.tree import Motion, Wrench
 
 
@@ -163,9 +163,9 @@ def within_gaps(system: System, layout: Layout, entries: list) -> list:
     """The entries of a state with the far ends of shafts not beyond their gaps, as numbers: their
     derivatives are what they were."""
     found = list(entries)
-    for i, (owner, _) in enumerate(layout.states):
+    for i, (owner, state) in enumerate(layout.states):
         own = system.transmissions.get(owner)
-        if own is not None and own.has_twist:
+        if own is not None and state == TWIST:
             place, half = layout.state_start + i, 0.5 * own.coupling.play.play
             moved = jnp.clip(found[place], -half, half) - found[place]
             found[place] = found[place] + constant(moved)
