@@ -140,7 +140,7 @@ def applied_forces(
     for link, force in acting.on_drives.items():
         external = sp.sub(external, sp.mul(force, motions[link].speeds[0]))
     links = (tuple(acting.wrenches), tuple(acting.forces))
-    found = Forces(
+    return Forces(
         motions,
         reports,
         *links,
@@ -153,7 +153,6 @@ def applied_forces(
         pressed,
         acting.on_drives,
     )
-    return found
 
 
 class _Rubbed(NamedTuple):
