@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from jaxclear.components.body import Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint
-from jaxclear.formulations.base import AbstractFormulation
+from jaxclear.formulations.base import AbstractFormulation, check_play
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.joint_friction import (
     NonCollidingSettings,
@@ -50,13 +50,12 @@ from jaxclear.formulations.permanent_wear import (
     wear_rates,
 )
 from jaxclear.formulations.rigid import check_friction
-from jaxclear.formulations.state_rate import link_accelerations
+from jaxclear.formulations.state_rate import followed_rates, link_accelerations
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import dynamics, kinematics
-from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
-from jaxclear.multibody.state import unpack_angles, unpack_motion
+from jaxclear.multibody.state import unpack_followed, unpack_motion
 from jaxclear.multibody.system import System, prepare
 
 
@@ -109,6 +108,7 @@ class PermanentContact(AbstractFormulation):
 
     def check(self, mechanism, integrator):
         check_friction(mechanism, integrator)
+        check_play(mechanism, integrator, rigid=True)
 
     def seen(self, mechanism):
         return fit(mechanism)
@@ -154,8 +154,8 @@ class PermanentContact(AbstractFormulation):
         halfway = displace(system, q, v, 0.5 * h)
         motion = unpack_motion(system, [*halfway, *middle])
         motions = kinematics.link_motions(system, *motion, time_step.middle)
-        angles = unpack_angles(layout, entries)
-        forces = applied_forces(system, motions, {}, *motion, time_step.middle, angles)
+        followed = unpack_followed(layout, entries)
+        forces = applied_forces(system, motions, {}, *motion, time_step.middle, followed)
         held = touching(system)
         slips = [slips_of(system, motions, one, middle) for one in held]
         response = friction_response(model, forces, motion[0])
@@ -175,7 +175,7 @@ class PermanentContact(AbstractFormulation):
         centres = centres_of(system, ends)
         goes = _rates_of(centres, last[len(v) : -1], h)
         worn = wear_rates(model, motions, motion[0], ends, sliding, goes)
-        gained = [h * rate for rate in (*angle_rates(system, layout, motions), *worn)]
+        gained = [h * rate for rate in (*followed_rates(system, layout, forces), *worn)]
         for one, reaction, place in zip(held, found.reactions, placed(held), strict=True):
             pressed = pressing(one, reaction, own_part(friction, place))
             acting = [*reaction.force, *reaction.torque, *friction[place], pressed]
