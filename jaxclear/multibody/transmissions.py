@@ -24,7 +24,7 @@ from jaxclear.multibody import kinematics, pose_rows
 from jaxclear.multibody.coordinate_sums import outer_wrenches, sum_equation
 from jaxclear.multibody.loops import Closure, CoordinateSum
 from jaxclear.multibody.state import Layout
-from jaxclear.multibody.system import System, Transmission
+from jaxclear.multibody.system import TWIST, System, Transmission
 from jaxclear.multibody.tree import Motion, Wrench
 
 
@@ -163,9 +163,9 @@ def within_gaps(system: System, layout: Layout, entries: list) -> list:
     """The entries of a state with the far ends of shafts not beyond their gaps, as numbers: their
     derivatives are what they were."""
     found = list(entries)
-    for i, (owner, _) in enumerate(layout.states):
+    for i, (owner, state) in enumerate(layout.states):
         own = system.transmissions.get(owner)
-        if own is not None and own.has_twist:
+        if own is not None and state == TWIST:
             place, half = layout.state_start + i, 0.5 * own.coupling.play.play
             moved = jnp.clip(found[place], -half, half) - found[place]
             found[place] = found[place] + constant(moved)
@@ -181,15 +181,14 @@ class Acting(NamedTuple):
     joint: str | None
 
 
-def on_coordinates(system: System, own: Transmission, torque: Any) -> list[tuple[int, Any]]:
+def on_coordinates(own: Transmission, torque: Any) -> list[tuple[int, Any]]:
     """(link, generalised force) of a torque against the twist on coordinates that the tree
     carries."""
     reading = own.closure.reading
     if not isinstance(reading, CoordinateSum):
         return []
     along = -torque / own.scale
-    free = {i for i, b in enumerate(system.topology.branches) if b.speed_count}
-    return [(t.link, t.factor * along) for t in reading.terms if t.link in free]
+    return [(t.link, t.factor * along) for t in reading.terms if t.link is not None]
 
 
 def on_closures(motions: tuple[Motion, ...], own: Transmission, torque: Any) -> list[Acting]:
@@ -202,13 +201,3 @@ def on_closures(motions: tuple[Motion, ...], own: Transmission, torque: Any) -> 
     (slope,) = pose_rows.gradients(closure.reading, pose)[1]
     parts = (sp.scale(along, part) for part in slope.wrench(pose))
     return [Acting(closure, pose, Wrench(*parts), None)]
-
-
-def driven_power(motions: tuple[Motion, ...], own: Transmission, torque: Any) -> Any:
-    """Power [W] that such a torque takes from coordinates that drives prescribe."""
-    reading = own.closure.reading
-    if not isinstance(reading, CoordinateSum):
-        return 0
-    along = -torque / own.scale
-    terms = [t for t in reading.terms if t.link is not None and motions[t.link].prescribed]
-    return sp.total(-along * t.factor * motions[t.link].speeds[0] for t in terms)

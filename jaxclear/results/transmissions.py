@@ -7,10 +7,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxclear.components.coupling import AbstractForceCoupling
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
-from jaxclear.multibody.forces import states_of
+from jaxclear.multibody.forces import seen_coordinates, states_of
 from jaxclear.multibody.system import coordinate_loads
 from jaxclear.multibody.topology import motor_name
 from jaxclear.results.histories import AbstractHistory, driving, measured, of_row, solved
@@ -69,7 +70,13 @@ def _given(history: StateHistory, name: str) -> Float[Array, " time"]:
     first coordinate; of a motor that turns with a joint what it gives this."""
 
     def one(now: Instant):
-        if history.mechanism.couplings[name].gives:
+        own = history.mechanism.couplings[name]
+        if isinstance(own, AbstractForceCoupling):
+            system = now.model.system
+            seen = seen_coordinates(system, now.motions, own, now.followed)
+            states = states_of(name, own, now.followed)
+            return jnp.asarray(own.transmitted(own.effect(now.time, *seen, states)), float)
+        if own.gives:
             return -jnp.asarray(history.formulation.forces(now).pressing[name].torque, float)
         return _geared(history, now, name)
 
@@ -84,23 +91,11 @@ def _geared(history: StateHistory, now: Instant, name: str) -> Any:
     branch = system.topology.branch_of(own.joint)
     index = system.topology.branches.index(branch)
     faster = own.ratio * solution.accelerations[index][0]
-    coupling: Any = history.mechanism.couplings[name]
-    force = -coupling.motor.inertia * faster
+    own_motor: Any = history.mechanism.couplings[name].motor
+    force = -own_motor.inertia * faster
     for label, load in coordinate_loads(system):
         if motor in load.coordinates():
-            seen = [coordinate_of(now, each) for each in load.coordinates()]
-            places, speeds = zip(*seen, strict=True)
-            acts = load.effect(now.time, places, speeds, states_of(label, load, now.followed))
+            seen = seen_coordinates(system, now.motions, load, now.followed)
+            acts = load.effect(now.time, *seen, states_of(label, load, now.followed))
             force = sp.add(force, acts.forces[load.coordinates().index(motor)])
     return jnp.asarray(own.ratio * force, float)
-
-
-def coordinate_of(now: Instant, name: str) -> tuple[Any, Any]:
-    """(position, speed) of a coordinate that the tree carries, or of a motor."""
-    system = now.model.system
-    own = system.geared.get(name)
-    if own is not None:
-        position, speed = coordinate_of(now, own.joint)
-        return own.ratio * position + (0 if own.offset is None else own.offset), own.ratio * speed
-    index = system.topology.branches.index(system.topology.branch_of(name))
-    return now.q[index][0], now.v[index][0]

@@ -20,6 +20,7 @@ import equinox as eqx
 import jax
 
 from jaxclear.components.clearance.backlash import Backlash
+from jaxclear.components.coupling.losses import Efficiency, Thread
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, quantity
 
@@ -97,6 +98,16 @@ class AbstractCoupling(AbstractQuantified):
         """The damping [N m s/rad, N s/m]; None unless a class has this field (`damping_field`)."""
         return None
 
+    @property
+    def efficiency(self) -> Efficiency | None:
+        """What of the power comes out; None unless a class has this field (`efficiency_field`)."""
+        return None
+
+    @property
+    def thread(self) -> Thread | None:
+        """Its thread, if it rubs; None unless a class has one."""
+        return None
+
     @abstractmethod
     def joints(self) -> tuple[str, ...]:
         """Names of the joints that it speaks of, each once."""
@@ -120,10 +131,16 @@ class AbstractCoupling(AbstractQuantified):
                 f"coupling.{name} has a coupling.Motor on more than one of its ends; one end at "
                 "least is a joint, which moves the mechanism."
             )
-        if self.damping is not None and not self.gives:
+        if self.damping is not None and self.play is None and self.stiffness is None:
             raise ValueError(
                 f"coupling.{name} has damping and neither stiffness nor play; a rigid one does not "
                 "twist. Give its stiffness too, or put a damper on a joint (load.JointSpring)."
+            )
+        loses = "efficiency" if self.efficiency is not None else "friction"
+        if (self.efficiency is not None or self.thread is not None) and not self.gives:
+            raise ValueError(
+                f"coupling.{name} has {loses} and neither stiffness nor play: what it loses "
+                "follows from the force of its flank. Give its stiffness."
             )
 
 
