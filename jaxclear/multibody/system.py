@@ -111,7 +111,8 @@ class Geared(eqx.Module):
 class System(eqx.Module):
     """Links in the topology's order, loop closures and the joints that make them, clearance joints,
     couplings that give, and loads; `measured`: joints outside the tree on whose coordinate loads
-    act; `geared`: motors that turn with a joint. `arm` [m]: the longest, where rows of loops depend
+    act; `geared`: motors that turn with a joint; `flanks`: couplings whose play is between rigid
+    ones. `arm` [m]: the longest, where rows of loops depend
     on each other; None elsewhere.
     """
 
@@ -127,6 +128,7 @@ class System(eqx.Module):
     topology: Topology = eqx.field(static=True)
     transmissions: dict[str, Transmission] = eqx.field(default_factory=dict)
     geared: dict[str, Geared] = eqx.field(default_factory=dict)
+    flanks: dict[str, Transmission] = eqx.field(default_factory=dict)
 
 
 def _turned(pose: Pose, turn: sp.Mat) -> Pose:
@@ -179,7 +181,7 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     for name, coupling in mechanism.couplings.items():
         if coupling.gives:
             own = _row(mechanism, name, places, frames)
-            scale = _scale(mechanism, coupling)
+            scale = scale_of(mechanism, coupling)
             end = _driving_end(mechanism, name, scale)
             transmissions[name] = Transmission(own, scale, coupling, end)
     measured = _measured(mechanism, places)
@@ -224,7 +226,7 @@ def _row(mechanism: Mechanism, name: str, places: dict, frames: dict) -> Closure
     return _meshing(mechanism, coupling, frames)
 
 
-def _scale(mechanism: Mechanism, coupling: Any) -> Any:
+def scale_of(mechanism: Mechanism, coupling: Any) -> Any:
     """What the residual of a coupling is divided by, so that it is its twist."""
     if isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None:
         return coupling.terms()[0].factor
