@@ -35,7 +35,9 @@ __all__ = [
     "AbstractBodyLoad",
     "AbstractCoordinateLoad",
     "AbstractLoad",
+    "AbstractStateLoad",
     "Action",
+    "CoordinateEffect",
     "Effect",
     "Force",
     "Gravity",
@@ -43,6 +45,7 @@ __all__ = [
     "JointSpring",
     "JointStop",
     "JointTorque",
+    "LoadState",
     "MarkerMotion",
     "MotorTorque",
     "RotorInertia",
@@ -255,12 +258,68 @@ class Spring(AbstractBodyLoad):
         return Effect(actions, stored, dissipated, 0)
 
 
-class AbstractCoordinateLoad(AbstractLoad):
-    """Acts on the single coordinate of a joint, child against parent: an angle or a displacement.
+class LoadState(NamedTuple):
+    """A state of a load: its `name`, `unit`, and the number with which a run begins."""
 
-    The joint may also close a loop or have clearance; then its coordinate is that of the ideal
-    joint that it would be, read between its two markers. An angle is followed over whole turns,
-    from where `start` or `guess` of the mechanism gives it, else from within half a turn of 0.
+    name: str
+    unit: str = "1"
+    start: Any = 0.0
+
+
+class CoordinateEffect(NamedTuple):
+    """What a load on coordinates does at one instant: the generalised force [N m, N] on each, the
+    rate of each of its states; energy in J, powers in W, `external` power enters the mechanism."""
+
+    forces: tuple
+    rates: tuple
+    stored: Any
+    dissipated: Any
+    external: Any
+
+
+class AbstractStateLoad(AbstractLoad):
+    """Acts on one or more coordinates of joints that turn or slide, or of motors
+    (`coupling.Motor`, by the coupling's name and ".motor"), by what they all do and by states of
+    its own.
+
+    A joint may also close a loop or have clearance; then its coordinate is that of the ideal joint
+    that it would be, read between its two markers. An angle is followed over whole turns, from
+    where `start` or `guess` of the mechanism gives it, else from within half a turn of 0. States
+    are carried by every integrator beside the motion, and held to its tolerance as coordinates are.
+    """
+
+    @abstractmethod
+    def coordinates(self) -> tuple[str, ...]:
+        """The joints and motors whose coordinates it reads, and on which it acts, each once."""
+
+    @abstractmethod
+    def states(self) -> tuple[LoadState, ...]:
+        """Its states; none for a load that follows from the motion alone."""
+
+    @abstractmethod
+    def effect(
+        self, time: Scalar, positions: tuple, speeds: tuple, states: tuple
+    ) -> CoordinateEffect:
+        """What it does at an instant, from the coordinates [rad, m] and their speeds, child against
+        parent, in the order of `coordinates`, and its states."""
+
+    def reads_position(self) -> bool:
+        """Whether it depends on the coordinates, not only on their speeds; it does unless
+        overridden."""
+        return True
+
+    def springs_back(self) -> bool:
+        return self.reads_position()
+
+    def inertia_along(self) -> Scalar | None:
+        """Inertia [kg m^2] that moves with its only coordinate and with nothing else; None unless
+        overridden. Only a joint that the tree carries can have some."""
+        return None
+
+
+class AbstractCoordinateLoad(AbstractStateLoad):
+    """Acts on the single coordinate of a joint, child against parent, an angle or a displacement,
+    or of a motor, by its position and speed alone: the simple case of `AbstractStateLoad`.
     """
 
     connection: eqx.AbstractVar[str]
@@ -269,17 +328,15 @@ class AbstractCoordinateLoad(AbstractLoad):
     def force(self, time: Scalar, position: Scalar, speed: Scalar) -> tuple[Any, Any, Any, Any]:
         """(generalised force, stored energy, dissipated power, external power)."""
 
-    def reads_position(self) -> bool:
-        """Whether the force depends on the coordinate; it does unless overridden."""
-        return True
+    def coordinates(self):
+        return (self.connection,)
 
-    def springs_back(self) -> bool:
-        return self.reads_position()
+    def states(self):
+        return ()
 
-    def inertia_along(self) -> Scalar | None:
-        """Inertia [kg m^2] that moves with the coordinate and with nothing else; None unless
-        overridden. Only a joint that the tree carries can have some."""
-        return None
+    def effect(self, time, positions, speeds, states):
+        force, *energies = self.force(time, positions[0], speeds[0])
+        return CoordinateEffect((force,), (), *energies)
 
 
 class JointSpring(AbstractCoordinateLoad):

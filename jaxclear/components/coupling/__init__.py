@@ -1,0 +1,28 @@
+"""Couplings, one equation or force between the motions of joints or bodies (`base`)."""
+
+from jaxclear.components.coupling.base import (
+    AbstractBodyCoupling,
+    AbstractCoordinateCoupling,
+    AbstractCoupling,
+    CoordinateTerm,
+    Motor,
+)
+from jaxclear.components.coupling.coordinates import Differential, Hold, Ratio
+from jaxclear.components.coupling.meshing import Belt, Gear, Rack, Screw
+from jaxclear.ground.argument_errors import nothing_else
+
+__all__ = [
+    "AbstractBodyCoupling",
+    "AbstractCoordinateCoupling",
+    "AbstractCoupling",
+    "Belt",
+    "CoordinateTerm",
+    "Differential",
+    "Gear",
+    "Hold",
+    "Motor",
+    "Rack",
+    "Ratio",
+    "Screw",
+]
+__getattr__, __dir__ = nothing_else("jaxclear.coupling", __all__)
