@@ -25,11 +25,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxclear.components.body import Body, Connection, Marker
+from jaxclear.components.clearance import Backlash
+from jaxclear.components.coupling import Gear, Motor
 from jaxclear.components.drive import AbstractDrive, Position
 from jaxclear.components.function_of_time import TimeTable
 from jaxclear.components.joint import Fixed, Revolute
-from jaxclear.components.load import Gravity, JointFriction, JointSpring, RotorInertia, Servo
+from jaxclear.components.load import Gravity, JointFriction, JointSpring, Servo
 from jaxclear.ground.argument_errors import answering
+from jaxclear.ground.arguments import check_flags, check_number
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.scenes.slack import slack_joints
 
@@ -107,7 +110,7 @@ FRICTION, FASTEST = 1.0, 3.14
 CREEP = 0.1
 
 
-class Reducer(NamedTuple):
+class Size(NamedTuple):
     """A size of reducer: `stiffness` [N m/rad], `damping` [N m s/rad] and `rotor` [kg m2], that of
     its motor and wave generator."""
 
@@ -119,11 +122,11 @@ class Reducer(NamedTuple):
 RATIO, DAMPED = 100.0, 0.1
 
 
-def _reducer(stiffness: float, rotor: float) -> Reducer:
-    return Reducer(stiffness, 2 * DAMPED * RATIO * sqrt(stiffness * rotor), rotor)
+def _size(stiffness: float, rotor: float) -> Size:
+    return Size(stiffness, 2 * DAMPED * RATIO * sqrt(stiffness * rotor), rotor)
 
 
-SIZES = {20: _reducer(25e3, 20e-6), 17: _reducer(14e3, 10e-6), 14: _reducer(6.1e3, 4e-6)}
+SIZES = {20: _size(25e3, 20e-6), 17: _size(14e3, 10e-6), 14: _size(6.1e3, 4e-6)}
 REDUCERS = dict(zip(JOINTS, (SIZES[size] for size in (20, 20, 17, 17, 17, 14, 14)), strict=True))
 ARCMIN = pi / 180 / 60
 PLAY = 1.0 * ARCMIN
@@ -232,6 +235,23 @@ def servos(way: Way) -> dict[str, Servo]:
     return found
 
 
+def reducer(name: str, play: Any = None) -> Gear:
+    """The reducer of a joint with its motor, elastic and with a `play` [rad], from flank to flank,
+    or rigid and without (None)."""
+    size = REDUCERS[name]
+    motor = Motor(size.rotor)
+    if play is None:
+        return Gear(motor, name, RATIO)
+    return Gear(
+        motor,
+        name,
+        RATIO,
+        play=Backlash(play),
+        stiffness=size.stiffness,
+        damping=size.damping,
+    )
+
+
 def _bodies() -> dict[str, Body]:
     cube = TOOL_MASS * TOOL_EDGE**2 / 6
     links = {f"link{k}": Body(one.mass, one.inertia, one.com) for k, one in enumerate(LINKS, 1)}
@@ -265,6 +285,11 @@ def arm(
     joints stand where the way wants them, without servos: the commanded path.
     """
     slack = slack_joints("arm", kind, KINDS, JOINTS)
+    check_flags("arm", driven=driven)
+    if np.shape(play) not in ((), (len(JOINTS),)):
+        raise ValueError(f"play of arm has shape {np.shape(play)}; it must be one number or seven.")
+    for one in np.ravel(np.asarray(play, float)):
+        check_number("play of arm", float(one), "rad", at_least=0)
     way = pick_and_place() if way is None else way
     loads: dict[str, Any] = {"gravity": Gravity((0.0, 0.0, -GRAVITY))}
     if driven:
@@ -273,7 +298,11 @@ def arm(
     for name, hinge in zip(JOINTS, HINGES, strict=True):
         loads[f"{name} damping"] = JointSpring(name, damping=hinge.damping)
         loads[f"{name} friction"] = JointFriction(name, FRICTION, CREEP)
-        loads[f"{name} rotor"] = RotorInertia(name, RATIO**2 * REDUCERS[name].rotor)
-    loads |= servos(way)
-    start = dict(zip(JOINTS, map(float, way.angles[0]), strict=True))
-    return Mechanism(_bodies(), _connections((None,) * 7), loads, start=start)
+    plays = dict(zip(JOINTS, np.broadcast_to(np.asarray(play, float), 7), strict=True))
+    return Mechanism(
+        _bodies(),
+        _connections((None,) * 7),
+        loads | servos(way),
+        couplings={name: reducer(name, plays[name] if name in slack else None) for name in JOINTS},
+        start=dict(zip(JOINTS, map(float, way.angles[0]), strict=True)),
+    )
