@@ -17,6 +17,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.components.acting import (
+    AbstractLoad,
+    AbstractStateLoad,
+    CoordinateEffect,
+    LoadState,
+    MotorEnd,
+)
 from jaxclear.components.body import Marker
 from jaxclear.components.function_of_time import (
     check_function_of_time,
@@ -25,11 +32,12 @@ from jaxclear.components.function_of_time import (
     value_at,
     vector_or_function,
 )
+from jaxclear.components.servo import Servo
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt, smooth_sign, smooth_step
 from jaxclear.ground.pose import Pose
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity, vector
+from jaxclear.ground.quantity import Scalar, concrete, quantity, vector
 
 __all__ = [
     "AbstractBodyLoad",
@@ -47,19 +55,13 @@ __all__ = [
     "JointTorque",
     "LoadState",
     "MarkerMotion",
+    "MotorEnd",
     "MotorTorque",
     "RotorInertia",
+    "Servo",
     "Spring",
     "Torque",
 ]
-
-
-class AbstractLoad(AbstractQuantified):
-    """A load on bodies, or on the coordinate of a joint."""
-
-    def springs_back(self) -> bool:
-        """Whether what it acts on may swing by it, as by a spring; it may unless overridden."""
-        return True
 
 
 def check_acts(spring: Any) -> None:
@@ -256,65 +258,6 @@ class Spring(AbstractBodyLoad):
         reaction = tuple(sp.neg(x) for x in pull)
         actions = (Action(self.start, pull, sp.ZERO), Action(self.end, reaction, sp.ZERO))
         return Effect(actions, stored, dissipated, 0)
-
-
-class LoadState(NamedTuple):
-    """A state of a load: its `name`, `unit`, and the number with which a run begins."""
-
-    name: str
-    unit: str = "1"
-    start: Any = 0.0
-
-
-class CoordinateEffect(NamedTuple):
-    """What a load on coordinates does at one instant: the generalised force [N m, N] on each, the
-    rate of each of its states; energy in J, powers in W, `external` power enters the mechanism."""
-
-    forces: tuple
-    rates: tuple
-    stored: Any
-    dissipated: Any
-    external: Any
-
-
-class AbstractStateLoad(AbstractLoad):
-    """Acts on one or more coordinates of joints that turn or slide, or of motors
-    (`coupling.Motor`, by the coupling's name and ".motor"), by what they all do and by states of
-    its own.
-
-    A joint may also close a loop or have clearance; then its coordinate is that of the ideal joint
-    that it would be, read between its two markers. An angle is followed over whole turns, from
-    where `start` or `guess` of the mechanism gives it, else from within half a turn of 0. States
-    are carried by every integrator beside the motion, and held to its tolerance as coordinates are.
-    """
-
-    @abstractmethod
-    def coordinates(self) -> tuple[str, ...]:
-        """The joints and motors whose coordinates it reads, and on which it acts, each once."""
-
-    @abstractmethod
-    def states(self) -> tuple[LoadState, ...]:
-        """Its states; none for a load that follows from the motion alone."""
-
-    @abstractmethod
-    def effect(
-        self, time: Scalar, positions: tuple, speeds: tuple, states: tuple
-    ) -> CoordinateEffect:
-        """What it does at an instant, from the coordinates [rad, m] and their speeds, child against
-        parent, in the order of `coordinates`, and its states."""
-
-    def reads_position(self) -> bool:
-        """Whether it depends on the coordinates, not only on their speeds; it does unless
-        overridden."""
-        return True
-
-    def springs_back(self) -> bool:
-        return self.reads_position()
-
-    def inertia_along(self) -> Scalar | None:
-        """Inertia [kg m^2] that moves with its only coordinate and with nothing else; None unless
-        overridden. Only a joint that the tree carries can have some."""
-        return None
 
 
 class AbstractCoordinateLoad(AbstractStateLoad):

@@ -56,7 +56,7 @@ from jaxclear.multibody import dynamics, kinematics
 from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
-from jaxclear.multibody.state import unpack_angles, unpack_motion
+from jaxclear.multibody.state import unpack_followed, unpack_motion
 from jaxclear.multibody.system import System, prepare
 
 
@@ -154,8 +154,8 @@ class PermanentContact(AbstractFormulation):
         halfway = displace(system, q, v, 0.5 * h)
         motion = unpack_motion(system, [*halfway, *middle])
         motions = kinematics.link_motions(system, *motion, time_step.middle)
-        angles = unpack_angles(layout, entries)
-        forces = applied_forces(system, motions, {}, *motion, time_step.middle, angles)
+        followed = unpack_followed(layout, entries)
+        forces = applied_forces(system, motions, {}, *motion, time_step.middle, followed)
         held = touching(system)
         slips = [slips_of(system, motions, one, middle) for one in held]
         response = friction_response(model, forces, motion[0])

@@ -40,7 +40,12 @@ from jaxclear.formulations.rubbing_percussions import (
     percussions_and_friction,
     rubbed_over,
 )
-from jaxclear.formulations.state_rate import Passive, link_accelerations, passive_rates
+from jaxclear.formulations.state_rate import (
+    Passive,
+    followed_rates,
+    link_accelerations,
+    passive_rates,
+)
 from jaxclear.formulations.unilateral import (
     MoreauJeanSettings,
     Percussions,
@@ -52,7 +57,6 @@ from jaxclear.formulations.unilateral import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import kinematics
-from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import components, contact_components, unpack_motion
@@ -232,7 +236,7 @@ def _passive(
     impulses += [] if rubbed is None else [h * force for force in rubbed.forces]
     free_motion = middle.free_motion
     if not layout.wear and not layout.energies:
-        rates = angle_rates(system, layout, free_motion.forces.motions)
+        rates = followed_rates(system, layout, free_motion.forces)
         return [*(sp.mul(h, rate) for rate in rates), *impulses]
     forces = [tuple(sp.mul(1 / h, part) for part in own) for own in impact.by_contact]
     change = middle.change_to(mean)
@@ -244,8 +248,8 @@ def _passive(
         travelled = [sp.add(x, sp.mul(1 / h, m)) for x, m in zip(mean, end.moved, strict=True)]
         motion = unpack_motion(system, [*middle.halfway, *travelled])
         motions = kinematics.link_motions(system, *motion, time_step.middle)
-        angles = free_motion.forces.angles
-        acting = applied_forces(system, motions, reports, *motion, time_step.middle, angles)
+        followed = free_motion.forces.followed
+        acting = applied_forces(system, motions, reports, *motion, time_step.middle, followed)
         if rubbed is not None:
             acting = with_friction(system, acting, rubbed.friction)
     total = _add_rates(delassus.free, impact.changes, h)

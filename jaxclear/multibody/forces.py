@@ -5,18 +5,34 @@ Alike clearance joints are traced once. Constraint reactions are not forces here
 the accelerations (`dynamics`).
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
-from jaxclear.components.load import AbstractBodyLoad, Action, Effect, MarkerMotion
+from jaxclear.components.load import (
+    AbstractBodyLoad,
+    AbstractStateLoad,
+    Action,
+    Effect,
+    MarkerMotion,
+)
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_alike
 from jaxclear.ground.pose import Pose
-from jaxclear.multibody import closure_coordinates, contact_point, kinematics, tree
+from jaxclear.multibody import (
+    closure_coordinates,
+    contact_point,
+    kinematics,
+    transmissions,
+    tree,
+)
 from jaxclear.multibody.contact_point import JointReport
 from jaxclear.multibody.loops import Closure
+from jaxclear.multibody.state import Followed
 from jaxclear.multibody.system import System, body_loads, coordinate_loads
+from jaxclear.multibody.transmissions import Pressing
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
 
 
@@ -24,7 +40,9 @@ class Forces(NamedTuple):
     """Everything that acts, at one instant: wrenches by link, in its axes, and forces on its
     coordinates; `stored` energy [J] of the loads, their `damping_loss` and `external_power` [W].
     `on_joints`: wrenches of loads on coordinates outside the tree, by joint, on its child about its
-    marker in the parent marker's axes; `angles` [rad]: those near which such coordinates were read.
+    marker in the parent marker's axes; `followed`: what of the state such coordinates were read by;
+    `state_rates` of loads and flanks, by load or coupling; `pressing`: what couplings with play or
+    stiffness do; `on_drives`: forces of couplings on coordinates that drives prescribe, by link.
     """
 
     motions: tuple[Motion, ...]
@@ -35,7 +53,10 @@ class Forces(NamedTuple):
     damping_loss: Any
     external_power: Any
     on_joints: dict[str, Wrench]
-    angles: dict[str, Any]
+    followed: Followed
+    state_rates: dict[str, tuple]
+    pressing: dict[str, Pressing]
+    on_drives: dict[int, Any]
 
 
 def contact_reports(
@@ -60,10 +81,10 @@ def applied_forces(
     q: tuple,
     v: tuple,
     time: Any,
-    angles: dict[str, Any],
+    followed: Followed,
 ) -> Forces:
-    """Wrench of contacts and loads on every link, and forces on coordinates; `angles` that the
-    state follows, by joint."""
+    """Wrench of contacts, loads and couplings that give on every link, and forces on coordinates;
+    `followed`: what the state follows beside the motion."""
     wrenches = [NOTHING] * len(system.links)
     for name, report in reports.items():
         closure = system.bearings[name].closure
@@ -81,25 +102,121 @@ def applied_forces(
                     _add(wrenches, link, _in_link(action, motions[link], marker))
             stored, damping = sp.add(stored, effect.stored), sp.add(damping, effect.dissipated)
             external = sp.add(external, effect.external)
-    forces = [(0,) * len(motion.columns) for motion in motions]
-    on_joints: dict[str, Wrench] = {}
-    for _, held in coordinate_loads(system):
-        name, branch = held.connection, system.topology.branch_of(held.connection)
-        if branch is not None:
-            index = system.topology.branches.index(branch)
-            force, energy, loss, power = held.force(time, q[index][0], v[index][0])
-            forces[index] = (sp.add(forces[index][0], force),)
+    acting = _Acting(wrenches, [(0,) * len(motion.columns) for motion in motions], {}, {})
+    rates: dict[str, tuple] = {}
+    for label, held in coordinate_loads(system):
+        seen = [_seen(system, motions, name, followed) for name in held.coordinates()]
+        states = states_of(label, held, followed)
+        found = held.effect(
+            time, tuple(own.position for own in seen), tuple(own.speed for own in seen), states
+        )
+        for own, force in zip(seen, found.forces, strict=True):
+            own.push(acting, force)
+        rates |= {label: found.rates} if found.rates else {}
+        stored, damping = sp.add(stored, found.stored), sp.add(damping, found.dissipated)
+        external = sp.add(external, found.external)
+    pressed = {}
+    for name, own in system.transmissions.items():
+        pressed[name] = pressing_of(system, motions, name, followed)
+        _give(system, motions, own, pressed[name].torque, acting)
+        if own.has_twist:
+            rates[name] = (pressed[name].end_rate,)
+        stored, damping = (
+            sp.add(stored, pressed[name].stored),
+            sp.add(damping, pressed[name].dissipated),
+        )
+    for link, force in acting.on_drives.items():
+        external = sp.sub(external, sp.mul(force, motions[link].speeds[0]))
+    links = (tuple(acting.wrenches), tuple(acting.forces))
+    told = (stored, damping, external, acting.on_joints, followed, rates, pressed)
+    return Forces(motions, reports, *links, *told, acting.on_drives)
+
+
+def pressing_of(
+    system: System, motions: tuple[Motion, ...], name: str, followed: Followed
+) -> Pressing:
+    """What a coupling with play or stiffness does."""
+    own = system.transmissions[name]
+    twist, end = transmissions.twist_of(system, motions, own), None
+    if own.has_twist:
+        known = followed.states.get(name)
+        end = transmissions.end_at_start(own, twist) if known is None else known[0]
+    return transmissions.pressing(own, twist, end, followed.shares.get(name))
+
+
+def states_of(name: str, load: AbstractStateLoad, followed: Followed) -> tuple:
+    """The states of a load; those with which it starts where none are followed."""
+    known = followed.states.get(name)
+    return tuple(jnp.asarray(x.start, float) for x in load.states()) if known is None else known
+
+
+class _Acting(NamedTuple):
+    """What acts so far: wrenches on links, forces on their coordinates, wrenches of loads on
+    coordinates outside the tree, by joint, and forces on coordinates that drives prescribe, by
+    link."""
+
+    wrenches: list[Wrench]
+    forces: list[tuple]
+    on_joints: dict[str, Wrench]
+    on_drives: dict[int, Any]
+
+    def along(self, link: int, force: Any) -> None:
+        """Adds a force on the single coordinate of a link."""
+        if self.forces[link]:
+            self.forces[link] = (sp.add(self.forces[link][0], force),)
         else:
-            coordinate = system.measured[name]
-            now = closure_coordinates.read(coordinate, motions, angles.get(name))
-            force, energy, loss, power = held.force(time, now.position, now.speed)
-            own = Wrench(*(sp.scale(force, part) for part in now.wrench))
-            add_action_and_reaction(wrenches, coordinate.closure, now.pose, *own)
-            on_joints[name] = _sum(on_joints.get(name, NOTHING), own)
-        stored, damping = sp.add(stored, energy), sp.add(damping, loss)
-        external = sp.add(external, power)
-    links = (tuple(wrenches), tuple(forces))
-    return Forces(motions, reports, *links, stored, damping, external, on_joints, angles)
+            self.on_drives[link] = sp.add(self.on_drives.get(link, 0), force)
+
+
+class _Seen(NamedTuple):
+    """A coordinate as a load reads it, and what `push`es it: (what acts so far, force)."""
+
+    position: Any
+    speed: Any
+    push: Callable[[_Acting, Any], None]
+
+
+def seen_coordinates(
+    system: System, motions: tuple[Motion, ...], load: AbstractStateLoad, followed: Followed
+) -> tuple[tuple, tuple]:
+    """Positions and speeds of the coordinates that a load reads."""
+    seen = [_seen(system, motions, name, followed) for name in load.coordinates()]
+    return tuple(own.position for own in seen), tuple(own.speed for own in seen)
+
+
+def _seen(system: System, motions: tuple[Motion, ...], name: str, followed: Followed) -> _Seen:
+    """The coordinate of a joint, or of a motor."""
+    if name in system.geared:
+        own = system.geared[name]
+        joint = _seen(system, motions, own.joint, followed)
+        position = sp.mul(own.ratio, joint.position)
+        position = position if own.offset is None else position + own.offset
+        turned = lambda acting, force: joint.push(acting, sp.mul(own.ratio, force))
+        return _Seen(position, sp.mul(own.ratio, joint.speed), turned)
+    branch = system.topology.branch_of(name)
+    if branch is not None:
+        index = system.topology.branches.index(branch)
+        own, along = motions[index], lambda acting, force: acting.along(index, force)
+        return _Seen(own.coordinates[0], own.speeds[0], along)
+    coordinate = system.measured[name]
+    now = closure_coordinates.read(coordinate, motions, followed.angles.get(name))
+
+    def between(acting, force):
+        own = Wrench(*(sp.scale(force, part) for part in now.wrench))
+        add_action_and_reaction(acting.wrenches, coordinate.closure, now.pose, *own)
+        acting.on_joints[name] = _sum(acting.on_joints.get(name, NOTHING), own)
+
+    return _Seen(now.position, now.speed, between)
+
+
+def _give(system, motions, own, torque, acting) -> None:
+    """Adds the torque of a coupling."""
+    for link, force in transmissions.on_coordinates(own, torque):
+        acting.along(link, force)
+    for closure, pose, wrench, joint in transmissions.on_closures(motions, own, torque):
+        add_action_and_reaction(acting.wrenches, closure, pose, *wrench)
+        if joint is not None:
+            acting.on_joints[joint] = _sum(acting.on_joints.get(joint, NOTHING), wrench)
 
 
 def effect_of(

@@ -29,6 +29,8 @@ def check_flat_bodies(mechanism: Mechanism, system: System, motions: tuple) -> N
     known while tracing.
     """
     for branch, link, motion in zip(system.topology.branches, system.links, motions, strict=True):
+        if branch.motor:
+            continue
         spin = sp.apply_transposed(link.frame.rotation, motion.twist.angular)
         if len(mechanism.bodies[branch.body].inertia) == 1 and not (
             sp.is_zero(spin[0]) and sp.is_zero(spin[1])

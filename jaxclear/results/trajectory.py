@@ -27,7 +27,7 @@ from jaxclear.integrators.events import Events
 from jaxclear.multibody import state
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import explain
-from jaxclear.results import export, histories, modes
+from jaxclear.results import export, histories, modes, transmissions
 from jaxclear.results.histories import (
     BodyHistory,
     ContactHistory,
@@ -36,6 +36,7 @@ from jaxclear.results.histories import (
     ReactionHistory,
 )
 from jaxclear.results.state_history import SavedMotion, State, StateHistory, one_of
+from jaxclear.results.transmissions import CouplingHistory
 from jaxclear.results.verification import AbstractVerification, Estimate, Unverified, checked
 
 
@@ -344,11 +345,18 @@ class Trajectory(AbstractShown):
         """What a coupling transmits over time, or a drive gives: of coordinates the torque [N m]
         (force [N] where it slides) on the first of them; of bodies the force [N] along its line of
         action; of a driven joint the torque or force along its coordinate, the friction of its own
-        bearing taken off. Unique by power where reactions are not."""
-        return histories.transmitted(self.history, name)
+        bearing taken off. Unique by power where reactions are not. Of a coupling with play or
+        stiffness where its play is seen; of a motor that turns with a joint on that joint."""
+        return transmissions.transmitted(self.history, name)
+
+    def coupling(self, name: str) -> CouplingHistory:
+        """Twist and torque of a coupling with play or stiffness over time, and which flank presses;
+        touches and releases of its flanks tell `events`."""
+        return transmissions.coupling(self.history, name)
 
     def coordinate(self, name: str) -> Float[Array, "time ..."]:
-        """Coordinate [rad, m] of a connection of the tree or of a driven joint, over time; of one
+        """Coordinate [rad, m] of a connection of the tree, of a driven joint or of a motor (by its
+        coupling's name and ".motor"), over time; of one
         with several (or a floating body) an array (time, coordinates)."""
         return self.history.coordinate(name, speeds=False)
 

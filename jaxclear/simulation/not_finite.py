@@ -13,7 +13,7 @@ from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.wording import public_name
 from jaxclear.integrators.checks import Outcome
-from jaxclear.multibody.forces import effect_of
+from jaxclear.multibody.forces import effect_of, states_of
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import body_loads, coordinate_loads
 from jaxclear.multibody.validation import is_own
@@ -68,10 +68,12 @@ def _of_loads(history: StateHistory) -> str:
                 found = effect_of(system, name, load, now.motions, now.time)
                 out[name] = sp.total(x for each in found.actions for x in (*each[1], *each[2]))
         for name, held in coordinate_loads(system):
-            branch = topology.branch_of(held.connection)
-            if is_own(held) and branch is not None:
-                place = topology.branches.index(branch)
-                out[name] = held.force(now.time, now.q[place][0], now.v[place][0])[0]
+            branches = [topology.branch_of(each) for each in held.coordinates()]
+            if is_own(held) and all(branch is not None for branch in branches):
+                places = [topology.branches.index(branch) for branch in branches]
+                seen = (tuple(own[i][0] for i in places) for own in (now.q, now.v))
+                states = states_of(name, held, now.followed)
+                out[name] = sp.total(held.effect(now.time, *seen, states).forces)
         return {name: jnp.asarray(x, float) for name, x in out.items()}
 
     seen = [history]

@@ -40,6 +40,7 @@ from jaxclear.simulation.initial_state import beginning, state_of
 from jaxclear.simulation.load_steps import judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.not_finite import told_of_the_end
+from jaxclear.simulation.sampling import check_instants
 from jaxclear.simulation.saving import Saving, as_saving, check_steps, checked_saving, saving_times
 from jaxclear.simulation.singular_positions import diagnosed
 
@@ -101,6 +102,7 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
             "integrator with fixed steps."
         )
     integrator.formulation.check(mechanism, name)
+    check_instants(mechanism, integrator)
 
 
 def check_duration(duration: Any) -> Any:

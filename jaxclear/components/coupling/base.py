@@ -120,7 +120,7 @@ class AbstractCoupling(AbstractQuantified):
                 f"coupling.{name} has a coupling.Motor on more than one of its ends; one end at "
                 "least is a joint, which moves the mechanism."
             )
-        if self.damping is not None and not self.gives:
+        if self.damping is not None and self.play is None and self.stiffness is None:
             raise ValueError(
                 f"coupling.{name} has damping and neither stiffness nor play; a rigid one does not "
                 "twist. Give its stiffness too, or put a damper on a joint (load.JointSpring)."

@@ -1,5 +1,6 @@
 r"""Couplings of bodies: wheels, belts, racks and threads, whose force acts where they mesh."""
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -15,6 +16,7 @@ from jaxclear.components.coupling.base import (
     play_field,
     stiffness_field,
 )
+from jaxclear.components.function_of_angle import check_function_of_angle
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import direction_angle, safe_sqrt
 from jaxclear.ground.pose import Pose
@@ -33,7 +35,9 @@ class Gear(AbstractBodyCoupling):
     positive angle presses wheels apart, where it is negative a negative one. Without the angle the
     force is across the line of centres. `internal`: one wheel lies within the other, and both turn
     the same way. Turns are counted by a joint of the tree; where none of the two is in it, and
-    bodies move in space, only speeds are tied. Play is seen at b.
+    bodies move in space, only speeds are tied. Play is seen at b. A `transmission_error` e, a
+    function of the turn of b [rad] from home that repeats itself every turn (a `TimeTable` that is
+    repeated, its times the angles), is added [rad] to `ratio` times that turn.
 
     With a `Motor` as an end it acts on the coordinate of the other alone, as a `Ratio` does, and a
     turns `ratio` times for one turn of b, the same way.
@@ -49,11 +53,13 @@ class Gear(AbstractBodyCoupling):
         None, "rad", "pressure angle; its sign picks the flank", above=-1, below=1, kw_only=True
     )
     internal: bool = eqx.field(static=True, default=False, kw_only=True)
+    transmission_error: Callable | None = eqx.field(default=None, kw_only=True)
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
     damping: Scalar | None = damping_field()
 
     def __check_init__(self):
+        check_function_of_angle(self, "transmission_error")
         if concrete(self.pressure_angle) == 0:
             raise ValueError(
                 "coupling.Gear has pressure_angle = 0; leave it out, and the force is across the "
@@ -83,6 +89,14 @@ class Gear(AbstractBodyCoupling):
         return radius, side * self.ratio * radius
 
     def rest(self, pose, drawn):
+        if self.transmission_error is None:
+            return self._tangent(pose, drawn)
+        turned = self.angles(pose)[1] - self.angles(drawn)[1]
+        error = self.transmission_error(turned) * self.radii(drawn)[1] / self.ratio
+        return sp.add(self._tangent(pose, drawn), error)
+
+    def _tangent(self, pose, drawn):
+        """What involutes add where the axes have moved."""
         if self.pressure_angle is None:
             return 0
         base = jnp.cos(self.pressure_angle) * _distance(drawn)
