@@ -93,6 +93,15 @@ class AbstractStateLoad(AbstractLoad):
         unless overridden."""
         return states
 
+    def motor_of(self) -> str | None:
+        """The joint on whose motor it acts where there is one; None, as unless overridden: it asks
+        for none."""
+        return None
+
+    def needs_motor(self) -> bool:
+        """Whether there must be one; not unless overridden."""
+        return False
+
     def behind(self, motors: dict[str, MotorEnd]) -> "AbstractStateLoad":
         """Itself where couplings turn joints, by name, by these motors; the same unless
         overridden."""

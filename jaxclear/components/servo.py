@@ -81,7 +81,6 @@ class Servo(AbstractStateLoad):
     )
     period: Scalar | None = quantity(None, "s", "period of sampling", above=0, kw_only=True)
     delay: int = count(0, "instants from looking to acting", at_least=0, kw_only=True)
-    motor: MotorEnd | None = eqx.field(default=None, init=False)
 
     def __check_init__(self):
         check_function_of_time(self, "reference")
@@ -94,10 +93,7 @@ class Servo(AbstractStateLoad):
             )
 
     def coordinates(self):
-        if self.motor is None:
-            return (self.joint,)
-        own = (self.motor.coordinate,)
-        return own if self.encoder != "load" else (self.joint, *own)
+        return (self.joint,)
 
     def states(self):
         integral = () if self.ki is None else (LoadState("integral", "rad s"),)
@@ -107,37 +103,37 @@ class Servo(AbstractStateLoad):
         return integral + tuple(LoadState(name, "N m") for name in queue)
 
     def effect(self, time, positions, speeds, states):
-        if self.period is None:
-            torque, error = self._asked(time, positions, speeds, states)
-            rates = () if self.ki is None else (error,)
-        else:
-            torque, rates = states[len(states) - 1 - self.delay], (0.0,) * len(states)
-        force = torque if self.motor is None else torque / self.motor.ratio
-        others = (0,) * (len(positions) - 1)
-        return CoordinateEffect((*others, force), rates, 0, 0, force * speeds[-1])
+        torque, rates = self.acting(time, positions[0], speeds[0], states)
+        return CoordinateEffect((torque,), rates, 0, 0, torque * speeds[0])
 
     def sampled_every(self):
         return self.period
 
     def sampled(self, time, positions, speeds, states):
-        torque, error = self._asked(time, positions, speeds, states)
+        torque, error = self._asked(time, positions[0], speeds[0], states)
         integral = () if self.ki is None else (states[0] + self.period * error,)
-        queue = states[len(integral) :]
-        return (*integral, *queue[1:], torque)
+        return (*integral, *states[len(integral) :][1:], torque)
+
+    def motor_of(self):
+        return self.joint
+
+    def needs_motor(self):
+        return self.encoder == "motor"
 
     def behind(self, motors):
-        found = motors.get(self.joint)
-        if found is None:
-            return self
-        return eqx.tree_at(lambda own: own.motor, self, found, is_leaf=lambda x: x is None)
+        end = motors.get(self.joint)
+        return self if end is None else MotorServo(self, end)
 
-    def _asked(self, time, positions, speeds, states):
+    def acting(self, time: Scalar, position: Any, speed: Any, states: tuple) -> tuple[Any, tuple]:
+        """(torque at the joint [N m], rates of the states) where the encoder reads a position and a
+        speed."""
+        if self.period is not None:
+            return states[len(states) - 1 - self.delay], (0.0,) * len(states)
+        torque, error = self._asked(time, position, speed, states)
+        return torque, () if self.ki is None else (error,)
+
+    def _asked(self, time, position, speed, states):
         """The torque [N m] that the controller asks for, and the rate of its integral [rad]."""
-        position, speed = positions[0], speeds[0]
-        if self.motor is not None and self.encoder != "load":
-            offset = 0 if self.motor.offset is None else self.motor.offset
-            position = (position - offset) / self.motor.ratio
-            speed = speed / self.motor.ratio
         wanted, rate = _motion(self.reference, time)
         error = wanted - position
         torque = self.kp * error
@@ -152,6 +148,40 @@ class Servo(AbstractStateLoad):
         limited = jnp.clip(torque, -self.torque_limit, self.torque_limit)
         winding = (limited != torque) & (error * torque > 0)
         return limited, jnp.where(winding, 0.0, error)
+
+
+class MotorServo(AbstractStateLoad):
+    """A `servo` on the motor behind its joint: what it becomes in a mechanism that has one."""
+
+    servo: Servo
+    end: MotorEnd
+
+    def coordinates(self):
+        own = (self.end.coordinate,)
+        return (self.servo.joint, *own) if self.servo.encoder == "load" else own
+
+    def states(self):
+        return self.servo.states()
+
+    def effect(self, time, positions, speeds, states):
+        torque, rates = self.servo.acting(time, *self._seen(positions, speeds), states)
+        force = torque / self.end.ratio
+        others = (0,) * (len(positions) - 1)
+        return CoordinateEffect((*others, force), rates, 0, 0, force * speeds[-1])
+
+    def sampled_every(self):
+        return self.servo.period
+
+    def sampled(self, time, positions, speeds, states):
+        position, speed = self._seen(positions, speeds)
+        return self.servo.sampled(time, (position,), (speed,), states)
+
+    def _seen(self, positions: tuple, speeds: tuple) -> tuple[Any, Any]:
+        """What the encoder tells of the joint."""
+        if self.servo.encoder == "load":
+            return positions[0], speeds[0]
+        offset = 0 if self.end.offset is None else self.end.offset
+        return (positions[0] - offset) / self.end.ratio, speeds[0] / self.end.ratio
 
 
 def _motion(reference: Any, time: Any) -> tuple[Any, Any]:

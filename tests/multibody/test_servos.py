@@ -99,3 +99,59 @@ def test_a_sampled_servo_is_that_of_the_z_domain(delay, ki):
     wanted = sampled(period, delay, ki, count)
     # under a constant torque rk4 is exact: rounding
     np.testing.assert_allclose(np.asarray(run.coordinate("A"))[at], wanted, atol=1e-11)
+
+
+def geared(servo, torque=None, **given):
+    """The same behind a motor, a gear and a shaft that twists."""
+    gear = jc.coupling.Gear(jc.coupling.Motor(2e-5), "A", 100.0, stiffness=2e3, damping=20.0)
+    return arm(servo, torque=torque, couplings={"gear": gear}, **given)
+
+
+@pytest.mark.parametrize("encoder", ["motor", "load", None])
+def test_what_the_encoder_sees_goes_to_its_place(encoder):
+    load = -12.0
+    servo = jc.load.Servo("A", 0.3, 400.0, ki=900.0, kd=25.0, encoder=encoder, torque_limit=90.0)
+    run = jc.simulate(geared(servo, load), 8.0, save=3, integrator=jc.integrator.Adaptive())
+    place, turned = run.coordinate("A")[-1], run.coordinate("gear.motor")[-1] / 100.0
+    # the shaft is wound up by the load
+    np.testing.assert_allclose(place - turned, load / 2e3, rtol=1e-5)
+    seen = place if encoder == "load" else turned
+    np.testing.assert_allclose(seen, 0.3, atol=1e-6)
+
+
+def test_behind_a_stiff_gear_it_acts_as_on_the_joint():
+    servo = jc.load.Servo("A", 0.3, KP, kd=KD)
+    motor = jc.coupling.Gear(jc.coupling.Motor(1e-5), "A", 100.0)
+    with_motor = arm(servo, couplings={"gear": motor})
+    run = jc.simulate(with_motor, 0.4, save=5, integrator=FINE)
+    alone = arm(servo).with_body("a", jc.Body(1.0, J + 0.1))
+    wanted = jc.simulate(alone, 0.4, save=5, integrator=FINE).coordinate("A")
+    np.testing.assert_allclose(run.coordinate("A"), wanted, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rig", "sentence"),
+    [
+        (
+            lambda: arm(
+                jc.load.Servo("A", 0.3, KP), joint=jc.joint.Revolute(jc.drive.Held(0.0))
+            ),
+            "whose coordinate is driven; leave the drive out",
+        ),
+        (lambda: arm(jc.load.Servo("A", 0.3, KP, encoder="motor")), "no coupling.Motor turns"),
+        (lambda: arm(jc.load.Servo("A", 0.3, KP, encoder="tacho")), 'no encoder of a Servo "tacho"'),
+        (lambda: arm(jc.load.Servo("A", 0.3, KP, delay=2)), "delay without a period"),
+        (lambda: arm(jc.load.Servo("A", 0.3, KP, torque_limit=0.0)), "must be above 0"),
+        (
+            lambda: jc.simulate(
+                arm(jc.load.Servo("A", 0.3, KP, period=0.01)),
+                1.0,
+                integrator=jc.integrator.FixedStep(steps_per_save=10),
+            ),
+            "give it a step in place of steps_per_save",
+        ),
+    ],
+)
+def test_what_cannot_be_is_said(rig, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        rig()
