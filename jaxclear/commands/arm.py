@@ -48,7 +48,7 @@ STANDARD, REDUCED = 3 * ARCMIN, 1 * ARCMIN
 SCATTER = 0.1
 BOUGHT = 3
 # Steps that resolve the last link on its flank; saving times are those of the way.
-STEP = 1e-4
+STEP = 2e-4
 # Each rest's end [s], and what is done there.
 RESTS = {
     "picked": REST,
