@@ -14,7 +14,12 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.clearance import ContactLaws
 from jaxclear.formulations import contacts_over_step, joint_friction, midpoint_step, state_rate
-from jaxclear.formulations.base import AbstractFormulation, ContactReport, clearance_contact
+from jaxclear.formulations.base import (
+    AbstractFormulation,
+    ContactReport,
+    check_play,
+    clearance_contact,
+)
 from jaxclear.formulations.contact_rows import TimeStep, contact_points, split
 from jaxclear.formulations.impact_speed import ContactMotion, remembered
 from jaxclear.formulations.joint_friction import friction_losses, rubbing
@@ -97,6 +102,7 @@ class CompliantContact(AbstractFormulation):
 
     def check(self, mechanism, integrator):
         joint_friction.check_rubbing(mechanism, integrator)
+        check_play(mechanism, integrator, rigid=False)
         for name in mechanism.topology.clearances:
             for laws in mechanism.connections[name].joint.contact_laws():
                 _check_laws(name, laws)
@@ -172,7 +178,7 @@ class CompliantContact(AbstractFormulation):
             return _stacked(points)
         depths = lambda time, state: _flank_motion(model, time, state, flanks)
         own = depths(time, state)
-        if any(one.has_twist for one in model.system.transmissions.values()):
+        if any(one.left_by_torque for one in model.system.transmissions.values()):
             flow = self.rate(model, time, state, None, flanks)[0]
             rates = jax.jvp(lambda *now: depths(*now).depths, (time, state), (1.0, flow))[1]
             own = own._replace(rates=rates)

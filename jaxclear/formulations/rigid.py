@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.formulations.base import AbstractFormulation, clearance_contact
+from jaxclear.formulations.base import AbstractFormulation, check_play, clearance_contact
 from jaxclear.formulations.contact_rows import (
     MiddleOfStep,
     TimeStep,
@@ -85,6 +85,7 @@ class RigidContact(AbstractFormulation):
 
     def check(self, mechanism, integrator):
         check_friction(mechanism, integrator)
+        check_play(mechanism, integrator, rigid=True)
         for name in mechanism.topology.clearances:
             for laws in mechanism.connections[name].joint.contact_laws():
                 if laws.contact.restitution is None:

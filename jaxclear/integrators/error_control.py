@@ -29,7 +29,6 @@ from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import where_wanted
 from jaxclear.integrators.events import noted, nothing, nothing_met, peaks, risen, since
 from jaxclear.integrators.saltation import Equations, Step, closed
-from jaxclear.multibody.system import TWIST
 from jaxclear.native import while_loop
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
@@ -361,8 +360,10 @@ class TakingImpactSpeeds(
         times, y, own, shift, given = self._begun(step, (t0, t1), y0, own, args)
         y1, error, dense, own, result = self.solver.step(terms, *times, y, given, own, made_jump)
         after: Any = constant(self.motion.contacts(args[0], t1, y1))
-        # Flanks of play by the side on which the step began, where that decides.
-        seen = constant(self.motion.seen(args[0], t1, y1, step.shares)) if self._shafts else after
+        # Flanks of play by how they count since the step began.
+        seen = after
+        if self.motion.sided:
+            seen = constant(self.motion.seen(args[0], t1, y1, step.shares))
         length, half = t1 - t0, 0.5 * (t0 + t1)
         path = self.interpolation_cls(t0=t0, t1=t1, **constant(dense))
         middle = self.motion.seen(args[0], half, path.evaluate(half), step.shares)
@@ -378,11 +379,6 @@ class TakingImpactSpeeds(
         known = self._peaks((t0, y0), (t1, y1), args, (step.contacts, after), known)
         kept = own, after, known, events, growth
         return y1, Judged(error, passed), dense, kept, result
-
-    @property
-    def _shafts(self):
-        """Whether the depth of some flank of play hangs on which side counts."""
-        return any(name == TWIST for _, name in self.motion.layout.states)
 
     def _peaks(self, start, end, args, motions, known):
         """The peaks after a step."""

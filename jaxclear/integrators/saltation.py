@@ -93,8 +93,8 @@ class Equations(NamedTuple):
 class Motion(NamedTuple):
     """Rates as a function of (arrays, shares, time, state), the motion of contacts as one of
     (arrays, time, state), normal forces of contacts that damp as one of (arrays, state, motion).
-    `seen`: contacts as functions of (arrays, time, state, shares), of flanks of play by the side
-    that counts."""
+    `seen`: contacts as functions of (arrays, time, state, shares), of flanks of play by whether
+    they count as pressing; `sided`: whether that makes a difference."""
 
     rates: Callable
     contacts: Callable
@@ -102,6 +102,7 @@ class Motion(NamedTuple):
     pressing: Callable
     layout: Layout
     seen: Callable
+    sided: bool
 
 
 def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
@@ -128,9 +129,9 @@ def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
         flanks = shares[rest.layout.joint_contacts :]
         return formulation.contacts(eqx.combine(arrays, rest), time, y, flanks)
 
-    shaft = any(own.has_twist for own in rest.system.transmissions.values())
-    seen = by_shares if shaft else lambda arrays, time, y, _: contacts(arrays, time, y)
-    return Motion(counted, contacts, slips, pressing, rest.layout, seen)
+    sided = any(own.left_by_torque for own in rest.system.transmissions.values())
+    seen = by_shares if sided else lambda arrays, time, y, _: contacts(arrays, time, y)
+    return Motion(counted, contacts, slips, pressing, rest.layout, seen, sided)
 
 
 def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equations:

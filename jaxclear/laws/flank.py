@@ -22,17 +22,18 @@ __all__ = ["AbstractFlankLaw", "ElastoBacklash", "Nordin", "Stop"]
 class AbstractFlankLaw(AbstractLaw):
     """How a flank presses.
 
-    `has_twist`: the shaft's twist in the gap is a state, and the flank is left where the torque
-    would pull; without it the flank presses while the parts are beyond the touch. `needs_damping`:
-    the law has no meaning without d.
+    `has_twist`: where the shaft's far end is in the gap is a state. `left_by_torque`: the flank is
+    left where the torque would pull, else where the parts are no more beyond the touch.
+    `needs_damping`: the law has no meaning without d.
     """
 
     has_twist: eqx.AbstractClassVar[bool]
+    left_by_torque: eqx.AbstractClassVar[bool]
     needs_damping: eqx.AbstractClassVar[bool]
 
     @abstractmethod
     def torque(self, elastic: Scalar, viscous: Any) -> Scalar:
-        """Torque [N m] of a flank that is touched, from k times the depth and d times its rate (0
+        """Torque [N m] of a flank that presses, from k times the depth and d times its rate (0
         without damping)."""
 
 
@@ -50,6 +51,7 @@ class Nordin(AbstractFlankLaw):
     """
 
     has_twist = True
+    left_by_torque = True
     needs_damping = True
 
     def torque(self, elastic, viscous):
@@ -58,16 +60,17 @@ class Nordin(AbstractFlankLaw):
 
 class Stop(AbstractFlankLaw):
     r"""A spring and a damper on each flank, :math:`\max(0, k\delta + d\dot\delta)`: the damper acts
-    in full from the touch on, and neither pulls.
+    in full from the touch on, and neither pulls: a flank is left where the torque would.
 
     `load.JointStop` lets the damper set in over a depth.
     """
 
     has_twist = False
+    left_by_torque = True
     needs_damping = False
 
     def torque(self, elastic, viscous):
-        return jnp.maximum(elastic + viscous, 0.0)
+        return elastic + viscous
 
 
 class ElastoBacklash(AbstractFlankLaw):
@@ -79,6 +82,7 @@ class ElastoBacklash(AbstractFlankLaw):
     """
 
     has_twist = False
+    left_by_torque = False
     needs_damping = False
 
     def torque(self, elastic, viscous):

@@ -66,28 +66,31 @@ def freewheel(twist: Any, rate: Any, stiffness: Any, damping: Any) -> Ratchet:
     return Ratchet(Pull(force, stored, damping * wound * wound), wound)
 
 
-class ThreadFriction(NamedTuple):
-    """What a unit of force along a screw's axis gives by a unit of friction's coefficient: a force
-    along the axis and a torque about it, both against the slip [1, m]."""
+class Helix(NamedTuple):
+    """A thread at its mean diameter: the share of slip along the helix that goes along the axis
+    [1], what a turn about it counts [m], and the `normal` force of its flanks for a unit of their
+    force along the axis [1]."""
 
-    force: Any
-    torque: Any
+    axial: Any
+    lever: Any
+    normal: Any
 
 
-def thread_friction(lead: Any, diameter: Any, flank_angle: Any) -> ThreadFriction:
-    r"""How friction in a thread of `lead` l [m] and mean `diameter` d [m] acts, its flanks inclined
-    by the `flank_angle` [rad] (in the section across the thread).
+def helix(lead: Any, diameter: Any, flank_angle: Any) -> Helix:
+    r"""The helix of a thread of `lead` l [m] and mean `diameter` d [m], its flanks inclined by the
+    `flank_angle` :math:`\alpha` [rad] (in the section across the thread).
 
-    The elastic part F of the axial force is that of the flank's normal, :math:`N = F / (\cos\lambda
-    \cos\alpha)`; friction :math:`\mu N` acts along the helix, with :math:`\tan\lambda = l / (\pi
-    d)`. Raising and lowering follow: :math:`T = \frac{F d}{2}\,\frac{l \pm \pi \mu d
-    \sec\alpha}{\pi d \mp \mu l \sec\alpha}`.
+    With :math:`\tan\lambda = l / (\pi d)` the normal force of a flank that pushes F along the axis
+    and :math:`F l / 2\pi` about it is :math:`N = F / (\cos\lambda \cos\alpha)`; friction
+    :math:`\mu N` acts along the helix. Raising and lowering follow: :math:`T = \frac{F
+    d}{2}\,\frac{l \pm \pi \mu d \sec\alpha}{\pi d \mp \mu l \sec\alpha}`.
 
     Source: Budynas & Nisbett 2020, Shigley's Mechanical Engineering Design, 11th ed., equations
     8-1, 8-2 and 8-5.
     """
-    secant = 1 / jnp.cos(flank_angle)
-    return ThreadFriction(lead / (jnp.pi * diameter) * secant, 0.5 * diameter * secant)
+    slope = lead / (jnp.pi * diameter)
+    cosine = 1 / jnp.sqrt(1 + slope * slope)
+    return Helix(slope * cosine, 0.5 * diameter * cosine, 1 / (cosine * jnp.cos(flank_angle)))
 
 
 class Holding(NamedTuple):
@@ -98,15 +101,17 @@ class Holding(NamedTuple):
     rate: Any
 
 
-def holding(deflection: Any, slip: Any, yields: Any) -> Holding:
-    """Friction that holds: a spring up to the deflection at which it `yields`, and no more beyond.
-    It does not creep, and sliding fast it is no stiffer than at rest.
+def holding(deflection: Any, slip: Any, yields: Any, settling: Any) -> Holding:
+    """Friction that holds: a spring up to the deflection at which it `yields`, and no more beyond,
+    damped for a time `settling` [s] while it holds. It does not creep, and sliding fast it is no
+    stiffer than at rest.
 
     Source: Prandtl 1928, Z. angew. Math. Mech. 8, 85, doi:10.1002/zamm.19280080202 (an elastic,
     perfectly plastic element).
     """
     beyond = (jnp.abs(deflection) >= yields) & (deflection * slip > 0)
-    return Holding(jnp.clip(deflection / yields, -1.0, 1.0), jnp.where(beyond, 0.0, slip))
+    rate = jnp.where(beyond, 0.0, slip)
+    return Holding(jnp.clip((deflection + settling * rate) / yields, -1.0, 1.0), rate)
 
 
 def loss(force: Any, share: Any, efficiency: Any, backwards: Any) -> Any:
@@ -114,8 +119,8 @@ def loss(force: Any, share: Any, efficiency: Any, backwards: Any) -> Any:
     on it by `force` F, of which a `share` from -1 to 1 acts: in full :math:`|F|(1/\eta - 1)` where
     power goes forwards, :math:`|F|(1 - \eta_b)` where it comes back.
 
-    What comes out is :math:`\eta` times what goes in; one that is self-locking has :math:`\eta_b =
-    0`. F is positive where it pushes against a positive motion.
+    What comes out is :math:`\eta` times what goes in; one that locks itself has
+    :math:`\eta_b < 0`. F is positive where it pushes against a positive motion.
 
     Source: Pelchen, Schweiger & Otter 2002, Modeling and simulating the efficiency of gearboxes and
     of planetary gearboxes, Proc. 2nd Int. Modelica Conference, 257.

@@ -21,6 +21,7 @@ from jaxclear.components.load import (
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_alike
 from jaxclear.ground.pose import Pose
+from jaxclear.laws.transmission import holding
 from jaxclear.multibody import (
     closure_coordinates,
     contact_point,
@@ -34,6 +35,9 @@ from jaxclear.multibody.state import Followed
 from jaxclear.multibody.system import System, body_loads, coordinate_loads
 from jaxclear.multibody.transmissions import Pressing
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
+
+
+AXIS: sp.Vec = (0, 0, 1)
 
 
 class Forces(NamedTuple):
@@ -74,6 +78,9 @@ def contact_reports(
     return dict(zip(system.bearings, reports, strict=True))
 
 
+NOTHING_FOLLOWED = Followed()
+
+
 def applied_forces(
     system: System,
     motions: tuple[Motion, ...],
@@ -81,7 +88,7 @@ def applied_forces(
     q: tuple,
     v: tuple,
     time: Any,
-    followed: Followed,
+    followed: Followed = NOTHING_FOLLOWED,
 ) -> Forces:
     """Wrench of contacts, loads and couplings that give on every link, and forces on coordinates;
     `followed`: what the state follows beside the motion."""
@@ -119,8 +126,11 @@ def applied_forces(
     for name, own in system.transmissions.items():
         pressed[name] = pressing_of(system, motions, name, followed)
         _give(system, motions, own, pressed[name].torque, acting)
-        if own.has_twist:
-            rates[name] = (pressed[name].end_rate,)
+        moved = (pressed[name].end_rate,) if own.has_twist else ()
+        rubbed = _rubbed(system, motions, name, pressed[name].torque, followed, acting)
+        if moved or rubbed is not None:
+            rates[name] = moved if rubbed is None else (*moved, rubbed.rate)
+        damping = damping if rubbed is None else sp.add(damping, rubbed.lost)
         stored, damping = (
             sp.add(stored, pressed[name].stored),
             sp.add(damping, pressed[name].dissipated),
@@ -130,6 +140,47 @@ def applied_forces(
     links = (tuple(acting.wrenches), tuple(acting.forces))
     told = (stored, damping, external, acting.on_joints, followed, rates, pressed)
     return Forces(motions, reports, *links, *told, acting.on_drives)
+
+
+class _Rubbed(NamedTuple):
+    """Rate of a deflection that holds, and what is lost [W]."""
+
+    rate: Any
+    lost: Any
+
+
+def _rubbed(
+    system: System,
+    motions: tuple[Motion, ...],
+    name: str,
+    torque: Any,
+    followed: Followed,
+    acting: "_Acting",
+) -> _Rubbed | None:
+    """Adds the friction of a coupling that transmits a torque against its twist; None of one
+    without."""
+    own = system.transmissions[name]
+    coupling, end = own.coupling, own.driving
+    if end is None and coupling.rubs is None:
+        return None
+    known = followed.states.get(name)
+    deflection = jnp.zeros(()) if known is None else known[-1]
+    if end is not None:
+        seen = _seen(system, motions, end.coordinate, followed)
+        own = coupling.efficiency
+        held = holding(deflection, seen.speed, own.presliding, own.settling_time)
+        friction = own.loss(torque * end.slope, held.share)
+        seen.push(acting, -friction)
+        return _Rubbed(held.rate, friction * seen.speed)
+    _, pose, relative = kinematics.relative_motion(own.closure, motions)
+    along = coupling.helix()
+    slip = sp.add(sp.mul(along.axial, relative.velocity[2]), sp.mul(along.lever, relative.spin[2]))
+    slip = jnp.asarray(slip, float)
+    held = holding(deflection, slip, coupling.presliding, coupling.settling_time)
+    friction = -coupling.friction * along.normal * jnp.abs(torque) * held.share
+    force, turned = sp.scale(friction * along.axial, AXIS), sp.scale(friction * along.lever, AXIS)
+    add_action_and_reaction(acting.wrenches, own.closure, pose, force, turned)
+    return _Rubbed(held.rate, -friction * slip)
 
 
 def pressing_of(

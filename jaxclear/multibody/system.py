@@ -27,7 +27,7 @@ from jaxclear.ground.pose import REST, Pose
 from jaxclear.multibody.contact_point import fitted_laws
 from jaxclear.multibody.loops import TURN, WAY, Closure, CoordinateSum, SummedCoordinate
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.meshes import drawn_pose, markers, mesh
+from jaxclear.multibody.meshes import carried, drawn_pose, markers, mesh
 from jaxclear.multibody.pose_rows import CoordinateOf, closing_rows, reading_of
 from jaxclear.multibody.topology import Branch, Topology, coordinate_joint, joint_of, motor_name
 from jaxclear.multibody.tree import Link
@@ -58,8 +58,16 @@ class ClosureCoordinate(eqx.Module):
     followed: bool = eqx.field(static=True)
 
 
-# The state of a shaft's far end in its gap.
-TWIST = "twist"
+# The states of a shaft's far end in its gap, and of friction that holds.
+TWIST, SLIP = "twist", "slip"
+
+
+class DrivingEnd(eqx.Module):
+    """The end of a coupling at which it loses power: its coordinate, and by how much the twist
+    changes with it."""
+
+    coordinate: str = eqx.field(static=True)
+    slope: Any
 
 
 class Transmission(eqx.Module):
@@ -69,12 +77,24 @@ class Transmission(eqx.Module):
     closure: Closure
     scale: Any
     coupling: AbstractCoupling
+    driving: "DrivingEnd | None" = None
+
+    def states(self) -> tuple[str, ...]:
+        """Its states."""
+        rubs = self.driving is not None or self.coupling.rubs is not None
+        return (TWIST,) * self.has_twist + (SLIP,) * rubs
 
     @property
     def has_twist(self) -> bool:
         """Whether its law has a state of the flank."""
         play = self.coupling.play
         return play is not None and play.law.has_twist
+
+    @property
+    def left_by_torque(self) -> bool:
+        """Whether its flanks are left where the torque would pull."""
+        play = self.coupling.play
+        return play is not None and play.law.left_by_torque
 
 
 class Geared(eqx.Module):
@@ -157,7 +177,9 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     for name, coupling in mechanism.couplings.items():
         if coupling.gives:
             own = _row(mechanism, name, places, frames)
-            transmissions[name] = Transmission(own, _scale(mechanism, coupling), coupling)
+            scale = _scale(mechanism, coupling)
+            end = _driving_end(mechanism, name, scale)
+            transmissions[name] = Transmission(own, scale, coupling, end)
     measured = _measured(mechanism, places)
     loaded = (loads, measured, load_markers, gravity)
     behind = (transmissions, geared_motors(mechanism))
@@ -211,6 +233,20 @@ def _scale(mechanism: Mechanism, coupling: Any) -> Any:
     return coupling.seen_radius(drawn_pose(coupling, mechanism.bodies, mechanism.connections))
 
 
+def _driving_end(mechanism: Mechanism, name: str, scale: Any) -> DrivingEnd | None:
+    """Where a coupling loses power; None for one that loses none."""
+    coupling = mechanism.couplings[name]
+    if coupling.efficiency is None:
+        return None
+    if coupling.motor is not None:
+        motor = motor_name(name)
+        return DrivingEnd(motor, dict(_terms(mechanism, name))[motor] / scale)
+    first = coupling.joints()[0]
+    drawn = drawn_pose(coupling, mechanism.bodies, mechanism.connections)
+    side = 1.0 if carried(mechanism.connections[first]).is_child else -1.0
+    return DrivingEnd(first, side * coupling.radii(drawn)[0] / scale)
+
+
 def _terms(mechanism: Mechanism, name: str) -> list[CoordinateTerm]:
     """The terms of a coupling, its motor by name."""
     own = mechanism.couplings[name].terms()
@@ -260,10 +296,11 @@ def _summed(mechanism: Mechanism, name: str, places: dict[str, Closure]) -> Clos
 def _measured(mechanism: Mechanism, places: dict[str, Closure]) -> dict[str, ClosureCoordinate]:
     """Joints outside the tree, of these closures, on whose coordinate loads act."""
     acting = [x for x in acting_in(mechanism).values() if isinstance(x, AbstractStateLoad)]
+    lossy = {c.joints()[0] for c in mechanism.couplings.values() if c.efficiency is not None}
     found = {}
     for name, closure in places.items():
         own = [load for load in acting if name in load.coordinates()]
-        if own:
+        if own or name in lossy:
             joint = coordinate_joint(name, mechanism.bodies, mechanism.connections)
             followed = joint.units == ("rad",) and any(load.reads_position() for load in own)
             found[name] = ClosureCoordinate(joint, closure, followed)

@@ -6,10 +6,10 @@ its rigid row; the torque T acts along that gradient against it. With play there
 upper one at s = m + b and a lower one at m - b, of which each is a possible contact: its depth is
 positive where it presses, so that steps find touches and releases as they do those of joints.
 
-Where the shaft's far end is a state (`flank.Nordin`) a flank that is apart is met by that end, and
-one that presses is left where the torque would pull: its depth is then the torque beside the
-stiffness. Which of the two counts may be told (`shares`), so that within a step the equations are
-smooth.
+A flank that is left where its torque would pull has, while it presses, the torque beside the
+stiffness for a depth; where the shaft's far end is a state (`flank.Nordin`) a flank that is apart
+is met by that end. Which flanks count as pressing may be told (`shares`), so that within a step the
+equations are smooth.
 """
 
 from typing import Any, NamedTuple
@@ -17,13 +17,14 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import constant
 from jaxclear.multibody import kinematics, pose_rows
 from jaxclear.multibody.coordinate_sums import outer_wrenches, sum_equation
 from jaxclear.multibody.loops import Closure, CoordinateSum
 from jaxclear.multibody.state import Layout
-from jaxclear.multibody.system import System, Transmission
+from jaxclear.multibody.system import TWIST, System, Transmission
 from jaxclear.multibody.tree import Motion, Wrench
 
 
@@ -84,16 +85,22 @@ def pressing(own: Transmission, twist: Twist, end: Any = None, shares: Any = Non
         torques.append(play.law.torque(stiffness * depth, viscous))
     if end is not None:
         return _with_end(own, twist, (place, half, end), (torques, shares))
+    depths, rates = zip(*sides, strict=True)
+    if play.law.left_by_torque:
+        by_torque = [torque / stiffness for torque in torques]
+        depths = tuple(map(jnp.minimum, depths, by_torque))
+        if shares is not None:
+            each = zip(shares, by_torque, depths, strict=True)
+            depths = tuple(jnp.where(share > 0, a, b) for share, a, b in each)
     touching = shares
     if shares is None:
-        touching = [jnp.where(depth >= 0, 1.0, 0.0) for depth, _ in sides]
+        touching = [jnp.where(depth >= 0, 1.0, 0.0) for depth in depths]
     acting = [share * torque for share, torque in zip(touching, torques, strict=True)]
     stored, lost = 0, 0
-    for (depth, rate), share, torque in zip(sides, touching, acting, strict=True):
-        elastic = share * stiffness * depth
-        stored = stored + 0.5 * elastic * depth
-        lost = lost + (torque - elastic) * rate
-    depths, rates = zip(*sides, strict=True)
+    for (depth, rate), torque in zip(sides, acting, strict=True):
+        # What is left in a flank as it goes back without the other part is lost.
+        stored = stored + 0.5 * stiffness * positive_part(depth) * depth
+        lost = lost + torque * rate - jnp.where(depth > 0, stiffness * depth * rate, 0.0)
     told = (acting[0] - acting[1], None, stored, lost, twist)
     return Pressing(*told, depths, rates, tuple(acting))
 
@@ -145,6 +152,9 @@ def torque_on_flanks(own: Transmission, depths: Any, rates: Any) -> Any:
     if own.has_twist:
         return jnp.maximum(elastic, 0.0)
     viscous = 0.0 if coupling.damping is None else coupling.damping * rates
+    if coupling.play.law.left_by_torque:
+        # As it falls off the depth is the torque's own.
+        viscous = positive_part(viscous)
     return jnp.where(depths >= 0, coupling.play.law.torque(elastic, viscous), 0.0)
 
 
@@ -152,9 +162,9 @@ def within_gaps(system: System, layout: Layout, entries: list) -> list:
     """The entries of a state with the far ends of shafts not beyond their gaps, as numbers: their
     derivatives are what they were."""
     found = list(entries)
-    for i, (owner, _) in enumerate(layout.states):
+    for i, (owner, state) in enumerate(layout.states):
         own = system.transmissions.get(owner)
-        if own is not None and own.has_twist:
+        if own is not None and state == TWIST:
             place, half = layout.state_start + i, 0.5 * own.coupling.play.play
             moved = jnp.clip(found[place], -half, half) - found[place]
             found[place] = found[place] + constant(moved)

@@ -1,6 +1,6 @@
 """How much each entry of the state counts in an error control: places, speeds, remembered impact
-speeds and states of loads and flanks as they are, deflections of bristles beside what they settle within; what follows the motion
-(worn volumes, energies, impulses) is not held.
+speeds and states of loads and flanks as they are, deflections of bristles beside what they settle
+within; what follows the motion (worn volumes, energies, impulses) is not held.
 """
 
 from typing import Any

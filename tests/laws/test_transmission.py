@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxclear.laws.transmission import freewheel, holding, loss, one_sided, thread_friction
+from jaxclear.laws.transmission import freewheel, helix, holding, loss, one_sided
 
 K, D = 2e3, 0.7
 
@@ -40,21 +40,22 @@ def test_a_one_sided_spring_never_pulls_and_never_gives_energy():
 def test_a_thread_takes_the_torque_of_the_textbook(raises):
     # Shigley, example 8-1: d = 32 mm, pitch 4 mm, double thread, square; mu = 0.08, F = 6.4 kN
     load, mu, lead, diameter = 6.4e3, 0.08, 8e-3, 30e-3
-    unit = thread_friction(lead, diameter, 0.0)
+    own = helix(lead, diameter, 0.0)
     # the elastic part carries the load less what friction carries of it
-    elastic = load / (1 - raises * mu * unit.force)
-    torque = elastic * (lead / (2 * np.pi) + raises * mu * unit.torque)
+    elastic = load / (1 - raises * mu * own.normal * own.axial)
+    torque = elastic * (lead / (2 * np.pi) + raises * mu * own.normal * own.lever)
     # 15.94 and -0.466 N m of the book, to the figures that it prints
     np.testing.assert_allclose(torque, {1: 15.94, -1: 0.466}[raises], rtol=0.002)
 
 
 def test_inclined_flanks_take_more():
     lead, diameter, mu, flank = 5e-3, 0.02, 0.15, np.radians(14.5)
-    unit = thread_friction(lead, diameter, flank)
+    own = helix(lead, diameter, flank)
     secant = 1 / np.cos(flank)
     wanted = 0.5 * diameter * (lead + np.pi * mu * diameter * secant)
     wanted /= np.pi * diameter - mu * lead * secant
-    found = (lead / (2 * np.pi) + mu * unit.torque) / (1 - mu * unit.force)
+    rub = mu * own.normal
+    found = (lead / (2 * np.pi) + rub * own.lever) / (1 - rub * own.axial)
     np.testing.assert_allclose(found, wanted, rtol=1e-13)
 
 
@@ -69,7 +70,7 @@ def test_what_comes_out_is_its_share_of_what_goes_in():
 
 
 def test_friction_that_holds_is_a_spring_and_then_no_more():
-    assert holding(2e-4, 0.0, 1e-3) == (0.2, 0.0)
-    share, rate = holding(1e-3, 5.0, 1e-3)
+    assert holding(2e-4, 0.0, 1e-3, 1e-3) == (0.2, 0.0)
+    share, rate = holding(1e-3, 5.0, 1e-3, 1e-3)
     assert share == 1 and rate == 0
-    assert holding(1e-3, -5.0, 1e-3).rate == -5.0
+    assert holding(1e-3, -5.0, 1e-3, 1e-3).rate == -5.0

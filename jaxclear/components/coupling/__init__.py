@@ -10,6 +10,7 @@ from jaxclear.components.coupling.base import (
 from jaxclear.components.coupling.cam import Cam
 from jaxclear.components.coupling.coordinates import Differential, Hold, Ratio
 from jaxclear.components.coupling.force import AbstractForceCoupling
+from jaxclear.components.coupling.losses import Efficiency
 from jaxclear.components.coupling.meshing import Belt, Gear, Rack, Screw
 from jaxclear.components.coupling.one_way import OneWay
 from jaxclear.components.coupling.rope import Rope
@@ -24,6 +25,7 @@ __all__ = [
     "Cam",
     "CoordinateTerm",
     "Differential",
+    "Efficiency",
     "Gear",
     "Hold",
     "Motor",

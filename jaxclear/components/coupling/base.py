@@ -20,6 +20,7 @@ import equinox as eqx
 import jax
 
 from jaxclear.components.clearance.backlash import Backlash
+from jaxclear.components.coupling.losses import Efficiency
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, quantity
 
@@ -97,6 +98,16 @@ class AbstractCoupling(AbstractQuantified):
         """The damping [N m s/rad, N s/m]; None unless a class has this field (`damping_field`)."""
         return None
 
+    @property
+    def efficiency(self) -> Efficiency | None:
+        """What of the power comes out; None unless a class has this field (`efficiency_field`)."""
+        return None
+
+    @property
+    def rubs(self) -> Any:
+        """Friction of its thread; None unless a class has some."""
+        return None
+
     @abstractmethod
     def joints(self) -> tuple[str, ...]:
         """Names of the joints that it speaks of, each once."""
@@ -124,6 +135,12 @@ class AbstractCoupling(AbstractQuantified):
             raise ValueError(
                 f"coupling.{name} has damping and neither stiffness nor play; a rigid one does not "
                 "twist. Give its stiffness too, or put a damper on a joint (load.JointSpring)."
+            )
+        loses = "efficiency" if self.efficiency is not None else "friction"
+        if (self.efficiency is not None or self.rubs is not None) and not self.gives:
+            raise ValueError(
+                f"coupling.{name} has {loses} and neither stiffness nor play: what it loses follows "
+                "from the force of its flank. Give its stiffness."
             )
 
 

@@ -16,11 +16,13 @@ from jaxclear.components.coupling.base import (
     play_field,
     stiffness_field,
 )
+from jaxclear.components.coupling.losses import Efficiency, efficiency_field
 from jaxclear.components.function_of_angle import check_function_of_angle
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import direction_angle, safe_sqrt
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.laws.transmission import Helix, helix
 
 
 class Gear(AbstractBodyCoupling):
@@ -54,6 +56,7 @@ class Gear(AbstractBodyCoupling):
     )
     internal: bool = eqx.field(static=True, default=False, kw_only=True)
     transmission_error: Callable | None = eqx.field(default=None, kw_only=True)
+    efficiency: Efficiency | None = efficiency_field()
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
     damping: Scalar | None = damping_field()
@@ -183,6 +186,7 @@ class Rack(AbstractBodyCoupling):
     pressure_angle: Scalar | None = quantity(
         None, "rad", "pressure angle; its sign picks the flank", above=-1, below=1, kw_only=True
     )
+    efficiency: Efficiency | None = efficiency_field()
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
     damping: Scalar | None = damping_field()
@@ -241,10 +245,35 @@ class Screw(AbstractBodyCoupling):
 
     The joint guides both, and lets them turn and slide (`joint.Cylindrical`, one with clearance);
     the thread acts on the bodies along its axis and about it.
+
+    With `friction` :math:`\mu` the flanks rub along the helix of the mean `diameter` d by :math:`\mu
+    N`, N their normal force, and at rest they hold: friction is a spring up to a deflection of
+    `presliding`, damped by `settling_time`. A nut under a load F is turned by :math:`\frac{F d}{2}\frac{l \pm \pi\mu d
+    \sec\alpha}{\pi d \mp \mu l \sec\alpha}` against it and with it, and stays where it is where
+    :math:`\pi\mu d \sec\alpha > l`; :math:`\alpha`, the `flank_angle`, is that of the section
+    across the thread. It needs `stiffness`. A collar's friction is a `load.JointFriction`.
+
+    Source: Budynas & Nisbett 2020, Shigley's Mechanical Engineering Design, 11th ed., equations 8-1
+    to 8-5; Prandtl 1928, Z. angew. Math. Mech. 8, 85 (friction that holds).
     """
 
     joint: str = eqx.field(static=True)
     lead: Scalar = quantity(unit="m", meaning="advance for one turn", usual=USUAL_LEAD)
+    friction: Scalar | None = quantity(
+        None, "1", "friction coefficient of the flanks", at_least=0, kw_only=True
+    )
+    diameter: Scalar | None = quantity(
+        None, "m", "mean diameter of the thread", above=0, kw_only=True
+    )
+    flank_angle: Scalar = quantity(
+        0.0, "rad", "half the thread's angle", at_least=0, below=1.2, kw_only=True
+    )
+    presliding: Scalar = quantity(
+        1e-5, "m", "deflection along the helix at which friction is full", above=0, kw_only=True
+    )
+    settling_time: Scalar = quantity(
+        1e-3, "s", "damping time of friction that holds", at_least=0, kw_only=True
+    )
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
     damping: Scalar | None = damping_field()
@@ -252,6 +281,11 @@ class Screw(AbstractBodyCoupling):
     def __check_init__(self):
         if concrete(self.lead) == 0:
             raise ValueError("coupling.Screw has lead = 0; a thread advances as it turns.")
+        if (self.friction is None) != (self.diameter is None):
+            raise ValueError(
+                "coupling.Screw needs friction and diameter together: friction acts at the thread's "
+                "mean diameter."
+            )
 
     def joints(self):
         return (self.joint,)
@@ -274,6 +308,14 @@ class Screw(AbstractBodyCoupling):
     @property
     def seen_as_length(self):
         return True
+
+    @property
+    def rubs(self):
+        return self.friction
+
+    def helix(self) -> Helix:
+        """The helix of the thread, at its mean diameter."""
+        return helix(self.lead, self.diameter, self.flank_angle)
 
     def check(self, drawn):
         """Any two markers may be on one thread."""

@@ -38,7 +38,7 @@ class OneWay(AbstractForceCoupling):
         return self.a, self.b
 
     def states(self):
-        return (LoadState("twist", "rad"),)
+        return (LoadState("wound", "rad"),)
 
     def effect(self, time, positions, speeds, states):
         rate = speeds[0] - self.ratio * speeds[1]
