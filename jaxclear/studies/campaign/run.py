@@ -97,7 +97,7 @@ class _Run:
             larger = self.kept.extended(samples, usual_batch(self.by.problem))
             self.kept = larger.view(self.most)
         plan = self.kept.plan
-        left = np.setdiff1d(np.arange(plan.chunks), self.kept.finished(kept_anew=True)).tolist()
+        left = np.setdiff1d(np.arange(plan.chunks), self.kept.finished()).tolist()
         if lost := self.kept.lost(left):
             warn(lost)
         if left:

@@ -206,7 +206,7 @@ def evaluate_all(
     if ledger is not None:
         asked = Question.of(problem, function)
         kind = eqx.filter_eval_shape(function, problem, jnp.asarray(pieces[0]))
-        found = [ledger.taken(piece, kind, asked, pieces) for piece in pieces]
+        found = [ledger.taken(piece, kind, asked) for piece in pieces]
         ledger.begin()
     left = [number for number, known in enumerate(found) if known is None]
     program, before = Program(problem, function), stops()
