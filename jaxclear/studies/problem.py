@@ -41,6 +41,7 @@ from jaxclear.multibody.topology import Redundancy
 from jaxclear.results.response import concerned, needs_of, unit_of
 from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.by_kernels import compiled_for_kernels
 from jaxclear.simulation.derivatives import (
     backwards,
     compared,
@@ -266,7 +267,7 @@ class Problem(AbstractMechanismProblem):
         """
         check_double_precision()
         self.check_values(values)
-        return _answers(self, values, discrete_derivatives)
+        return _answers_alone(self, jnp.asarray(values), discrete_derivatives)
 
     def sample_memory(self) -> int:
         """Saved states and worn surfaces [bytes]."""
@@ -375,6 +376,10 @@ def _answers(problem: Problem, values: Float[Array, " variables"], discrete: boo
     started = lambda problem, values: problem.started(values, own)
     mechanism, start, run = backwards(integrator)(started, problem, values)
     return _taken(problem, mechanism, start, guarded(run, integrator, discrete))
+
+
+# Called by itself it is one program; a loop of a user's, as SciPy's are, asks thousands of times.
+_answers_alone = compiled_for_kernels(_answers)
 
 
 def _taken(problem: Problem, mechanism: Any, start: Any, run: Trajectory) -> SampleResult:
