@@ -67,7 +67,7 @@ from jaxclear.simulation.simulate import (
 from jaxclear.simulation.singular_positions import diagnosed, diagnosed_outcome
 from jaxclear.studies.base import SampleResult, how_it_ended
 from jaxclear.studies.chosen_integrator import allowed, checked_asked, chosen_integrator, unasked
-from jaxclear.studies.ledger.batch import sample_of_chunk
+from jaxclear.studies.ledger.batch import LEAST_CHUNK, sample_of_chunk
 from jaxclear.studies.mechanism_problem import (
     AbstractMechanismProblem,
     Thinned,
@@ -82,9 +82,11 @@ from jaxclear.studies.variable import (
 
 # Histories that a response may build from the saved states, in multiples of these.
 HISTORY_FACTOR = 12
-# On a CPU the time per sample falls up to chunks of about this length and rises again beyond
-# (benchmarks/claims/monte_carlo.py). An accelerator wants many samples at once.
-LARGEST_CHUNK = {"cpu": 64}
+# A call of a compiled program costs some half a millisecond, whatever it is given: the time per
+# sample falls up to chunks of about this length. It rises again where one takes more memory [bytes]
+# than stays near a core (benchmarks/claims/fixed_costs.py). An accelerator wants many at once.
+LARGEST_CHUNK = {"cpu": 1024}
+NEAR_A_CORE = 1 << 26
 LARGEST_ELSEWHERE = 4096
 
 
@@ -279,7 +281,11 @@ class Problem(AbstractMechanismProblem):
         return 8 * (len(self.shares) * (HISTORY_FACTOR * layout.size) + 8 * cells)
 
     def most_together(self) -> int:
-        return LARGEST_CHUNK.get(jax.default_backend(), LARGEST_ELSEWHERE)
+        most = LARGEST_CHUNK.get(jax.default_backend())
+        if most is None:
+            return LARGEST_ELSEWHERE
+        near = max(NEAR_A_CORE // max(self.sample_memory(), 1), LEAST_CHUNK)
+        return min(most, 1 << (near.bit_length() - 1))
 
     def idle(self) -> "Problem":
         """Runs of no length."""

@@ -19,7 +19,7 @@ from jaxclear.ground.warning import warn
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.ledger.batch import devices, usual_batch
+from jaxclear.studies.ledger.batch import LEAST_CHUNK, devices, usual_batch
 from jaxclear.studies.ledger.ledger import STUDY, DamagedFolder, refuse_foreign, tell, told_of
 from jaxclear.studies.ledger.pieces import (
     MENDED,
@@ -83,16 +83,24 @@ class Plan(NamedTuple):
         return groups(self.samples, self.scramblings)
 
 
+def batch_of(problem: AbstractProblem, samples: int) -> int:
+    """Samples of a batch of a campaign. One of runs has many of them: each is lost where the
+    process ends in it."""
+    batch = usual_batch(problem)
+    if problem.idle() is problem:
+        return batch
+    return min(batch, max(LEAST_CHUNK, samples // OF_CAMPAIGN))
+
+
 def planned(
     problem: AbstractProblem, drawn: tuple[int, int, str, int], chunk: int | None, most: int
 ) -> Plan:
     """The plan of samples, seed, sampling and scramblings to begin with, of which there will be
     `most`; in chunks of at least so many samples if they are given. Chunks are of whole batches of
     the usual size, also where there are not as many samples."""
-    batch = usual_batch(problem)
+    # Runs have an idle form; what is evaluated at once has none.
+    cheap, batch = problem.idle() is problem, batch_of(problem, most)
     if chunk is None:
-        # Runs have an idle form; what is evaluated at once has none.
-        cheap = problem.idle() is problem
         some = min(BATCHES * batch, most // OF_CAMPAIGN)
         chunks, least = (MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK) if cheap else (MOST_CHUNKS, some)
         chunk = max(-(-most // chunks), least, batch * devices())
