@@ -18,7 +18,6 @@ from jaxtyping import Array, Bool
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, expect
-from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.warning import warn
@@ -54,6 +53,7 @@ from jaxclear.multibody.start_equations import (
 )
 from jaxclear.multibody.system import readings
 from jaxclear.multibody.topology import Redundancy
+from jaxclear.native.compiled import compiled_quickly
 
 ITERATIONS = 30
 # The last of them.

@@ -16,17 +16,16 @@ from jaxclear.errors.estimates import HALF
 from jaxclear.errors.verification import Replica, verified
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
-from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
 from jaxclear.native import forwards_only, has_kernels, stoppable
+from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_for_kernels, compiled_quickly
 from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
-from jaxclear.simulation.by_kernels import compiled_for_kernels
 from jaxclear.simulation.derivatives import (
     backwards,
     compared,

@@ -20,12 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import is_traced
 from jaxclear.multibody.assembly import nearest, ready
 from jaxclear.multibody.closure_coordinates import angles_at_start
 from jaxclear.multibody.start_equations import ask, motions_at, retract
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.statics import equilibrium
 from jaxclear.statics.equilibrium import Carried, Case, Measures, Rounded, Terms
 from jaxclear.statics.quasi_static import SEAT, Posed, Read

@@ -38,10 +38,10 @@ from jaxclear.multibody.reach import narrowest_gap, rooms
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import longest_arm, prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
+from jaxclear.native.compiled import compiled_for_kernels
 from jaxclear.results.response import concerned, needs_of, unit_of
 from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.by_kernels import compiled_for_kernels
 from jaxclear.simulation.derivatives import (
     backwards,
     compared,
