@@ -135,10 +135,9 @@ def _head(name: str, content: bytes) -> bytes:
 
 def _is_owners(found: os.stat_result) -> bool:
     """Whether a file or folder belongs to this user, and others have no part in it."""
-    if not hasattr(os, "geteuid"):
-        # Windows keeps a user's own folders from others.
-        return True
-    return found.st_uid == os.geteuid() and not found.st_mode & OTHERS
+    user = getattr(os, "geteuid", None)
+    # Windows, which knows no such numbers, keeps a user's own folders from others.
+    return user is None or (found.st_uid == user() and not found.st_mode & OTHERS)
 
 
 def _files(folder: Path) -> Iterator[KeptFile]:
