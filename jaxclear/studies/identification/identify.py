@@ -6,7 +6,8 @@ sensors see it, and each unknown is regressed on the statistics of what they see
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,9 +15,9 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_known, expect
 from jaxclear.ground.wording import described
 from jaxclear.results.signal import usual_statistics
-from jaxclear.studies.identification.laws import Ensemble
+from jaxclear.studies.identification.laws import Ensemble, ensemble
 from jaxclear.studies.identification.measurement import Measurement
-from jaxclear.studies.identification.regression import ONE_LENGTH, regression, told
+from jaxclear.studies.identification.regression import Regression, regression, told, told_alone
 from jaxclear.studies.identification.result import (
     ONE_RECORD,
     Evidence,
@@ -27,6 +28,7 @@ from jaxclear.studies.identification.result import (
     unknown_of,
 )
 from jaxclear.studies.identification.sample import (
+    Cut,
     Sample,
     as_signals,
     check_identifiable,
@@ -34,11 +36,16 @@ from jaxclear.studies.identification.sample import (
     sampled,
     sensed,
     statistics_of,
+    watched,
 )
+from jaxclear.studies.ledger.ledger import Ledger, current
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled
+from jaxclear.studies.texts import in_texts
 
 WAYS = ("statistics",)
+# What a folder is told to hold.
+WHAT = "the sample of an identification"
 # Runs below which residuals say nothing of an interval of 95 %.
 LEAST_RUNS = 64
 # A kind of statistics tells an unknown where its left-out residuals are below this share of the
@@ -56,6 +63,7 @@ def identify(
     statistics: Mapping[str, Callable] | None = None,
     laws: Sequence[type] | None = None,
     seed: int = 0,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> Identified:
     """What a record tells of the variables of a problem, whose distributions are the priors.
@@ -68,8 +76,9 @@ def identify(
     `signal.usual_statistics`. `laws`: classes of dissipation factors and friction laws, one of
     which acts in each run at the joint's own restitution and kinetic coefficient; by default
     LankaraniNikravesh, Flores and HuntCrossley, Ambrosio and CoulombTanh, with the joint's own
-    among them; (): the joint's own alone. The sample is that of a seed; a `jaxclear.campaign`'s
-    folder is not needed: identical runs are those of the process.
+    among them; (): the joint's own alone. `store`: a folder that keeps the runs' signals without
+    noise; asked again, with other numbers of the instruments, other statistics or another record of
+    the same sampling, nothing runs anew.
 
     An unknown whose interval is wider than 0.8 of the prior's is not identified, and has the
     prior's interval; one below 0.5 is identified. Raises `ValueError` with a sentence for what
@@ -82,8 +91,12 @@ def identify(
     check_identifiable(problem, data)
     check_sampled(problem, runs, seed)
     asked = _statistics(statistics, data)
-    sample = sampled(problem, data, runs, laws, seed, progress_bar)
-    return identified(problem, data, sample, asked, seed)
+    known = ensemble(problem.mechanism, laws)
+    runs_of = watched(problem, data, known)
+    kept = None if store is None else Ledger.opened(store, WHAT, in_texts(runs_of))
+    with current(kept):
+        sample = sampled(problem, data, runs_of, known, runs, seed, progress_bar)
+    return answered(fit(problem, data, sample, asked, seed), data)
 
 
 def _statistics(given: Any, record: Measurement) -> dict[str, Callable]:
@@ -102,77 +115,89 @@ def _statistics(given: Any, record: Measurement) -> dict[str, Callable]:
     return dict(given)
 
 
-def identified(
+class Fit(NamedTuple):
+    """A sample of a problem, regressed on the `statistics` of what a record's sensors see of it:
+    what any record of the same sensors and sampling is compared with. `signals` are those of the
+    sample as they were sensed, `cut` into turns; `kinds` their statistics (runs, numbers) by kind,
+    `tellers` by unknown the kind that tells it best by itself."""
+
+    problem: Problem
+    sample: Sample
+    statistics: dict[str, Callable]
+    cut: Cut
+    kinds: dict[str, np.ndarray]
+    regressed: Regression
+    tellers: dict[str, str]
+
+
+def fit(
     problem: Problem,
     record: Measurement,
     sample: Sample,
     statistics: dict[str, Callable],
     seed: int = 0,
-) -> Identified:
-    """What a record tells beside a sample that has run."""
+) -> Fit:
+    """The sample as a record's sensors see it, and the unknowns by what they see."""
     if len(sample.values) < LEAST_RUNS:
         raise ValueError(
             f"{sample.failed} runs of the sample failed and {len(sample.values)} are left, fewer "
             f"than {LEAST_RUNS}: look at one by jaxclear.monte_carlo of the same problem."
         )
     cut = cut_of(record, sample)
-    runs = statistics_of(as_signals(sensed(sample, record, seed), record, cut), statistics)
-    own = {name: values[None] for name, values in record.signals.items()}
-    shown = statistics_of(as_signals(own, record, cut), statistics)
-    kinds = {what: (values, shown[what][0]) for what, values in runs.items()}
-    every = np.concatenate(list(runs.values()), axis=1)
-    here = np.concatenate([one[0] for one in shown.values()])
+    kinds = statistics_of(as_signals(sensed(sample, record, seed), record, cut), statistics)
     shares = prior_shares(problem, sample.values)
-    fitted = regression(every, shares)
-    rows = told(fitted, here)
+    regressed = regression(np.concatenate(list(kinds.values()), axis=1), shares)
     tellers = _tellers(kinds, shares, problem.names)
+    return Fit(problem, sample, statistics, cut, kinds, regressed, tellers)
+
+
+def answered(known: Fit, record: Measurement) -> Identified:
+    """What a record tells beside a sample that is fitted."""
+    problem, sample, fitted = known.problem, known.sample, known.regressed
+    own = {name: values[None] for name, values in record.signals.items()}
+    shown = statistics_of(as_signals(own, record, known.cut), known.statistics)
+    here = np.concatenate([one[0] for one in shown.values()])
     unknowns = tuple(
-        unknown_of(problem, name, (row.estimate, row.low, row.high), tellers[name])
-        for name, row in zip(problem.names, rows, strict=True)
+        unknown_of(problem, name, (row.estimate, row.low, row.high), known.tellers[name])
+        for name, row in zip(problem.names, told(fitted, here), strict=True)
     )
     joint = _joint(fitted, here)
-    verdicts = [own.verdict for own in unknowns]
+    values = [prior_quantiles(problem, n, joint[:, i]) for i, n in enumerate(problem.names)]
     remarks = (
-        *together(problem.names, fitted, verdicts),
+        *together(problem.names, fitted, [own.verdict for own in unknowns]),
         *_laws_in_words(sample.laws),
         ONE_RECORD,
     )
-    values = [prior_quantiles(problem, n, joint[:, i]) for i, n in enumerate(problem.names)]
     return Identified(
         problem,
         unknowns,
         np.stack(values, axis=1),
         len(sample.values),
         sample.failed,
-        f"by {every.shape[1]} statistics of {len(record.signals)} signals",
+        f"by {len(here)} statistics of {len(shown) // len(known.statistics)} signals",
         remarks,
         fitted.distance(here),
-        Evidence(fitted, kinds, joint),
+        Evidence(fitted, {n: (runs, shown[n][0]) for n, runs in known.kinds.items()}, joint),
     )
 
 
 def _tellers(
-    kinds: dict[str, tuple[np.ndarray, np.ndarray]], shares: np.ndarray, names: Sequence[str]
+    kinds: dict[str, np.ndarray], shares: np.ndarray, names: Sequence[str]
 ) -> dict[str, str]:
     """By unknown the kind of statistics that tells it best by itself."""
-    scatter = {
-        what: regression(own, shares, ONE_LENGTH).scatter for what, (own, _) in kinds.items()
-    }
+    missed = {what: told_alone(own, shares) for what, own in kinds.items()}
     found = {}
     for k, name in enumerate(names):
-        best = min(scatter, key=lambda what: float(scatter[what][k]))
-        found[name] = best if scatter[best][k] < TELLS else ""
+        best = min(missed, key=lambda what: float(missed[what][k]))
+        found[name] = best if missed[best][k] < TELLS else ""
     return found
 
 
 def _joint(fitted: Any, here: np.ndarray) -> np.ndarray:
-    """Shares (samples, unknowns) that the unknowns may have together: the estimates and what is
-    missed of the runs nearest by all of these."""
+    """Shares (runs, unknowns) that the unknowns may have together: the estimates and what they
+    miss, run by run."""
     at = fitted.estimates(here)[0]
-    apart = np.sum((fitted.left_out - at) ** 2, axis=1)
-    count = min(max(60, len(apart) // 5), len(apart))
-    near = np.argsort(apart, kind="stable")[:count]
-    return np.clip(at + fitted.residuals[near], 0.0, 1.0)
+    return np.clip(at + fitted.missed(at), 0.0, 1.0)
 
 
 def _laws_in_words(laws: Ensemble) -> tuple[str, ...]:

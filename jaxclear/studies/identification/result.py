@@ -180,7 +180,7 @@ class Identified(AbstractAnswer):
     @property
     def warned(self) -> tuple[str, ...]:
         """A sentence where the sample's laws do not explain the record."""
-        if self.explains is not False:
+        if self.explained is None or self.explained > STRANGE:
             return ()
         return (
             f"No law of the sample explains the record: {100 * self.explained:.2g} % of the runs "
@@ -201,7 +201,7 @@ def posterior_of(problem: Problem, values: np.ndarray) -> Problem:
         shape = Empirical(values[:, i] - centre, low=ends[i, 0] - centre, high=ends[i, 1] - centre)
         known[name] = eqx.tree_at(lambda variable: variable.distribution, own, shape)
     varied = list(problem.variables.values())
-    named = [own for own in varied if isinstance(own, Variable)]
+    named: list[Any] = [own for own in varied if isinstance(own, Variable)]
     at = [value for value, own in zip(moved, varied, strict=True) if isinstance(own, Variable)]
     return Problem(
         with_values(problem.mechanism, named, jnp.asarray(at)),
