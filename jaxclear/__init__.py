@@ -77,7 +77,6 @@ from jaxclear.studies.fidelity.multi_fidelity import multi_fidelity
 from jaxclear.studies.function_problem import Dimension, FunctionProblem
 from jaxclear.studies.identification.identify import identify
 from jaxclear.studies.identification.measurement import Measurement
-from jaxclear.studies.identification.result import Identified
 from jaxclear.studies.life.derivative import wear_life_derivatives
 from jaxclear.studies.life.life_problem import AbstractLifeResponse, LifeEnd, LifeProblem, LifeUntil
 from jaxclear.studies.life.settled import settled
@@ -124,7 +123,6 @@ __all__ = [
     "Dimension",
     "FunctionProblem",
     "Heating",
-    "Identified",
     "ImportedSoft",
     "LifeEnd",
     "LifeProblem",

@@ -146,7 +146,9 @@ def fit(
     cut = cut_of(record, sample)
     kinds = statistics_of(as_signals(sensed(sample, record, seed), record, cut), statistics)
     shares = prior_shares(problem, sample.values)
-    regressed = regression(np.concatenate(list(kinds.values()), axis=1), shares)
+    # A machine's law is none of the sample's: those of one are left out together.
+    groups = next(iter(sample.choices.values()), None)
+    regressed = regression(np.concatenate(list(kinds.values()), axis=1), shares, groups)
     tellers = _tellers(kinds, shares, problem.names)
     return Fit(problem, sample, statistics, cut, kinds, regressed, tellers)
 
