@@ -134,8 +134,7 @@ def ensemble(mechanism: Mechanism, laws: Sequence[type] | None) -> Ensemble:
     for name in mechanism.topology.clearances:
         joint = found.connections[name].joint
         mix = functools.partial(_mixed, losses=losses, frictions=frictions, names=names)
-        mixed = jax.tree.map(mix, joint, is_leaf=_is_law)
-        found = eqx.tree_at(lambda own, name=name: own.connections[name].joint, found, mixed)
+        found = _with_joint(found, name, jax.tree.map(mix, joint, is_leaf=_is_law))
     kinds = {DISSIPATION: _dissipation_choices, FRICTION: _friction_choices}
     variables: dict[str, AbstractMechanismVariable] = {
         what: Variable(where, Discrete(deviations=tuple(map(float, range(len(names[what]))))))
@@ -143,6 +142,10 @@ def ensemble(mechanism: Mechanism, laws: Sequence[type] | None) -> Ensemble:
         if what in names
     }
     return Ensemble(found, variables, {what: names[what] for what in variables})
+
+
+def _with_joint(mechanism: Mechanism, name: str, joint: Any) -> Mechanism:
+    return eqx.tree_at(lambda own: own.connections[name].joint, mechanism, joint)
 
 
 def _is_law(part: Any) -> bool:
