@@ -207,7 +207,7 @@ def _rows_of(asked: Ask, q: Array, time: Any) -> _Rows:
             entries.append({j: x * scales[j] / measure for j, x in row.items()})
             left.append(jnp.asarray(residual / measure, float))
             closures.append(k)
-    return _Rows(entries, jnp.stack(left), closures)
+    return _Rows(entries, jnp.stack(left) if left else jnp.zeros(0), closures)
 
 
 def _matrix(rows: _Rows, held: HeldLoop) -> Float[Array, "n n"]:
