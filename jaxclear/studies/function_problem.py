@@ -74,9 +74,10 @@ class FunctionProblem(AbstractProblem):
     name; a number alone is called "response". It must be made of operations that JAX can trace and
     differentiate (`jax.numpy` instead of `math` and `numpy`). What it returns with a length, (n,),
     is a series, such as a force over time: `series` gives it, `identify` compares it with a
-    measurement, and other studies see the numbers. `variables`: a `jaxclear.Dimension` each. `units`: of what is returned, one text or a dictionary by name, by
-    default that of the variables where they share one, else "1". A sample whose response is not
-    finite has failed. `correlation` [1] of the variables' normal scores: {("first", "second"):
+    measurement, and other studies see the numbers. `variables`: a `jaxclear.Dimension` each.
+    `units`: of what is returned, one text or a dictionary by name, by default that of the variables
+    where they share one, else "1". A sample whose response is not finite has failed. `correlation`
+    [1] of the variables' normal scores: {("first", "second"):
     0.5}, or a matrix. Raises `ValueError` with a sentence for what cannot be asked.
     """
 
@@ -134,7 +135,7 @@ class FunctionProblem(AbstractProblem):
     def evaluate(self, values, *, discrete_derivatives=False):
         check_double_precision()
         self.check_values(values)
-        found = self._answers(values)
+        found = self.answers(values)
         finite = jnp.all(jnp.isfinite(jnp.concatenate([jnp.ravel(x) for x in found.values()])))
         outcome = jnp.where(finite, Outcome.REACHED, Outcome.NOT_FINITE)
         numbers = {name: found[name] for name in self.response_names}
@@ -142,7 +143,8 @@ class FunctionProblem(AbstractProblem):
 
     def series(self, values: Float[Array, " variables"]) -> dict[str, Array]:
         """The series (n,) that the function gives for one set of values, by name; pure."""
-        found = self._answers(values)
+        self.check_values(values)
+        found = self.answers(values)
         return {name: found[name] for name in self.series_names}
 
     def sample_memory(self):
@@ -156,10 +158,10 @@ class FunctionProblem(AbstractProblem):
 
     def rerun(self, values, index, chunk) -> dict[str, Array]:
         """What the function gives for one sample, numbers and series by name."""
-        return sample_of_chunk(self._answers, values, index, chunk)
+        return sample_of_chunk(self.answers, values, index, chunk)
 
-    def _answers(self, values: Float[Array, " variables"]) -> dict[str, Array]:
-        """What the function gives for one set of values, by name; pure."""
+    def answers(self, values: Float[Array, " variables"]) -> dict[str, Array]:
+        """What the function gives for one set of values, numbers and series by name; pure."""
         return _by_name(self.function(**dict(zip(self.names, values, strict=True))))
 
     def ending(self, outcome, ended):

@@ -58,7 +58,7 @@ def test_the_gap_is_told_only_with_an_assumption_on_the_spring(one_record):
     both = one_record.unknowns["gap"]
     assert both.low == 0.0 and both.high == pytest.approx(linear.high)
     # Not below 0.8 of what the prior knows: partly told at best, never to the last digit.
-    assert both.share > 0.5 and linear.share < 0.2
+    assert both.width > 0.5 and linear.width < 0.2
 
 
 def test_lost_motion_at_load_is_told_by_both(one_record):

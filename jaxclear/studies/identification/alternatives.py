@@ -67,8 +67,12 @@ def _log_ratio(fit: SignalFit, nearest: SignalFit) -> float:
 def hull(told: Sequence[Interval]) -> Interval:
     """The interval that holds those that each model tells of one unknown, or of a response."""
     values = np.array([own.value for own in told])
-    low, high = min(own.low for own in told), max(own.high for own in told)
     deviation = np.sqrt(np.mean([own.deviation**2 for own in told]) + values.var())
-    prior = max((own.high - own.low) / own.share if own.share > 0 else 0.0 for own in told)
-    share = (high - low) / prior if prior > 0 else np.nan
-    return Interval(float(values.mean()), low, high, float(deviation), float(share))
+    return Interval(
+        float(values.mean()),
+        min(own.low for own in told),
+        max(own.high for own in told),
+        float(deviation),
+        min(own.prior_low for own in told),
+        max(own.prior_high for own in told),
+    )

@@ -6,8 +6,9 @@ say that the records do not speak against.
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import numpy as np
+import jax.numpy as jnp
 
+from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.identification.alternatives import Kept, hull, kept_models
 from jaxclear.studies.identification.forward import Forward, Record
 from jaxclear.studies.identification.several_records import FEWEST, NextRecord, next_record
@@ -81,19 +82,16 @@ def _of_records(told: list[Interval]) -> Interval:
         return told[0]
     found = next_record(told)
     deviation = max(found.between, found.within)
-    prior = max((own.high - own.low) / own.share if own.share > 0 else 0.0 for own in told)
-    share = (found.high - found.low) / prior if prior > 0 else np.nan
-    return Interval(found.value, found.low, found.high, deviation, share)
+    ends = told[0].prior_low, told[0].prior_high
+    return Interval(found.value, found.low, found.high, deviation, *ends)
 
 
-def _within(problem, name: str, own: Interval) -> Interval:
+def _within(problem: AbstractProblem, name: str, own: Interval) -> Interval:
     """An interval of an unknown within the ends of its prior."""
     place = problem.names.index(name)
     distribution, nominal = problem.inputs.distributions[place], float(problem.nominal()[place])
-    low, high = (nominal + float(distribution.quantile(end)) for end in (0.0, 1.0))
-    kept = own._replace(low=max(own.low, low), high=min(own.high, high))
-    width = own.high - own.low
-    return kept._replace(share=own.share * (kept.high - kept.low) / width if width > 0 else 0.0)
+    low, high = (nominal + float(distribution.quantile(jnp.asarray(end))) for end in (0.0, 1.0))
+    return own._replace(low=max(own.low, low), high=min(own.high, high))
 
 
 def _shared(

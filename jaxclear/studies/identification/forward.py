@@ -2,6 +2,7 @@
 in one row, and the numbers it answers besides.
 """
 
+import itertools
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -37,20 +38,27 @@ class Record(NamedTuple):
     def parts(self) -> tuple[slice, ...]:
         """Where each signal stands in the row."""
         ends = np.cumsum([0, *(len(own) for own in self.signals.values())])
-        return tuple(slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True))
+        return tuple(slice(a, b) for a, b in itertools.pairwise(ends))
+
+
+class Shown(NamedTuple):
+    """What one set of values gives: signals (n,) and responses, by name."""
+
+    signals: Mapping[str, Array]
+    responses: Mapping[str, Array]
 
 
 class Forward(eqx.Module):
-    """A problem as a function from its unknowns to the signals of a record: `signals(problem,
-    values)` gives one array (n,) for each name."""
+    """A problem as a function from its unknowns to the signals of a record: `shown(problem,
+    values)`; `names` of the signals, in the order of the record. Pure."""
 
     problem: AbstractProblem
-    signals: Callable[[Any, Array], Mapping[str, Array]] = eqx.field(static=True)
+    shown: Callable[[Any, Array], Shown]
     names: tuple[str, ...] = eqx.field(static=True)
 
     def row(self, values: Float[Array, " variables"]) -> Float[Array, " n"]:
-        """The signals in one row, in the order of the record; pure."""
-        found = self.signals(self.problem, values)
+        """The signals in one row."""
+        found = self.shown(self.problem, values).signals
         return jnp.concatenate([found[name] for name in self.names])
 
 
@@ -62,25 +70,34 @@ class Answered(NamedTuple):
     responses: dict[str, np.ndarray]
 
 
-def _answered(forward: Any, problem: AbstractProblem, values: Array) -> tuple[Array, Any]:
-    own = eqx.tree_at(lambda known: known.problem, forward, problem)
-    rows = jax.vmap(own.row)(values)
-    if not problem.response_names:
-        return rows, {}
-    return rows, jax.vmap(problem.evaluate)(values).responses
+class _Rows(eqx.Module):
+    """What a chunk of samples gives, as a function of a problem."""
+
+    forward: Forward
+
+    def __call__(self, problem: AbstractProblem, values: Array) -> tuple[Array, dict[str, Array]]:
+        """Signals (samples, n) and responses (samples,) by name."""
+
+        def one(own: Array) -> tuple[Array, dict[str, Array]]:
+            found = self.forward.shown(problem, own)
+            row = jnp.concatenate([found.signals[name] for name in self.forward.names])
+            return row, dict(found.responses)
+
+        return jax.vmap(one)(values)
 
 
 def answered(forward: Forward, values: np.ndarray) -> Answered:
     """What a problem gives for many sets of values (samples, variables), in chunks that fit memory,
     on all cores."""
-    function = lambda problem, chunk: _answered(forward, problem, chunk)
-    rows, responses = evaluate_all(forward.problem, values, function=function)
+    found: Any = evaluate_all(forward.problem, values, function=_Rows(forward))
+    rows, responses = found
     return Answered(np.asarray(rows), {name: np.asarray(own) for name, own in responses.items()})
 
 
 def check_signals(forward: Forward, record: Record) -> None:
     """Raises `ValueError` with a sentence where a signal is not as long as its measurement."""
-    shapes = eqx.filter_eval_shape(forward.signals, forward.problem, forward.problem.nominal())
+    nominal = forward.problem.nominal()
+    shapes = eqx.filter_eval_shape(forward.shown, forward.problem, nominal).signals
     for name, measured in record.signals.items():
         if name not in shapes:
             known = listed(shapes) or "none"

@@ -18,10 +18,12 @@ import scipy
 FREEDOM = 4
 # Share of every round that is drawn from the prior: nothing that it allows is left out for good.
 FROM_PRIOR = 0.2
+# Proposals begin twice as wide as what is near an optimum: a ridge that bends is longer.
+WIDER = 4.0
 # Draws whose weights are worth this many equal ones make an interval of 95 %; fewer than the least
 # none.
 ENOUGH, LEAST = 400.0, 60.0
-MOST_ROUNDS = 8
+LEAST_ROUNDS, MOST_ROUNDS = 3, 8
 # Above this share of the draws' weight beyond it the end of an interval is that of the prior.
 AT_END = 0.005
 
@@ -61,10 +63,12 @@ class Proposal(NamedTuple):
 
 class Draws(NamedTuple):
     """Draws of the unknowns' normal numbers (draws, variables) [1], their weights [1], which sum to
-    1, and what the target told beside its density, a row a draw."""
+    1, those with which they follow the prior, and what the target told beside its density, a row a
+    draw."""
 
     normal: np.ndarray
     weights: np.ndarray
+    prior_weights: np.ndarray
     beside: Any
 
     @property
@@ -85,19 +89,22 @@ def importance_sampled(
     (draws,), -inf where nothing is, and what is told beside it (draws, any); `draws` a round, of as
     many rounds as make their weights enough."""
     rng, count = np.random.default_rng(seed), len(centres)
-    proposal = Proposal(np.array(centres), np.array(matrices), np.full(count, 1 / count))
+    proposal = Proposal(np.array(centres), WIDER * np.array(matrices), np.full(count, 1 / count))
     used: list[Proposal] = []
     normal = np.zeros((0, len(centres[0])))
     density, beside = np.zeros(0), []
-    for _ in range(MOST_ROUNDS):
+    for number in range(MOST_ROUNDS):
         own = proposal.draw(draws, rng)
         told, more = target(own)
         used.append(proposal)
         normal, density = np.concatenate([normal, own]), np.concatenate([density, told])
         beside.append(more)
         mixed = scipy.special.logsumexp([p.density(normal) for p in used], axis=0)
-        found = Draws(normal, _normalised(density - mixed), np.concatenate(beside))
-        if found.effective >= ENOUGH:
+        prior = -0.5 * np.sum(normal**2, axis=1)
+        weights = _normalised(density - mixed), _normalised(prior - mixed)
+        found = Draws(normal, *weights, np.concatenate(beside))
+        # What the first round draws from knows only what is near the optima.
+        if number + 1 >= LEAST_ROUNDS and found.effective >= ENOUGH:
             break
         proposal = _adapted(found)
     return found
@@ -125,6 +132,13 @@ def weighted_quantile(values: np.ndarray, weights: np.ndarray, share: float) -> 
     order = np.argsort(values)
     middle = np.cumsum(weights[order]) - 0.5 * weights[order]
     return float(np.interp(share, middle, values[order]))
+
+
+def equally_weighted(weights: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Places (count,) of draws that follow the weights, each as often as it has weight."""
+    steps = (rng.random() + np.arange(count)) / count
+    found = np.searchsorted(np.cumsum(weights), steps)
+    return rng.permutation(np.minimum(found, len(weights) - 1))
 
 
 def shortest_interval(

@@ -37,6 +37,8 @@ from jaxclear.studies.identification.posterior import (
 NOISE_KNOWN = 0.2
 # One right model in a thousand is refused.
 REFUSED = 1e-3
+# Shares below and above which half of the rest of 95 % lies.
+ENDS = (0.025, 0.975)
 # Places that the sampling of the posterior begins about.
 MOST_CENTRES = 3
 
@@ -61,14 +63,21 @@ class Misfit(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """A median, the ends of a 95 % interval and a standard deviation, in the unit of what they are
-    of, and the `share` [1] of the prior's 95 % width that the interval takes (nan of responses)."""
+    """A median, the ends of a 95 % interval, a standard deviation, and the ends of the prior's
+    interval, all in the unit of what they are of."""
 
     value: float
     low: float
     high: float
     deviation: float
-    share: float
+    prior_low: float
+    prior_high: float
+
+    @property
+    def width(self) -> float:
+        """Of the interval, beside the prior's [1]."""
+        prior = self.prior_high - self.prior_low
+        return (self.high - self.low) / prior if prior > 0 else np.nan
 
 
 class SignalFit(NamedTuple):
@@ -116,8 +125,9 @@ def fit_signal(
     # What the nearest leaves tells how much each sample is worth; then once more from there.
     misfits = _misfits(record, found[0])
     scale = _scale(record, misfits)
-    again = np.array([own.normal for own in found[:MOST_CENTRES]])
-    found = optima(forward, record, again, scale) or found
+    # As many rows as before run the same program.
+    again = np.resize([own.normal for own in found[:MOST_CENTRES]], begin.shape)
+    found = optima(forward, record, again, scale) or found[:MOST_CENTRES]
     best = found[0]
     misfits = _misfits(record, best)
     refusal = _refusal(best, misfits)
@@ -213,7 +223,7 @@ def _sampled(
     seed: int,
 ) -> _Sample:
     """Draws from the tempered posterior, begun about the optima."""
-    inputs, names = forward.problem.inputs, forward.problem.response_names
+    inputs, names = forward.problem.inputs, list[str]()
     measured, nearest = record.row, found[0].residual
 
     def target(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -229,7 +239,8 @@ def _sampled(
                 density = density - 0.5 * (part.stop - part.start) / worth * np.log(square / least)
             else:
                 density = density - 0.5 * square / (noise**2 * worth)
-        told = np.array([own.responses[name] for name in names]).reshape(len(names), -1).T
+        names[:] = own.responses
+        told = np.array(list(own.responses.values())).reshape(len(names), len(left)).T
         return np.where(np.isfinite(density), density, -np.inf), told
 
     scale = _scale(record, misfits)
@@ -265,8 +276,9 @@ def _told(
     }
     answers = {}
     for name, own in sample.responses.items():
-        ends = [weighted_quantile(own, weights, share) for share in (0.5, 0.025, 0.975)]
-        answers[name] = Interval(*ends, _deviation(own, weights), np.nan)
+        middle, low, high = (weighted_quantile(own, weights, x) for x in (0.5, *ENDS))
+        prior = (weighted_quantile(own, sample.draws.prior_weights, x) for x in ENDS)
+        answers[name] = Interval(middle, low, high, _deviation(own, weights), *prior)
     values = np.asarray(problem.inputs.values(jnp.asarray(best.normal)))
     return SignalFit(
         values,
@@ -288,9 +300,8 @@ def _interval_of_unknown(problem, place, shares, values, weights) -> Interval:
     at = lambda share: nominal + float(own.quantile(jnp.asarray(share)))
     inside = lambda share, extreme: at(share) if np.isfinite(at(share)) else extreme
     ends = inside(low, values.min()), inside(high, values.max())
-    width = at(0.975) - at(0.025)
     median = weighted_quantile(values, weights, 0.5)
-    return Interval(median, *ends, _deviation(values, weights), (ends[1] - ends[0]) / width)
+    return Interval(median, *ends, _deviation(values, weights), *map(at, ENDS))
 
 
 def _deviation(values: np.ndarray, weights: np.ndarray) -> float:
