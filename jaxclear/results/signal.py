@@ -91,13 +91,13 @@ def whole_turns(angle: np.ndarray) -> tuple[int, int]:
     return math.ceil(ends[0] / (2 * math.pi) - slack), math.floor(ends[1] / (2 * math.pi) + slack)
 
 
-def synchronous_average(signal: Signal, bins: int = 16) -> np.ndarray:
+def synchronous_average(signal: Signal, bins: int = 32) -> np.ndarray:
     """The mean over the turns in so many `bins` of phase, beside the mean cycle's size [1]."""
     cycle = _turns(signal, "synchronous_average").mean(1)
     return _binned(cycle, bins) / signal.size
 
 
-def spread_by_phase(signal: Signal, bins: int = 16) -> np.ndarray:
+def spread_by_phase(signal: Signal, bins: int = 32) -> np.ndarray:
     """Logarithm of the standard deviation about the mean cycle in so many `bins` of phase, beside
     the mean cycle's size [1]: where in the turn motion does not repeat."""
     turns = _turns(signal, "spread_by_phase")
@@ -105,7 +105,7 @@ def spread_by_phase(signal: Signal, bins: int = 16) -> np.ndarray:
     return np.log(_binned(spread, bins) / signal.size + LEAST)
 
 
-def order_spectrum(signal: Signal, bands: int = 12) -> np.ndarray:
+def order_spectrum(signal: Signal, bands: int = 24) -> np.ndarray:
     """Logarithm of the mean power in so many `bands` of orders (multiples of the speed of turning),
     equally wide in their logarithm from 1.5 up to half the samples a turn, beside the mean of all
     [1]; of the whole turns together under a Hann window."""
@@ -113,7 +113,7 @@ def order_spectrum(signal: Signal, bands: int = 12) -> np.ndarray:
     return _powers(turns.reshape(len(turns), -1), bands, 1.5 * turns.shape[1])
 
 
-def band_energies(signal: Signal, bands: int = 12) -> np.ndarray:
+def band_energies(signal: Signal, bands: int = 24) -> np.ndarray:
     """Logarithm of the mean power in so many `bands` of frequency, equally wide in their logarithm
     from four periods in the whole signal up to half the sampling rate, beside the mean of all
     [1]."""

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.identification.by_signal import Compared, by_signal
-from jaxclear.studies.identification.forward import Forward, Record
+from jaxclear.studies.identification import models
+from jaxclear.studies.identification.by_signal import by_signal
 from jaxclear.studies.identification.several_records import left_out
 from tests.rigs.measured_damper import RECORDS, damper, energy, marched, mechanism, records
 
@@ -20,14 +20,15 @@ FITTED = MEASURED[RECORDS[0]]
 
 
 def compared(record, stiffening=False):
-    forward = Forward(damper(record, stiffening), lambda own, x: own.series(x), ("force",))
-    return Compared(forward, Record({"force": record.force}, {"force": None}))
+    sensors = {"force": jc.sensor.Series("force")}
+    measured = jc.Measurement(record.time, {"force": record.force}, sensors)
+    return models.compared(damper(record, stiffening), measured)
 
 
 @pytest.fixture(scope="module")
 def one_record():
-    models = {name: [compared(FITTED, name == "rising")] for name in ("linear", "rising")}
-    return by_signal(models)
+    both = {name: [compared(FITTED, name == "rising")] for name in ("linear", "rising")}
+    return by_signal(both)
 
 
 def test_one_record_predicts_the_energies_of_four_others(one_record):

@@ -216,6 +216,7 @@ def swinging(stiffness=400.0, damping=1.0):
     )
 
 
+@pytest.mark.slow
 def test_a_spring_is_told_by_how_its_mass_swings():
     """Against the closed form of a damped oscillation."""
     time = np.linspace(0.0, 1.0, 101)

@@ -6,20 +6,25 @@ sensors see it, and each unknown is regressed on the statistics of what they see
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_known, expect
 from jaxclear.ground.wording import described
 from jaxclear.results.signal import usual_statistics
-from jaxclear.studies.identification.by_signal import by_signal
-from jaxclear.studies.identification.laws import Ensemble
-from jaxclear.studies.identification.measurement import Measurement
-from jaxclear.studies.identification.models import WINDOWS, Model, compared, models_of
-from jaxclear.studies.identification.regression import ONE_LENGTH, regression, told
+from jaxclear.studies.identification.laws import Ensemble, ensemble
+from jaxclear.studies.identification.measurement import Measurement, checked_records
+from jaxclear.studies.identification.models import (
+    Model,
+    check_only_signals,
+    models_of,
+    only_one,
+    same_sensing,
+)
+from jaxclear.studies.identification.regression import Regression, regression, told, told_alone
 from jaxclear.studies.identification.result import (
     ONE_RECORD,
     Evidence,
@@ -30,6 +35,7 @@ from jaxclear.studies.identification.result import (
     unknown_of,
 )
 from jaxclear.studies.identification.sample import (
+    Cut,
     Sample,
     as_signals,
     check_identifiable,
@@ -37,14 +43,17 @@ from jaxclear.studies.identification.sample import (
     sampled,
     sensed,
     statistics_of,
+    watched,
 )
-from jaxclear.studies.identification.told import of_records, of_signals
+from jaxclear.studies.identification.told import of_records, told_by_signals
+from jaxclear.studies.ledger.ledger import Ledger, current
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled
+from jaxclear.studies.texts import in_texts
 
 WAYS = ("statistics", "signal")
-# Searches that begin at different places of the priors.
-STARTS = 8
+# What a folder is told to hold.
+WHAT = "the sample of an identification"
 # Runs below which residuals say nothing of an interval of 95 %.
 LEAST_RUNS = 64
 # A kind of statistics tells an unknown where its left-out residuals are below this share of the
@@ -62,6 +71,7 @@ def identify(
     statistics: Mapping[str, Callable] | None = None,
     laws: Sequence[type] | None = None,
     seed: int = 0,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> Identified:
     """What a record tells of the variables of a problem, whose distributions are the priors.
@@ -85,73 +95,39 @@ def identify(
     joint's own restitution and kinetic coefficient; by default LankaraniNikravesh, Flores and
     HuntCrossley, Ambrosio and CoulombTanh, with the joint's own among them; (): the joint's own
     alone.
+    `store`: a folder that keeps the sample's signals without noise; asked again, with other numbers
+    of the instruments, other statistics or another record of the same sampling, nothing runs anew.
     `seed`: of the sample and the draws; `progress_bar`: of the runs.
 
     An unknown whose interval is wider than 0.8 of the prior's is not identified, and has the
     prior's interval; one below 0.5 is identified. Raises `ValueError` with a sentence for what
     cannot be asked.
     """
-    records = _records(data)
+    records = checked_records(data)
     check_count("runs of identify", runs, at_least=LEAST_RUNS)
     check_known("way", how, WAYS, " of identify")
     check_flags("identify", progress_bar=progress_bar)
     models = models_of(problem, records)
-    for own in next(iter(models.values())):
+    for own in [own for every in models.values() for own in every]:
         check_sampled(own, runs, seed)
     if how == "signal":
-        if statistics is not None or laws is not None:
-            raise ValueError(
-                'how="signal" takes neither statistics nor laws; for several laws give several '
-                'problems by name, {"Flores": ..., "Hunt-Crossley": ...}.'
-            )
-        return _by_signal(models, records, runs, seed)
-    if len(models) > 1:
-        raise ValueError(
-            'how="statistics" takes one problem; what laws may act, laws says: several models by '
-            'name are for how="signal".'
-        )
-    (problems,) = models.values()
+        check_only_signals(statistics=statistics, laws=laws, store=store)
+        return told_by_signals(models, records, runs, seed)
     found: list[Identified] = []
-    known: list[tuple[Any, Measurement, Sample]] = []
-    for own, record in zip(problems, records, strict=True):
+    fitted: list[tuple[Any, Measurement, Fit]] = []
+    for own, record in zip(only_one(models), records, strict=True):
         check_identifiable(own, record)
-        asked = _statistics(statistics, record)
-        same = [s for p, r, s in known if p is own and _alike(r, record)]
-        sample = same[0] if same else sampled(own, record, runs, laws, seed, progress_bar)
-        known.append((own, record, sample))
-        found.append(identified(own, record, sample, asked, seed))
-    return found[0] if len(found) == 1 else of_records(problems[0], found, seed)
-
-
-def _records(data: Any) -> list[Measurement]:
-    """One record or several, in a list."""
-    several = isinstance(data, Sequence) and not isinstance(data, str)
-    records = list(data) if several else [data]
-    for record in records:
-        expect(record, Measurement, "data of identify", "a jaxclear.Measurement, or several")
-    if not records:
-        raise ValueError("data of identify holds no record; it must hold a jaxclear.Measurement.")
-    return records
-
-
-def _alike(one: Measurement, other: Measurement) -> bool:
-    """Whether the same sample serves two records."""
-    return (
-        one.sensors.keys() == other.sensors.keys()
-        and one.rate == other.rate
-        and all(bool(eqx.tree_equal(own, other.sensors[name])) for name, own in one.sensors.items())
-    )
-
-
-def _by_signal(models: Any, records: Sequence[Measurement], runs: int, seed: int) -> Identified:
-    pairs = {
-        name: [compared(own, record) for own, record in zip(problems, records, strict=True)]
-        for name, problems in models.items()
-    }
-    in_time = any(isinstance(own, Problem) for problems in models.values() for own in problems)
-    windows = WINDOWS if in_time else 1
-    found = by_signal(pairs, starts=STARTS, windows=windows, draws=runs, seed=seed)
-    return of_signals(models, found, seed)
+        same = [fit for one, other, fit in fitted if one is own and same_sensing(other, record)]
+        if not same:
+            known = ensemble(own.mechanism, laws)
+            runs_of = watched(own, record, known)
+            kept = None if store is None else Ledger.opened(store, WHAT, in_texts(runs_of))
+            with current(kept):
+                sample = sampled(own, record, runs_of, known, runs, seed, progress_bar)
+            same = [fit(own, record, sample, _statistics(statistics, record), seed)]
+            fitted.append((own, record, same[0]))
+        found.append(answered(same[0], record))
+    return found[0] if len(found) == 1 else of_records(found[0].problem, found, seed)
 
 
 def _statistics(given: Any, record: Measurement) -> dict[str, Callable]:
@@ -170,77 +146,89 @@ def _statistics(given: Any, record: Measurement) -> dict[str, Callable]:
     return dict(given)
 
 
-def identified(
+class Fit(NamedTuple):
+    """A sample of a problem, regressed on the `statistics` of what a record's sensors see of it:
+    what any record of the same sensors and sampling is compared with. `signals` are those of the
+    sample as they were sensed, `cut` into turns; `kinds` their statistics (runs, numbers) by kind,
+    `tellers` by unknown the kind that tells it best by itself."""
+
+    problem: Problem
+    sample: Sample
+    statistics: dict[str, Callable]
+    cut: Cut
+    kinds: dict[str, np.ndarray]
+    regressed: Regression
+    tellers: dict[str, str]
+
+
+def fit(
     problem: Problem,
     record: Measurement,
     sample: Sample,
     statistics: dict[str, Callable],
     seed: int = 0,
-) -> Identified:
-    """What a record tells beside a sample that has run."""
+) -> Fit:
+    """The sample as a record's sensors see it, and the unknowns by what they see."""
     if len(sample.values) < LEAST_RUNS:
         raise ValueError(
             f"{sample.failed} runs of the sample failed and {len(sample.values)} are left, fewer "
             f"than {LEAST_RUNS}: look at one by jaxclear.monte_carlo of the same problem."
         )
     cut = cut_of(record, sample)
-    runs = statistics_of(as_signals(sensed(sample, record, seed), record, cut), statistics)
-    own = {name: values[None] for name, values in record.signals.items()}
-    shown = statistics_of(as_signals(own, record, cut), statistics)
-    kinds = {what: (values, shown[what][0]) for what, values in runs.items()}
-    every = np.concatenate(list(runs.values()), axis=1)
-    here = np.concatenate([one[0] for one in shown.values()])
+    kinds = statistics_of(as_signals(sensed(sample, record, seed), record, cut), statistics)
     shares = prior_shares(problem, sample.values)
-    fitted = regression(every, shares)
-    rows = told(fitted, here)
+    regressed = regression(np.concatenate(list(kinds.values()), axis=1), shares)
     tellers = _tellers(kinds, shares, problem.names)
+    return Fit(problem, sample, statistics, cut, kinds, regressed, tellers)
+
+
+def answered(known: Fit, record: Measurement) -> Identified:
+    """What a record tells beside a sample that is fitted."""
+    problem, sample, fitted = known.problem, known.sample, known.regressed
+    own = {name: values[None] for name, values in record.signals.items()}
+    shown = statistics_of(as_signals(own, record, known.cut), known.statistics)
+    here = np.concatenate([one[0] for one in shown.values()])
     unknowns = tuple(
-        unknown_of(problem, name, (row.estimate, row.low, row.high), tellers[name])
-        for name, row in zip(problem.names, rows, strict=True)
+        unknown_of(problem, name, (row.estimate, row.low, row.high), known.tellers[name])
+        for name, row in zip(problem.names, told(fitted, here), strict=True)
     )
     joint = _joint(fitted, here)
-    verdicts = [own.verdict for own in unknowns]
+    values = [prior_quantiles(problem, n, joint[:, i]) for i, n in enumerate(problem.names)]
     remarks = (
-        *together(problem.names, fitted, verdicts),
+        *together(problem.names, fitted, [own.verdict for own in unknowns]),
         *_laws_in_words(sample.laws),
         ONE_RECORD,
     )
-    values = [prior_quantiles(problem, n, joint[:, i]) for i, n in enumerate(problem.names)]
     return Identified(
         problem,
         unknowns,
         np.stack(values, axis=1),
         len(sample.values),
         sample.failed,
-        f"by {every.shape[1]} statistics of {len(record.signals)} signals",
+        f"by {len(here)} statistics of {len(shown) // len(known.statistics)} signals",
         remarks,
         fitted.distance(here),
-        Evidence(fitted, kinds, joint),
+        Evidence(fitted, {n: (runs, shown[n][0]) for n, runs in known.kinds.items()}, joint),
     )
 
 
 def _tellers(
-    kinds: dict[str, tuple[np.ndarray, np.ndarray]], shares: np.ndarray, names: Sequence[str]
+    kinds: dict[str, np.ndarray], shares: np.ndarray, names: Sequence[str]
 ) -> dict[str, str]:
     """By unknown the kind of statistics that tells it best by itself."""
-    scatter = {
-        what: regression(own, shares, ONE_LENGTH).scatter for what, (own, _) in kinds.items()
-    }
+    missed = {what: told_alone(own, shares) for what, own in kinds.items()}
     found = {}
     for k, name in enumerate(names):
-        best = min(scatter, key=lambda what: float(scatter[what][k]))
-        found[name] = best if scatter[best][k] < TELLS else ""
+        best = min(missed, key=lambda what: float(missed[what][k]))
+        found[name] = best if missed[best][k] < TELLS else ""
     return found
 
 
 def _joint(fitted: Any, here: np.ndarray) -> np.ndarray:
-    """Shares (samples, unknowns) that the unknowns may have together: the estimates and what is
-    missed of the runs nearest by all of these."""
+    """Shares (runs, unknowns) that the unknowns may have together: the estimates and what they
+    miss, run by run."""
     at = fitted.estimates(here)[0]
-    apart = np.sum((fitted.left_out - at) ** 2, axis=1)
-    count = min(max(60, len(apart) // 5), len(apart))
-    near = np.argsort(apart, kind="stable")[:count]
-    return np.clip(at + fitted.residuals[near], 0.0, 1.0)
+    return np.clip(at + fitted.missed(at), 0.0, 1.0)
 
 
 def _laws_in_words(laws: Ensemble) -> tuple[str, ...]:

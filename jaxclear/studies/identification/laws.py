@@ -73,7 +73,7 @@ class ChosenFriction(AbstractSlipFriction):
         return getattr(self.own, name)
 
     def _laws(self) -> tuple[AbstractSlipFriction, ...]:
-        coefficient = self.own.mu_kinetic
+        coefficient = _coefficient(self.own)
         return (self.own, *(_with(one, "mu_kinetic", coefficient) for one in self.others))
 
     def coulomb(self):
@@ -85,6 +85,10 @@ class ChosenFriction(AbstractSlipFriction):
 
     def coefficient(self, slip_speed):
         return _chosen([own.coefficient(slip_speed) for own in self._laws()], self.choice)
+
+
+def _coefficient(law: Any) -> Any:
+    return law.mu_kinetic
 
 
 def _with(law: Any, number: str, value: Any) -> Any:
@@ -156,8 +160,7 @@ def _mixed(part: Any, losses: list, frictions: list, names: dict[str, tuple[str,
                 warnings.simplefilter("ignore")
                 others = tuple(kind(restitution=own.restitution) for kind in kinds)
             names.setdefault(DISSIPATION, _named(own, kinds))
-            chosen = ChosenDissipation(own, others)
-            return dataclasses.replace(part, dissipation=chosen)
+            return ContactForce(part.elastic, ChosenDissipation(own, others), part.memory)
     if isinstance(part, AbstractSlipFriction):
         kinds = _others(part, frictions)
         if kinds and "mu_kinetic" in _numbers(type(part)):
@@ -179,7 +182,7 @@ def _named(own: Any, kinds: list) -> tuple[str, ...]:
 
 
 def _numbers(kind: type) -> set[str]:
-    return {field.name for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    return {field.name for field in dataclasses.fields(kind)}
 
 
 def _friction(kind: type, own: Any) -> Any:
@@ -198,7 +201,7 @@ def _friction(kind: type, own: Any) -> Any:
     return kind(mu_kinetic=coefficient)
 
 
-def _choices(mechanism: Any, kind: type) -> list[Any]:
+def _choices(mechanism: Any, kind: Any) -> list[Any]:
     leaves = jax.tree.leaves(mechanism, is_leaf=lambda part: isinstance(part, kind))
     return [part.choice for part in leaves if isinstance(part, kind)]
 

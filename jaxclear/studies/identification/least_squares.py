@@ -105,7 +105,9 @@ def optima(
         seen = _window(record, 0.5 ** (windows - 1 - window))
         found, ended = _solved(forward, *map(jnp.asarray, (normals, measured, scale, seen)))
         normals = np.where(np.isfinite(found), found, normals)
-    residuals, slopes = map(np.asarray, _seen_at(forward, jnp.asarray(normals), jnp.asarray(measured)))
+    residuals, slopes = map(
+        np.asarray, _seen_at(forward, jnp.asarray(normals), jnp.asarray(measured))
+    )
     every = [
         _optimum(*each, scale)
         for each in zip(normals, residuals, slopes, np.asarray(ended), strict=True)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxclear.ground.arguments import check_known, expect
-from jaxclear.ground.wording import described
+from jaxclear.ground.wording import described, listed
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.function_problem import Dimension, FunctionProblem
 from jaxclear.studies.identification.by_signal import Compared
@@ -28,8 +28,6 @@ from jaxclear.studies.sensor import AbstractSensor, Series
 Model: TypeAlias = AbstractProblem | Callable[[Measurement], AbstractProblem]
 # The model that is asked about where there is only one.
 ALONE = "the model"
-# Times that a window doubles until it is the record, for runs in time.
-WINDOWS = 4
 
 
 def models_of(
@@ -41,6 +39,35 @@ def models_of(
     if not every:
         raise ValueError("identify is given no model; it must have a problem at least.")
     return {name: [_made(name, own, record) for record in records] for name, own in every.items()}
+
+
+def only_one(models: Mapping[str, list[AbstractProblem]]) -> list[Any]:
+    """The problems of the one model that statistics take. Raises `ValueError` for several."""
+    if len(models) > 1:
+        raise ValueError(
+            f'how="statistics" takes one problem and is given {listed(models)}: which laws may '
+            'act, laws says; several models by name are for how="signal".'
+        )
+    return next(iter(models.values()))
+
+
+def check_only_signals(**given: Any) -> None:
+    """Raises `ValueError` with a sentence for an argument that signals have no use for."""
+    for name, value in given.items():
+        if value is not None:
+            raise ValueError(
+                f'how="signal" takes no {name}, which are for how="statistics". For several laws '
+                'give several problems by name: {"Flores": ..., "Hunt-Crossley": ...}.'
+            )
+
+
+def same_sensing(one: Measurement, other: Measurement) -> bool:
+    """Whether the same sample serves two records."""
+    alike = one.sensors.keys() == other.sensors.keys() and one.rate == other.rate
+    alike = alike and len(one.time) == len(other.time) and one.turn == other.turn
+    return alike and all(
+        bool(eqx.tree_equal(own, other.sensors[name])) for name, own in one.sensors.items()
+    )
 
 
 def _made(name: str, given: Any, record: Measurement) -> AbstractProblem:
@@ -81,7 +108,12 @@ def _forward(problem: AbstractProblem, record: Measurement) -> Forward:
     if isinstance(problem, FunctionProblem):
         for name, sensor in sensors.items():
             expect(sensor, Series, f'the sensor of signal "{name}"', "a jaxclear.sensor.Series")
-            check_known("series", getattr(sensor, "name", ""), problem.series_names, " in what the function gives")
+            check_known(
+                "series",
+                getattr(sensor, "name", ""),
+                problem.series_names,
+                " in what the function gives",
+            )
         return Forward(problem, _OfFunction(sensors, rate), names)
     check_identifiable(problem, record)
     assert isinstance(problem, Problem)

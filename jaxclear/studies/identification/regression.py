@@ -3,14 +3,15 @@ misses where a run is left out.
 
 Unknowns are shares of their priors, so that each is uniform over the sample. For a record the
 interval is its estimate and the order statistics of the residuals, each of a run that the
-regression did not see, of the sample's runs nearest by estimate: of n exchangeable residuals the
-k-th smallest is below that of another run with probability k/(n + 1).
+regression did not see and beside the spread of residuals about its estimate: of n exchangeable ones
+the k-th smallest is below that of another run with probability k/(n + 1).
 
 Source: kernel ridge with leave-one-out in closed form, Rasmussen & Williams 2006, Gaussian
 Processes for Machine Learning, sec. 5.4, doi:10.7551/mitpress/3206.001.0001; intervals with their
 finite-sample correction, Vovk, Gammerman & Shafer 2005, Algorithmic Learning in a Random World,
-doi:10.1007/b106715, and Barber, Candès, Ramdas & Tibshirani 2021, Ann. Stat. 49, 486,
-doi:10.1214/20-AOS1965 (leave-one-out).
+doi:10.1007/b106715; leave-one-out, Barber, Candès, Ramdas & Tibshirani 2021, Ann. Stat. 49, 486,
+doi:10.1214/20-AOS1965; beside their spread, Lei, G'Sell, Rinaldo, Tibshirani & Wasserman 2018, J.
+Am. Stat. Assoc. 113, 1094, doi:10.1080/01621459.2017.1307116.
 """
 
 import math
@@ -27,8 +28,9 @@ ONE_LENGTH = (2.0,)
 LINE = 0.2
 # Principal parts of the statistics with less than this share of the largest variance are rounding.
 LEAST_VARIANCE = 1e-3
-# Residuals that make an interval: those of the nearest share of the runs, at least so many.
-NEAREST_SHARE, LEAST_NEAREST = 0.2, 60
+# The spread of residuals about an estimate is that of this share of the runs, at least so many.
+NEAREST_SHARE, LEAST_NEAREST = 0.3, 30
+TINY = float(np.finfo(float).tiny)
 # Runs nearest by statistics, whose mean distance says whether a record is like any run.
 NEIGHBOURS = 5
 
@@ -62,33 +64,44 @@ def whitened(statistics: np.ndarray) -> Whitened:
 
 
 class Surface(NamedTuple):
-    """The regression of one unknown: `length` of the kernel, `weights` (runs,), `mean`, and the
-    `residuals` (runs,) of each run where it is left out."""
+    """The regression of one unknown: `length` of the kernel, `weights` (runs,), `mean`, the
+    `left_out` estimates (runs,) of each run that it did not see, and their `residuals` (runs,)."""
 
     length: float
     weights: np.ndarray
     mean: float
+    left_out: np.ndarray
     residuals: np.ndarray
+
+    def spread(self, estimate: float, but: int | None = None) -> float:
+        """Root mean square of the residuals of the runs nearest by estimate, one left out."""
+        apart = np.abs(self.left_out - estimate)
+        if but is not None:
+            apart[but] = np.inf
+        count = min(max(LEAST_NEAREST, int(NEAREST_SHARE * len(apart))), len(apart) - 1)
+        near = np.argpartition(apart, count - 1)[:count]
+        return float(np.sqrt(np.mean(self.residuals[near] ** 2)))
+
+    def spreads(self) -> np.ndarray:
+        """That of the others about each run (runs,)."""
+        return np.array([self.spread(own, i) for i, own in enumerate(self.left_out)])
 
 
 class Regression(NamedTuple):
     """Surfaces of all unknowns over the statistics of a sample: `whiten`, `parts` (runs, parts),
-    `unknowns` (runs, unknowns) as shares of their priors, `surfaces`."""
+    `unknowns` (runs, unknowns) as shares of their priors, `surfaces`, and `relative` (runs,
+    unknowns), the residuals beside their spread [1]."""
 
     whiten: Whitened
     parts: np.ndarray
     unknowns: np.ndarray
     surfaces: tuple[Surface, ...]
+    relative: np.ndarray
 
     @property
     def residuals(self) -> np.ndarray:
         """What is missed of each run that is left out (runs, unknowns)."""
         return np.stack([own.residuals for own in self.surfaces], axis=1)
-
-    @property
-    def left_out(self) -> np.ndarray:
-        """The estimates (runs, unknowns) for each run that is left out."""
-        return self.unknowns - self.residuals
 
     @property
     def scatter(self) -> np.ndarray:
@@ -103,11 +116,11 @@ class Regression(NamedTuple):
         ]
         return np.stack(found, axis=1)
 
-    def near(self, unknown: int, estimate: float) -> np.ndarray:
-        """Residuals of the runs whose left-out estimates of an unknown are nearest."""
-        apart = np.abs(self.left_out[:, unknown] - estimate)
-        count = min(max(LEAST_NEAREST, int(NEAREST_SHARE * len(apart))), len(apart))
-        return self.surfaces[unknown].residuals[np.argsort(apart, kind="stable")[:count]]
+    def missed(self, estimates: np.ndarray) -> np.ndarray:
+        """What estimates (unknowns,) may miss: the residuals (runs, unknowns) of all runs, as wide
+        as they are about there."""
+        pairs = zip(self.surfaces, estimates, strict=True)
+        return self.relative * np.array([own.spread(at) for own, at in pairs])
 
     def distance(self, statistics: np.ndarray) -> float:
         """The share [1] of the sample's runs that lie further from the others than these statistics
@@ -117,13 +130,27 @@ class Regression(NamedTuple):
         return float((1 + np.sum(others >= here)) / (len(others) + 1))
 
 
-def regression(
-    statistics: np.ndarray, unknowns: np.ndarray, lengths: tuple[float, ...] = LENGTHS
-) -> Regression:
+def regression(statistics: np.ndarray, unknowns: np.ndarray) -> Regression:
     """The regression of `unknowns` (runs, unknowns), shares of their priors, on `statistics` (runs,
     statistics) of a sample."""
     whiten = whitened(statistics)
     parts = whiten(statistics)
+    surfaces = _surfaces(parts, unknowns, LENGTHS)
+    relative = np.stack([own.residuals / np.maximum(own.spreads(), TINY) for own in surfaces], 1)
+    return Regression(whiten, parts, unknowns, surfaces, relative)
+
+
+def told_alone(statistics: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
+    """Root mean square (unknowns,) of what some statistics alone miss of runs that are left out,
+    beside the prior's deviation [1]."""
+    surfaces = _surfaces(whitened(statistics)(statistics), unknowns, ONE_LENGTH)
+    return np.array([np.sqrt(12 * np.mean(own.residuals**2)) for own in surfaces])
+
+
+def _surfaces(
+    parts: np.ndarray, unknowns: np.ndarray, lengths: tuple[float, ...]
+) -> tuple[Surface, ...]:
+    """Of each unknown the surface that misses least of runs that are left out."""
     means = unknowns.mean(0)
     best: list[tuple[float, Surface] | None] = [None] * unknowns.shape[1]
     for length in lengths:
@@ -136,10 +163,11 @@ def regression(
             for k, missed in enumerate(np.mean(residuals**2, axis=0)):
                 known = best[k]
                 if known is None or missed < known[0]:
-                    own = Surface(length, weights[:, k], float(means[k]), residuals[:, k])
-                    best[k] = float(missed), own
-    found = tuple(own[1] for own in best if own is not None)
-    return Regression(whiten, parts, unknowns, found)
+                    own = residuals[:, k]
+                    left_out = unknowns[:, k] - own
+                    found = Surface(length, weights[:, k], float(means[k]), left_out, own)
+                    best[k] = float(missed), found
+    return tuple(own[1] for own in best if own is not None)
 
 
 def _kernel(one: np.ndarray, other: np.ndarray, length: float) -> np.ndarray:
@@ -178,26 +206,20 @@ class Told(NamedTuple):
 
 def told(fitted: Regression, statistics: np.ndarray, level: float = 0.95) -> list[Told]:
     """What the statistics (statistics,) of a record say of each unknown."""
+    estimates = fitted.estimates(statistics)[0]
     found = []
-    for k, estimate in enumerate(fitted.estimates(statistics)[0]):
-        near = fitted.near(k, estimate)
-        low, high = conformal(near, level)
+    for estimate, missed in zip(estimates, fitted.missed(estimates).T, strict=True):
+        low, high = conformal(missed, level)
         ends = np.clip([estimate, estimate + low, estimate + high], 0.0, 1.0)
-        sample = np.clip(estimate + near, 0.0, 1.0)
-        found.append(Told(*map(float, ends), sample))
+        found.append(Told(*map(float, ends), np.clip(estimate + missed, 0.0, 1.0)))
     return found
 
 
 def calibration(fitted: Regression, level: float = 0.95) -> np.ndarray:
     """Whether the interval of each run, left out, holds its unknowns (runs, unknowns)."""
-    held = np.zeros(fitted.unknowns.shape, bool)
-    count = len(held)
-    near = min(max(LEAST_NEAREST, int(NEAREST_SHARE * count)), count - 1)
-    for k, own in enumerate(fitted.surfaces):
-        left_out = fitted.left_out[:, k]
-        apart = np.abs(left_out[:, None] - left_out)
-        np.fill_diagonal(apart, np.inf)
-        for i, row in enumerate(np.argsort(apart, axis=1, kind="stable")[:, :near]):
-            low, high = conformal(own.residuals[row], level)
-            held[i, k] = low <= own.residuals[i] <= high
+    held = np.zeros(fitted.relative.shape, bool)
+    for k, own in enumerate(fitted.relative.T):
+        for i, missed in enumerate(own):
+            low, high = conformal(np.delete(own, i), level)
+            held[i, k] = low <= missed <= high
     return held

@@ -197,7 +197,7 @@ class Identified(AbstractAnswer):
         """A sentence where the sample's laws do not explain the record."""
         if self.refusal:
             return (f"No interval is told: {self.refusal}",)
-        if self.explains is not False:
+        if self.explained is None or self.explained > STRANGE:
             return ()
         return (
             f"No law of the sample explains the record: {100 * self.explained:.2g} % of the runs "
@@ -226,7 +226,7 @@ def posterior_of(
         units = problem.units()
         return FunctionProblem(problem.function, known, units=units, correlation=correlation)
     varied = list(problem.variables.values())
-    named = [own for own in varied if isinstance(own, Variable)]
+    named: list[Any] = [own for own in varied if isinstance(own, Variable)]
     at = [value for value, own in zip(moved, varied, strict=True) if isinstance(own, Variable)]
     return Problem(
         with_values(problem.mechanism, named, jnp.asarray(at)),

@@ -14,7 +14,7 @@ from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import listed
 from jaxclear.integrators import NonColliding, Outcome
 from jaxclear.results.signal import Signal, by_turns, whole_turns
-from jaxclear.studies.identification.laws import Ensemble, ensemble
+from jaxclear.studies.identification.laws import Ensemble
 from jaxclear.studies.identification.measurement import Measurement
 from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.problem import Problem
@@ -24,7 +24,7 @@ from jaxclear.studies.sensor import check_sensor
 # Turns that statistics of turns need.
 LEAST_TURNS = 3
 # Samples of a turn, at the least and the most, in whole parts of the bins of phase.
-LEAST_SAMPLES, MOST_SAMPLES, BINS = 16, 4096, 16
+LEAST_SAMPLES, MOST_SAMPLES, BINS = 32, 4096, 32
 
 
 class Sample(NamedTuple):
@@ -91,11 +91,16 @@ def check_identifiable(problem: Any, record: Measurement) -> None:
 
 
 def sampled(
-    problem: Problem, record: Measurement, runs: int, laws: Any, seed: int, progress_bar: bool
+    problem: Problem,
+    record: Measurement,
+    asked: Problem,
+    known: Ensemble,
+    runs: int,
+    seed: int = 0,
+    progress_bar: bool = False,
 ) -> Sample:
-    """Runs of the problem over its priors."""
-    known = ensemble(problem.mechanism, laws)
-    asked = watched(problem, record, known)
+    """Runs of the problem over its priors; `asked`: what `watched` makes of it with the laws
+    `known`."""
     drawing = Drawing(asked, seed, "sobol", usual_scramblings(runs), runs)
     values = drawing.span(0, runs)
     chunk = chunk_size(asked, runs)

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.identification.by_signal import BySignal
+from jaxclear.studies.identification.by_signal import BySignal, by_signal
+from jaxclear.studies.identification.measurement import Measurement
+from jaxclear.studies.identification.models import compared
 from jaxclear.studies.identification.posterior import equally_weighted
 from jaxclear.studies.identification.result import (
     IDENTIFIED,
@@ -21,11 +23,32 @@ from jaxclear.studies.identification.result import (
 )
 from jaxclear.studies.identification.several_records import FEWEST, NextRecord, next_record
 from jaxclear.studies.identification.signal_fit import Interval, SignalFit
+from jaxclear.studies.problem import Problem
 
+# Searches that begin at different places of the priors, and windows of a record of runs in time,
+# each twice as long as the one before.
+STARTS, WINDOWS = 8, 4
 # Draws that follow what the records leave.
 DRAWS = 1024
 # Scores whose posterior correlation [1] is beyond this are told better together.
 TOGETHER = 0.8
+
+
+def told_by_signals(
+    models: Mapping[str, Sequence[AbstractProblem]],
+    records: Sequence[Measurement],
+    draws: int,
+    seed: int,
+) -> Identified:
+    """What records tell by their signals of each model's unknowns; `draws` a round."""
+    pairs = {
+        name: [compared(own, record) for own, record in zip(problems, records, strict=True)]
+        for name, problems in models.items()
+    }
+    in_time = any(isinstance(own, Problem) for problems in models.values() for own in problems)
+    windows = WINDOWS if in_time else 1
+    found = by_signal(pairs, starts=STARTS, windows=windows, draws=draws, seed=seed)
+    return of_signals(models, found, seed)
 
 
 def of_signals(
