@@ -175,7 +175,9 @@ def every_choice(problem: jc.Problem) -> pandas.DataFrame:
     rows = [
         {
             "bought": sum(bought),
-            "reduced play in": " ".join(n[-1] for n, own in zip(JOINTS, bought, strict=True) if own),
+            "reduced play in": " ".join(
+                n[-1] for n, own in zip(JOINTS, bought, strict=True) if own
+            ),
             "tip error [mm]": MILLI * one,
         }
         for bought, one in zip(which, found, strict=True)

@@ -16,7 +16,6 @@ from jaxclear.components.body import GROUND
 from jaxclear.components.clearance import AbstractClearance, ContactLaws
 from jaxclear.components.coupling import (
     AbstractCoordinateCoupling,
-    AbstractCoupling,
     AbstractForceCoupling,
     CoordinateTerm,
     Efficiency,
@@ -78,7 +77,7 @@ class Transmission(eqx.Module):
 
     closure: Closure
     scale: Any
-    coupling: AbstractCoupling
+    coupling: Any  # an AbstractCoupling
     driving: "DrivingEnd | None" = None
 
     def states(self) -> tuple[str, ...]:

@@ -103,7 +103,7 @@ def test_restitution_of_a_bounded_damper_is_that_of_its_equation(ratio):
 
 
 def test_derivatives_pass_through_the_bounces_of_a_rigid_stop():
-    """Behind the first bounce q = e (v t - a), a the way to the stop: dq/dv = -e (t - a / v) + ..."""
+    """Behind the first bounce q = e (v t - a), a the way there: dq/dv = -e (t - a / v) + ..."""
     stop = jc.load.JointStop("slide", upper=0.0, restitution=0.5)
 
     def end(speed):
