@@ -195,16 +195,21 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
 def acting_in(mechanism: Mechanism) -> dict[str, Any]:
     """Loads and the couplings that are forces between coordinates, by name; each knows the motors
     behind its joints."""
+    ends, found = motor_ends(mechanism), {}
+    for name, load in mechanism.loads.items():
+        found[name] = load.behind(ends) if isinstance(load, AbstractStateLoad) else load
+    own = mechanism.couplings.items()
+    return found | {n: c for n, c in own if isinstance(c, AbstractForceCoupling)}
+
+
+def motor_ends(mechanism: Mechanism) -> dict[str, MotorEnd]:
+    """The motors behind couplings that give, by the joint that each turns."""
     ends: dict[str, MotorEnd] = {}
     for name, coupling in mechanism.couplings.items():
         joints = coupling.joints()
         if coupling.motor is not None and coupling.gives and len(joints) == 1:
             ends[joints[0]] = _motor_end(mechanism, name)
-    found = {}
-    for name, load in mechanism.loads.items():
-        found[name] = load.behind(ends) if isinstance(load, AbstractStateLoad) else load
-    own = mechanism.couplings.items()
-    return found | {n: c for n, c in own if isinstance(c, AbstractForceCoupling)}
+    return ends
 
 
 def _motor_end(mechanism: Mechanism, name: str) -> MotorEnd:

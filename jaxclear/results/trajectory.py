@@ -20,7 +20,7 @@ from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground.arguments import check_count, check_flags, check_known
 from jaxclear.ground.printing import AbstractShown, shown_in_words
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import is_traced, on_host
 from jaxclear.ground.table import as_table
 from jaxclear.integrators.checks import Checks, Outcome
 from jaxclear.integrators.events import Events
@@ -191,7 +191,7 @@ class Trajectory(AbstractShown):
     @property
     def succeeded(self) -> Any:
         """True where the run reached its end."""
-        return self.outcome == Outcome.REACHED
+        return on_host(self.outcome) == Outcome.REACHED
 
     @property
     def result(self) -> str:
