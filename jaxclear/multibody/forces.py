@@ -124,12 +124,13 @@ def applied_forces(
         rates |= {label: found.rates} if found.rates else {}
         stored, damping = sp.add(stored, found.stored), sp.add(damping, found.dissipated)
         external = sp.add(external, found.external)
-    pressed = {}
-    for name, own in system.transmissions.items():
+    pressed: dict[str, Pressing] = {}
+    for name, giving in system.transmissions.items():
         pressed[name] = pressing_of(system, motions, name, followed)
-        _give(system, motions, own, pressed[name].torque, acting)
-        moved = (pressed[name].end_rate,) if own.has_twist else ()
-        rubbed = _rubbed(system, motions, name, pressed[name].torque, followed, acting)
+        torque = pressed[name].torque
+        _give(system, motions, giving, torque, acting)
+        moved = (pressed[name].end_rate,) if giving.has_twist else ()
+        rubbed = _rubbed(system, motions, name, torque, followed, acting)
         if moved or rubbed is not None:
             rates[name] = moved if rubbed is None else (*moved, rubbed.rate)
         damping = damping if rubbed is None else sp.add(damping, rubbed.lost)

@@ -16,7 +16,6 @@ from jaxclear.components.body import GROUND
 from jaxclear.components.clearance import AbstractClearance, ContactLaws
 from jaxclear.components.coupling import (
     AbstractCoordinateCoupling,
-    AbstractCoupling,
     AbstractForceCoupling,
     CoordinateTerm,
     Efficiency,
@@ -78,7 +77,7 @@ class Transmission(eqx.Module):
 
     closure: Closure
     scale: Any
-    coupling: AbstractCoupling
+    coupling: Any  # an AbstractCoupling
     driving: "DrivingEnd | None" = None
 
     def states(self) -> tuple[str, ...]:
@@ -90,13 +89,13 @@ class Transmission(eqx.Module):
     def has_twist(self) -> bool:
         """Whether its law has a state of the flank."""
         play = self.coupling.play
-        return play is not None and play.law.has_twist
+        return play is not None and bool(play.law.has_twist)
 
     @property
     def left_by_torque(self) -> bool:
         """Whether its flanks are left where the torque would pull."""
         play = self.coupling.play
-        return play is not None and play.law.left_by_torque
+        return play is not None and bool(play.law.left_by_torque)
 
 
 class Geared(eqx.Module):
@@ -258,7 +257,8 @@ def _terms(mechanism: Mechanism, name: str) -> list[CoordinateTerm]:
 def geared_motors(mechanism: Mechanism) -> dict[str, Geared]:
     """The motors that turn with a joint, by name."""
     found = {}
-    for name, coupling in mechanism.couplings.items():
+    couplings: dict[str, Any] = dict(mechanism.couplings)
+    for name, coupling in couplings.items():
         motor = motor_name(name)
         if motor in dict(mechanism.topology.geared):
             end = _motor_end(mechanism, name)
@@ -279,6 +279,7 @@ def _meshing(mechanism: Mechanism, coupling: Any, frames: dict[str, Pose]) -> Cl
 def _summed(mechanism: Mechanism, name: str, places: dict[str, Closure]) -> Closure:
     """The row of a coupling of coordinates; `places`: closures of the joints outside the tree."""
     topology, found = mechanism.topology, _terms(mechanism, name)
+    coupling: Any = mechanism.couplings[name]
     joints = {n: coordinate_joint(n, mechanism.bodies, mechanism.connections) for n, _ in found}
     links = {branch.connection: i for i, branch in enumerate(topology.branches)}
     terms = []
@@ -290,7 +291,7 @@ def _summed(mechanism: Mechanism, name: str, places: dict[str, Closure]) -> Clos
         )
     first = joints[found[0].joint]
     row = WAY if first.units == ("m",) else TURN
-    summed = CoordinateSum(tuple(terms), mechanism.couplings[name].total())
+    summed = CoordinateSum(tuple(terms), coupling.total())
     return Closure(REST, REST, None, None, (row,), summed)
 
 
@@ -368,14 +369,14 @@ def _rotor(mechanism: Mechanism, connection: str | None) -> Any:
     own = []
     for name, ratio in turning.items():
         found = [load.inertia_along() for load in acting if name in load.coordinates()]
-        found += [c.motor.inertia for n, c in mechanism.couplings.items() if _drives(n, c, name)]
+        found += [
+            coupling.motor.inertia
+            for own_name, coupling in mechanism.couplings.items()
+            if coupling.motor is not None and motor_name(own_name) == name
+        ]
         known = [inertia for inertia in found if inertia is not None]
         own += [x if ratio is None else ratio * ratio * x for x in known]
     return sum(own) if own else None
-
-
-def _drives(coupling: str, own: AbstractCoupling, motor: str | None) -> bool:
-    return own.motor is not None and motor_name(coupling) == motor
 
 
 def coordinate_loads(system: System) -> list[tuple[str, AbstractStateLoad]]:
