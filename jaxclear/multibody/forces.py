@@ -141,9 +141,19 @@ def applied_forces(
     for link, force in acting.on_drives.items():
         external = sp.sub(external, sp.mul(force, motions[link].speeds[0]))
     links = (tuple(acting.wrenches), tuple(acting.forces))
-    energies = (stored, damping, external)
-    told = (acting.on_joints, followed, rates, pressed, acting.on_drives)
-    return Forces(motions, reports, *links, *energies, *told)
+    return Forces(
+        motions,
+        reports,
+        *links,
+        stored,
+        damping,
+        external,
+        acting.on_joints,
+        followed,
+        rates,
+        pressed,
+        acting.on_drives,
+    )
 
 
 class _Rubbed(NamedTuple):
