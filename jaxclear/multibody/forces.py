@@ -278,7 +278,7 @@ def _seen(system: System, motions: tuple[Motion, ...], name: str, followed: Foll
 
 def _give(system, motions, own, torque, acting) -> None:
     """Adds the torque of a coupling."""
-    for link, force in transmissions.on_coordinates(own, torque):
+    for link, force in transmissions.on_coordinates(motions, own, torque):
         acting.along(link, force)
     for closure, pose, wrench, joint in transmissions.on_closures(motions, own, torque):
         add_action_and_reaction(acting.wrenches, closure, pose, *wrench)
