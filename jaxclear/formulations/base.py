@@ -66,6 +66,10 @@ class AbstractFormulation(eqx.Module):
     def seen(self, mechanism: Mechanism) -> Mechanism:
         """The mechanism as it is in this formulation (with other joints, say)."""
 
+    def prepared(self, system: System) -> System:
+        """The system as its steps take it (with other loads, say); as it is unless overridden."""
+        return system
+
     @abstractmethod
     def impulses(self, system: System) -> tuple[tuple[str, int], ...]:
         """Joints whose impulses since the start the state holds [N s, N m s], each with how many
@@ -138,6 +142,6 @@ def model_of(
 ) -> Model:
     """The model of a mechanism whose surfaces are new, in a formulation; `balance`: with the
     energies of its balance in the state."""
-    system = prepare(mechanism)
+    system = formulation.prepared(prepare(mechanism))
     layout = lay_out(system, balance, formulation.impulses(system))
     return Model(system, {}, mechanism.baumgarte, layout, mechanism.projects)

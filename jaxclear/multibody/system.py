@@ -110,7 +110,8 @@ class Geared(eqx.Module):
 class System(eqx.Module):
     """Links in the topology's order, loop closures and the joints that make them, clearance joints,
     couplings that give, and loads; `measured`: joints outside the tree on whose coordinate loads
-    act; `geared`: motors that turn with a joint. `arm` [m]: the longest, where rows of loops depend
+    act; `geared`: motors that turn with a joint; `flanks`: couplings whose play is between rigid
+    ones. `arm` [m]: the longest, where rows of loops depend
     on each other; None elsewhere.
     """
 
@@ -126,6 +127,7 @@ class System(eqx.Module):
     topology: Topology = eqx.field(static=True)
     transmissions: dict[str, Transmission] = eqx.field(default_factory=dict)
     geared: dict[str, Geared] = eqx.field(default_factory=dict)
+    flanks: dict[str, Transmission] = eqx.field(default_factory=dict)
 
 
 def _turned(pose: Pose, turn: sp.Mat) -> Pose:
@@ -178,7 +180,7 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     for name, coupling in mechanism.couplings.items():
         if coupling.gives:
             own = _row(mechanism, name, places, frames)
-            scale = _scale(mechanism, coupling)
+            scale = scale_of(mechanism, coupling)
             _check_error(name, coupling, own)
             end = _driving_end(mechanism, name, scale)
             transmissions[name] = Transmission(own, scale, coupling, end)
@@ -205,16 +207,21 @@ def _check_error(name: str, coupling: Any, own: Closure) -> None:
 def acting_in(mechanism: Mechanism) -> dict[str, Any]:
     """Loads and the couplings that are forces between coordinates, by name; each knows the motors
     behind its joints."""
+    ends, found = motor_ends(mechanism), {}
+    for name, load in mechanism.loads.items():
+        found[name] = load.behind(ends) if isinstance(load, AbstractStateLoad) else load
+    own = mechanism.couplings.items()
+    return found | {n: c for n, c in own if isinstance(c, AbstractForceCoupling)}
+
+
+def motor_ends(mechanism: Mechanism) -> dict[str, MotorEnd]:
+    """The motors behind couplings that give, by the joint that each turns."""
     ends: dict[str, MotorEnd] = {}
     for name, coupling in mechanism.couplings.items():
         joints = coupling.joints()
         if coupling.motor is not None and coupling.gives and len(joints) == 1:
             ends[joints[0]] = _motor_end(mechanism, name)
-    found = {}
-    for name, load in mechanism.loads.items():
-        found[name] = load.behind(ends) if isinstance(load, AbstractStateLoad) else load
-    own = mechanism.couplings.items()
-    return found | {n: c for n, c in own if isinstance(c, AbstractForceCoupling)}
+    return ends
 
 
 def _motor_end(mechanism: Mechanism, name: str) -> MotorEnd:
@@ -235,7 +242,7 @@ def _row(mechanism: Mechanism, name: str, places: dict, frames: dict) -> Closure
     return _meshing(mechanism, coupling, frames)
 
 
-def _scale(mechanism: Mechanism, coupling: Any) -> Any:
+def scale_of(mechanism: Mechanism, coupling: Any) -> Any:
     """What the residual of a coupling is divided by, so that it is its twist."""
     if isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None:
         return coupling.terms()[0].factor

@@ -125,8 +125,11 @@ class AbstractCoupling(AbstractQuantified):
 
     @property
     def gives(self) -> bool:
-        """Whether it is a force element: it has play or stiffness."""
-        return self.play is not None or self.stiffness is not None
+        """Whether it is a force element: it has play, whose flanks do not always press, or
+        stiffness."""
+        if self.play is not None:
+            return not self.play.seated
+        return self.stiffness is not None
 
     @property
     def motor(self) -> Motor | None:
