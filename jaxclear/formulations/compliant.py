@@ -266,8 +266,9 @@ class CompliantContact(AbstractFormulation):
         entries = within_gaps(model.system, model.layout, entries)
         if all(place is None for place in places):
             return sp.stack(entries)
-        count = model.layout.joint_contacts
-        before, after = (ContactMotion(*(x[:count] for x in own)) for own in (before, after))
+        if model.layout.plays:
+            count = model.layout.joint_contacts
+            before, after = (ContactMotion(*(x[:count] for x in own)) for own in (before, after))
         held = sp.stack([0 if place is None else entries[place] for place in places])
         speeds = remembered(held, before, after, length)
         for i, place in enumerate(places):

@@ -18,12 +18,13 @@ import jax.numpy as jnp
 
 from jaxclear.components.function_of_angle import value_and_slope
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import positive_part
+from jaxclear.ground.numerics import positive_part, safe_divide
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import constant
 from jaxclear.laws.transmission import one_sided
 from jaxclear.multibody import kinematics, pose_rows
 from jaxclear.multibody.coordinate_sums import outer_wrenches, sum_equation
+from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.loops import Closure, CoordinateSum
 from jaxclear.multibody.state import Layout
 from jaxclear.multibody.system import TWIST, System, Transmission
@@ -88,6 +89,19 @@ def _wobble(motions: tuple[Motion, ...], own: Transmission) -> Wobble | None:
     value, slope = value_and_slope(error, moving.coordinates[0])
     share = 1 / own.coupling.ratio
     return Wobble(share * value, share * slope, moving.speeds[0])
+
+
+def row_of(system: System, motions: tuple[Motion, ...], own: Transmission) -> JacobianRow:
+    """How fast it twists by unit speeds, by their index."""
+    closure = own.closure
+    if isinstance(closure.reading, CoordinateSum):
+        row = sum_equation(system, motions, closure.reading)[2]
+    else:
+        pose = kinematics.relative_motion(closure, motions)[1]
+        (slope,) = pose_rows.gradients(closure.reading, pose)[1]
+        rates = lambda *moving: (pose_rows.rate(slope, *moving),)
+        (row,) = kinematics.relative_jacobian(system, motions, closure, pose, rates)
+    return {j: entry / own.scale for j, entry in row.items()}
 
 
 class Between(NamedTuple):
@@ -190,6 +204,36 @@ def _with_end(own: Between, twist: Twist, places: tuple, flanks: tuple) -> Press
         rates.append(sign * end_rate)
     told = (torque, end_rate, stored, lost, twist)
     return Pressing(*told, tuple(depths), tuple(rates), tuple(acting))
+
+
+def mean_torque(own: Between, twist: Twist, end: Any, length: Any) -> Any:
+    """Mean torque over a step of a `length` [s] that begins at a twist and has a mean rate; `end`
+    as of `pressing`, at the start. A spring's is what it takes of energy over its way (the discrete
+    gradient), a damper acts on the share of the way on which the flank is touched.
+
+    Source: Gonzalez 1996, J. Nonlinear Sci. 6, 449, doi:10.1007/BF02440162.
+    """
+    play, stiffness, damping = own
+    if play is None:
+        viscous = 0 if damping is None else damping * twist.rate
+        return sp.add(stiffness * (twist.value + 0.5 * length * twist.rate), viscous)
+    half = 0.5 * play.play
+    place = sp.sub(twist.value, 0 if play.middle is None else play.middle)
+    torques = []
+    for sign in (1.0, -1.0):
+        depth, way = sign * place - half, sign * length * twist.rate
+        if end is not None:
+            # A shaft that has let go is met where its end is.
+            gap = sign * end - half
+            depth = jnp.where(gap >= 0, depth, gap)
+        first, last = positive_part(depth), positive_part(depth + way)
+        touched = jnp.where(
+            way == 0, jnp.where(depth > 0, 1.0, 0.0), safe_divide(last - first, way)
+        )
+        elastic = 0.5 * stiffness * (first + last) * touched
+        viscous = 0.0 if damping is None else damping * touched * sign * twist.rate
+        torques.append(positive_part(play.law.torque(elastic, viscous)))
+    return torques[0] - torques[1]
 
 
 def end_at_start(own: Transmission, twist: Twist) -> Any:
