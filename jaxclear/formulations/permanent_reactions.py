@@ -281,7 +281,10 @@ class ReactionNotUnique(ValueError):
 
 
 def check_unique(system: System) -> None:
-    """Raises `ReactionNotUnique` where friction would hang on a reaction that is not unique."""
+    """Raises `ReactionNotUnique` where friction would hang on a reaction that is not unique.
+
+    Source: Wojtyra 2017, Multibody Syst. Dyn. 39, 337, doi:10.1007/s11044-016-9535-4.
+    """
     redundancy = system.topology.redundancy
     for held in touching(system):
         rubs = held.joint.friction is not None and held.joint.follows_reaction

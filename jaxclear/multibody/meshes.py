@@ -6,6 +6,8 @@ its joint, which is its turn against the line of centres where the joint's inner
 axes; the turns of the other follow, since the residual is nearly zero.
 """
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -102,9 +104,35 @@ def drawn_pose(
     return poses[0].inverse().after(poses[1])
 
 
-def _drawn(bodies: dict[str, Body], connections: dict[str, Connection]) -> dict[str, Pose]:
+# How far joints are moved to see whether wheels stay as far apart [rad, m], and how much nearer or
+# further [1] they may be then.
+MOVED, AS_FAR = 0.3, 1e-6
+
+
+def moves_apart(
+    coupling: AbstractBodyCoupling, bodies: dict[str, Body], connections: dict[str, Connection]
+) -> bool:
+    """Whether two wheels come nearer or further as the other joints move: no body carries both.
+    Joints that have other than coordinates one by one are left where they are."""
+    first, second = markers(coupling, connections)
+    others = {n: c for n, c in connections.items() if n not in coupling.joints()}
+    moved = {n: MOVED / (1 + i) for i, n in enumerate(others)}
+    found = []
+    for shifts in ({}, moved):
+        places = _drawn(bodies, connections, shifts)
+        one, other = (places[marker.body].after(marker.pose()) for marker in (first, second))
+        x, y, _ = one.inverse().after(other).translation
+        found.append(float(jnp.hypot(jnp.asarray(x, float), jnp.asarray(y, float))))
+    return abs(found[1] - found[0]) > AS_FAR * found[0]
+
+
+def _drawn(
+    bodies: dict[str, Body],
+    connections: dict[str, Connection],
+    shifts: Mapping[str, float] = MappingProxyType({}),
+) -> dict[str, Pose]:
     """Poses of the bodies in the ground where all joints are at home, each by the first way that
-    leads there."""
+    leads there; some joints moved by `shifts`."""
     places, left = {GROUND: REST}, dict(connections)
     while len(places) <= len(bodies):
         name = next(
@@ -113,7 +141,8 @@ def _drawn(bodies: dict[str, Body], connections: dict[str, Connection]) -> dict[
         connection = left.pop(name)
         parent, child = connection.parent, connection.child
         joint = coordinate_joint(name, bodies, connections)
-        across = joint.motion(tuple(jnp.asarray(x, float) for x in joint.home))
+        shift = shifts.get(name, 0.0) if isinstance(joint, AbstractVectorJoint) else 0.0
+        across = joint.motion(tuple(jnp.asarray(x, float) + shift for x in joint.home))
         if parent.body in places:
             onward = parent.pose().after(across).after(child.pose().inverse())
             places[child.body] = places[parent.body].after(onward)

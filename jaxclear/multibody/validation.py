@@ -44,7 +44,7 @@ from jaxclear.ground.warning import asked, shape_of, warn
 from jaxclear.ground.wording import listed, meant
 from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.contact_point import check_followed
-from jaxclear.multibody.meshes import drawn_pose, markers
+from jaxclear.multibody.meshes import drawn_pose, markers, moves_apart
 from jaxclear.multibody.pose_rows import check_rows
 from jaxclear.multibody.topology import MOTOR, Topology, coordinate_joint, motors
 
@@ -88,7 +88,8 @@ def check_own_load(name: str, load: Any) -> None:
     if not is_own(load):
         return
     if isinstance(load, AbstractStateLoad) and not isinstance(load, AbstractCoordinateLoad):
-        what = f'load "{name}", its effect(time, positions, speeds, states),'
+        kind = "coupling" if isinstance(load, AbstractForceCoupling) else "load"
+        what = f'{kind} "{name}", its effect(time, positions, speeds, states),'
         count, states = len(load.coordinates()), (NUMBER,) * len(load.states())
         seen = (NUMBER,) * count
         told = lambda *at: _on_coordinates(what, asked(what, load.effect, *at), load)
@@ -455,6 +456,21 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
                 coupling.check(drawn_pose(coupling, bodies, connections))
             except ValueError as error:
                 raise ValueError(f'coupling "{name}" {error}') from None
+            _warn_of_wheels_apart(name, coupling, topology, bodies, connections)
+
+
+def _warn_of_wheels_apart(
+    name: str, coupling: Any, topology: Topology, bodies: dict, connections: dict
+) -> None:
+    """Warns where nothing holds two wheels as far apart as they are drawn; loops may."""
+    wheels = len(coupling.joints()) == 2 and coupling.moves() == (("rad",), ("rad",))
+    if wheels and not topology.closing and moves_apart(coupling, bodies, connections):
+        warn(
+            f'coupling "{name}" ties the wheels of joints {listed(coupling.joints())}, which no '
+            "body carries together: the distance of their axes changes as others move, and they "
+            "mesh only as drawn. Put both joints on one body, or couple coordinates (coupling."
+            "Ratio)."
+        )
 
 
 def _check_forces(
@@ -462,6 +478,7 @@ def _check_forces(
 ) -> None:
     """That the joints of a coupling that is a force have one coordinate each, one of them at least
     free, and its motors are there."""
+    check_own_load(name, coupling)
     known, driven = _motors(bodies, connections, couplings), []
     for place in coupling.coordinates():
         if place not in coupling.joints():

@@ -2,6 +2,8 @@
 what their bearings carry.
 """
 
+import warnings
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -444,3 +446,38 @@ def test_a_transmission_error_repeats_itself():
         jc.coupling.Gear("A", "B", 3.0, transmission_error=lambda turn: 1e-3 * turn)
     with pytest.raises(ValueError, match="one number"):
         jc.coupling.Gear("A", "B", 3.0, transmission_error=lambda turn: (turn, turn))
+
+
+def test_wheels_that_no_body_carries_together_are_told():
+    arms = {
+        "O": jc.Connection(TURN, "ground", "arm"),
+        "A": jc.Connection(TURN, "ground", "a"),
+        "B": jc.Connection(TURN, jc.Marker("arm", (0.08, 0.0)), "b"),
+    }
+    bodies = {"arm": jc.Body(1.0, 1e-2), "a": jc.Body(0.3, J_A), "b": jc.Body(1.0, J_B)}
+    gear = {"mesh": jc.coupling.Gear("A", "B", 3.0)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # a planet on its carrier
+        jc.Mechanism(bodies, arms, couplings=gear)
+    aside = jc.Connection(TURN, jc.Marker("ground", (0.01, 0.0)), "a")
+    with pytest.warns(UserWarning, match="no body carries together"):
+        jc.Mechanism(bodies, arms | {"A": aside}, couplings=gear)
+
+
+def test_a_screw_that_closes_a_loop_counts_its_turns():
+    spindle = jc.joint.Revolute(jc.drive.ConstantSpeed(31.0))
+    rig = jc.Mechanism(
+        {"spindle": jc.Body(2.0, (1e-2,) * 3), "nut": jc.Body(1.0, (1e-2,) * 3)},
+        {
+            "A": jc.Connection(spindle, "ground", "spindle"),
+            "N": jc.Connection(jc.joint.Prismatic(), "ground", "nut"),
+            "S": jc.Connection(jc.joint.Cylindrical(), "spindle", "nut"),
+        },
+        couplings={"thread": jc.coupling.Screw("S", 8e-3)},
+    )
+    run = jc.simulate(rig, 1.0, save=11, integrator=STEPS)
+    # five turns of the spindle; the nut is held from turning, and comes back
+    np.testing.assert_allclose(
+        run.coordinate("N"), -8e-3 * 31.0 * np.asarray(run.time) / (2 * np.pi), atol=1e-12
+    )
