@@ -80,6 +80,7 @@ def states_at_start(system: System, layout: Layout, motions: tuple[Motion, ...])
         if own.has_twist:
             twist = transmissions.twist_of(system, motions, own)
             loads.append(transmissions.end_at_start(own, twist))
+        loads += [0.0] * (len(own.states()) - own.has_twist)
     return loads
 
 

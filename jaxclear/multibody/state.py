@@ -18,7 +18,7 @@ from jaxclear.components.clearance import ContactCandidate, ContactLaws
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import by_form
 from jaxclear.multibody.contact_point import PointState, memory_template
-from jaxclear.multibody.system import TWIST, Bearing, System, coordinate_loads, rubbing_joints
+from jaxclear.multibody.system import Bearing, System, coordinate_loads, rubbing_joints
 
 # An offset [m] at which nothing is structurally zero but by the scene.
 PROBE = (0.3e-3, 0.1e-3, 0.2e-3)
@@ -133,7 +133,7 @@ def lay_out(
     states = tuple(
         (name, state.name) for name, load in coordinate_loads(system) for state in load.states()
     )
-    states += tuple((name, TWIST) for name, own in system.transmissions.items() if own.has_twist)
+    states += tuple((name, x) for name, own in system.transmissions.items() for x in own.states())
     plays = tuple(name for name, own in system.transmissions.items() if own.coupling.play)
     position += len(angles) + len(states)
     for name, surface, k, features in _wearing(system, samples):

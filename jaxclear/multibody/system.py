@@ -16,16 +16,18 @@ from jaxclear.components.body import GROUND
 from jaxclear.components.clearance import AbstractClearance, ContactLaws
 from jaxclear.components.coupling import (
     AbstractCoordinateCoupling,
+    AbstractForceCoupling,
     CoordinateTerm,
+    Efficiency,
 )
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Revolute
-from jaxclear.components.load import AbstractBodyLoad, AbstractStateLoad, Gravity
+from jaxclear.components.load import AbstractBodyLoad, AbstractStateLoad, Gravity, MotorEnd
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST, Pose
 from jaxclear.multibody.contact_point import fitted_laws
 from jaxclear.multibody.loops import TURN, WAY, Closure, CoordinateSum, SummedCoordinate
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.meshes import drawn_pose, markers, mesh
+from jaxclear.multibody.meshes import carried, drawn_pose, markers, mesh
 from jaxclear.multibody.pose_rows import CoordinateOf, closing_rows, reading_of
 from jaxclear.multibody.topology import Branch, Topology, coordinate_joint, joint_of, motor_name
 from jaxclear.multibody.tree import Link
@@ -56,8 +58,17 @@ class ClosureCoordinate(eqx.Module):
     followed: bool = eqx.field(static=True)
 
 
-# The state of a shaft's far end in its gap.
-TWIST = "twist"
+# The states of a shaft's far end in its gap, and of friction that holds.
+TWIST, SLIP = "twist", "slip"
+
+
+class DrivingEnd(eqx.Module):
+    """The end of a coupling at which it loses power: its coordinate, by how much the twist changes
+    with it, and what it loses."""
+
+    coordinate: str = eqx.field(static=True)
+    slope: Any
+    loses: Efficiency
 
 
 class Transmission(eqx.Module):
@@ -67,6 +78,12 @@ class Transmission(eqx.Module):
     closure: Closure
     scale: Any
     coupling: Any  # an AbstractCoupling
+    driving: "DrivingEnd | None" = None
+
+    def states(self) -> tuple[str, ...]:
+        """Its states."""
+        rubs = self.driving is not None or self.coupling.thread is not None
+        return (TWIST,) * self.has_twist + (SLIP,) * rubs
 
     @property
     def has_twist(self) -> bool:
@@ -93,7 +110,8 @@ class Geared(eqx.Module):
 class System(eqx.Module):
     """Links in the topology's order, loop closures and the joints that make them, clearance joints,
     couplings that give, and loads; `measured`: joints outside the tree on whose coordinate loads
-    act; `geared`: motors that turn with a joint. `arm` [m]: the longest, where rows of loops depend
+    act; `geared`: motors that turn with a joint; `flanks`: couplings whose play is between rigid
+    ones. `arm` [m]: the longest, where rows of loops depend
     on each other; None elsewhere.
     """
 
@@ -109,6 +127,7 @@ class System(eqx.Module):
     topology: Topology = eqx.field(static=True)
     transmissions: dict[str, Transmission] = eqx.field(default_factory=dict)
     geared: dict[str, Geared] = eqx.field(default_factory=dict)
+    flanks: dict[str, Transmission] = eqx.field(default_factory=dict)
 
 
 def _turned(pose: Pose, turn: sp.Mat) -> Pose:
@@ -144,7 +163,7 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
         joint = mechanism.connections[name].joint
         bearings[name] = Bearing(closure(name, joint.ideal_rows), joint, fitted_laws(joint))
     loads, load_markers, gravity = {}, {}, sp.ZERO
-    for name, load in mechanism.loads.items():
+    for name, load in acting_in(mechanism).items():
         if isinstance(load, Gravity):
             gravity = sp.vec3(load.acceleration)
         else:
@@ -161,7 +180,10 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     for name, coupling in mechanism.couplings.items():
         if coupling.gives:
             own = _row(mechanism, name, places, frames)
-            transmissions[name] = Transmission(own, _scale(mechanism, coupling), coupling)
+            scale = scale_of(mechanism, coupling)
+            _check_error(name, coupling, own)
+            end = _driving_end(mechanism, name, scale)
+            transmissions[name] = Transmission(own, scale, coupling, end)
     measured = _measured(mechanism, places)
     loaded = (loads, measured, load_markers, gravity)
     behind = (transmissions, geared_motors(mechanism))
@@ -169,6 +191,46 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     if not topology.depend:
         return system
     return dataclasses.replace(system, arm=longest_arm(system))
+
+
+def _check_error(name: str, coupling: Any, own: Closure) -> None:
+    """Raises `ValueError` for a transmission error of a joint whose turn nobody counts."""
+    summed = isinstance(own.reading, CoordinateSum)
+    if summed and coupling.transmission_error is not None and own.reading.terms[0].link is None:
+        raise ValueError(
+            f'coupling "{name}" has a transmission_error, a function of the turn of joint '
+            f'"{own.reading.terms[0].joint}", which closes a loop or has clearance; only a joint '
+            "that the tree carries can have one behind a coupling.Motor."
+        )
+
+
+def acting_in(mechanism: Mechanism) -> dict[str, Any]:
+    """Loads and the couplings that are forces between coordinates, by name; each knows the motors
+    behind its joints."""
+    ends, found = motor_ends(mechanism), {}
+    for name, load in mechanism.loads.items():
+        found[name] = load.behind(ends) if isinstance(load, AbstractStateLoad) else load
+    own = mechanism.couplings.items()
+    return found | {n: c for n, c in own if isinstance(c, AbstractForceCoupling)}
+
+
+def motor_ends(mechanism: Mechanism) -> dict[str, MotorEnd]:
+    """The motors behind couplings that give, by the joint that each turns."""
+    ends: dict[str, MotorEnd] = {}
+    for name, coupling in mechanism.couplings.items():
+        joints = coupling.joints()
+        if coupling.motor is not None and coupling.gives and len(joints) == 1:
+            ends[joints[0]] = _motor_end(mechanism, name)
+    return ends
+
+
+def _motor_end(mechanism: Mechanism, name: str) -> MotorEnd:
+    """The motor of a coupling as its joint sees it."""
+    motor, terms = motor_name(name), dict(_terms(mechanism, name))
+    coupling: Any = mechanism.couplings[name]
+    own, total = terms.pop(motor), coupling.total()
+    (factor,) = terms.values()
+    return MotorEnd(motor, -factor / own, None if total is None else total / own)
 
 
 def _row(mechanism: Mechanism, name: str, places: dict, frames: dict) -> Closure:
@@ -180,11 +242,27 @@ def _row(mechanism: Mechanism, name: str, places: dict, frames: dict) -> Closure
     return _meshing(mechanism, coupling, frames)
 
 
-def _scale(mechanism: Mechanism, coupling: Any) -> Any:
+def scale_of(mechanism: Mechanism, coupling: Any) -> Any:
     """What the residual of a coupling is divided by, so that it is its twist."""
     if isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None:
         return coupling.terms()[0].factor
     return coupling.seen_radius(drawn_pose(coupling, mechanism.bodies, mechanism.connections))
+
+
+def _driving_end(mechanism: Mechanism, name: str, scale: Any) -> DrivingEnd | None:
+    """Where a coupling loses power; None for one that loses none."""
+    coupling: Any = mechanism.couplings[name]
+    if coupling.efficiency is None:
+        return None
+    if coupling.motor is not None:
+        motor = motor_name(name)
+        slope = dict(_terms(mechanism, name))[motor] / scale
+        return DrivingEnd(motor, slope, coupling.efficiency)
+    first = coupling.joints()[0]
+    drawn = drawn_pose(coupling, mechanism.bodies, mechanism.connections)
+    side = 1.0 if carried(mechanism.connections[first]).is_child else -1.0
+    slope = side * coupling.radii(drawn)[0] / scale
+    return DrivingEnd(first, slope, coupling.efficiency)
 
 
 def _terms(mechanism: Mechanism, name: str) -> list[CoordinateTerm]:
@@ -202,11 +280,8 @@ def geared_motors(mechanism: Mechanism) -> dict[str, Geared]:
     for name, coupling in couplings.items():
         motor = motor_name(name)
         if motor in dict(mechanism.topology.geared):
-            terms, total = dict(_terms(mechanism, name)), coupling.total()
-            own = terms.pop(motor)
-            ((joint, factor),) = terms.items()
-            offset = None if total is None else total / own
-            found[motor] = Geared(joint, -factor / own, offset)
+            end = _motor_end(mechanism, name)
+            found[motor] = Geared(coupling.joints()[0], end.ratio, end.offset)
     return found
 
 
@@ -241,11 +316,12 @@ def _summed(mechanism: Mechanism, name: str, places: dict[str, Closure]) -> Clos
 
 def _measured(mechanism: Mechanism, places: dict[str, Closure]) -> dict[str, ClosureCoordinate]:
     """Joints outside the tree, of these closures, on whose coordinate loads act."""
-    acting = [x for x in mechanism.loads.values() if isinstance(x, AbstractStateLoad)]
+    acting = [x for x in acting_in(mechanism).values() if isinstance(x, AbstractStateLoad)]
+    lossy = {c.joints()[0] for c in mechanism.couplings.values() if c.efficiency is not None}
     found = {}
     for name, closure in places.items():
         own = [load for load in acting if name in load.coordinates()]
-        if own:
+        if own or name in lossy:
             joint = coordinate_joint(name, mechanism.bodies, mechanism.connections)
             followed = joint.units == ("rad",) and any(load.reads_position() for load in own)
             found[name] = ClosureCoordinate(joint, closure, followed)

@@ -17,7 +17,11 @@ from typing import Any
 
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance
-from jaxclear.components.coupling import AbstractCoordinateCoupling, AbstractCoupling
+from jaxclear.components.coupling import (
+    AbstractCoordinateCoupling,
+    AbstractCoupling,
+    AbstractForceCoupling,
+)
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Free, Planar, Revolute
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractStateLoad
@@ -278,7 +282,13 @@ def _lay_out(order, closing, bodies, connections, couplings=None):
             branches.append(Branch(motor, motor, GROUND, False, *own, True))
             q, v = q + 1, v + 1
     turned = {motor_name(name) for name in couplings} & {*dict(geared)}
-    rows = [n for n, own in couplings.items() if not own.gives and motor_name(n) not in turned]
+    rows = [
+        name
+        for name, own in couplings.items()
+        if not own.gives
+        and motor_name(name) not in turned
+        and not isinstance(own, AbstractForceCoupling)
+    ]
     loops = (*closing, *rows)
     return Topology(
         tuple(branches),
@@ -329,6 +339,9 @@ def coordinate_units(mechanism: Any, name: str) -> tuple[str, ...]:
 
 def moves_along(mechanism: Any, part: Any) -> bool:
     """Whether a load, or the play of a coupling, is along a coordinate that slides."""
+    if isinstance(part, AbstractForceCoupling):
+        place = part.along()
+        return place is None or slides(mechanism, place)
     if isinstance(part, AbstractStateLoad):
         return slides(mechanism, part.coordinates()[0])
     if not isinstance(part, AbstractCoupling):
@@ -342,6 +355,8 @@ def moves_along(mechanism: Any, part: Any) -> bool:
 
 def turns(mechanism: Any, coupling: Any) -> bool:
     """Whether what a coupling transmits is a torque: its first coordinate turns."""
+    if isinstance(coupling, AbstractForceCoupling):
+        return not moves_along(mechanism, coupling)
     bodies = not isinstance(coupling, AbstractCoordinateCoupling) and coupling.motor is None
     if bodies and not coupling.gives:
         return False

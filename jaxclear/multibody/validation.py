@@ -18,7 +18,11 @@ import numpy as np
 
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance
-from jaxclear.components.coupling import AbstractCoordinateCoupling, AbstractCoupling
+from jaxclear.components.coupling import (
+    AbstractCoordinateCoupling,
+    AbstractCoupling,
+    AbstractForceCoupling,
+)
 from jaxclear.components.drive import AbstractDrive
 from jaxclear.components.joint import AbstractJoint, Revolute
 from jaxclear.components.joint.base import drive_of
@@ -160,6 +164,8 @@ def check_parts(bodies: dict, connections: dict, loads: dict, couplings: dict) -
     known = _motors(bodies, connections, couplings)
     for name, load in loads.items():
         _check_load(name, load, bodies, connections, known)
+        if isinstance(load, AbstractStateLoad):
+            _check_motors(name, load, couplings)
         if name in couplings and isinstance(load, AbstractStateLoad):
             raise ValueError(
                 f'"{name}" is a coupling and a load; both may have states, so give one of them '
@@ -236,6 +242,24 @@ def _check_load(name: str, load: Any, bodies: dict, connections: dict, known: li
             _check_acts(name, place, bodies, connections, known)
 
 
+def _check_motors(name: str, load: AbstractStateLoad, couplings: dict) -> None:
+    """That one motor at most turns the joint on whose motor a load acts, and one where it must."""
+    joint = load.motor_of()
+    turning = [n for n, c in couplings.items() if c.motor is not None and joint in c.joints()]
+    if joint is None:
+        return
+    if load.needs_motor() and not turning:
+        raise ValueError(
+            f'load "{name}" reads the encoder of the motor of joint "{joint}", which no '
+            'coupling.Motor turns; give the joint a coupling with one, or encoder="load".'
+        )
+    if len(turning) > 1:
+        raise ValueError(
+            f'load "{name}" acts on the motor of joint "{joint}", which the motors of '
+            f"{listed(turning)} turn; take a load of your own on one of them."
+        )
+
+
 def _check_acts(name: str, place: str, bodies: dict, connections: dict, known: list[str]) -> None:
     """That a load may act on the coordinate of a joint, or of a motor."""
     if place in known:
@@ -251,8 +275,8 @@ def _check_acts(name: str, place: str, bodies: dict, connections: dict, known: l
     )
     if drive_of(joint) is not None:
         raise ValueError(
-            f'load "{name}" acts on joint "{place}", whose coordinate is driven; put '
-            "the load on markers (jaxclear.load.Torque) or on another joint."
+            f'load "{name}" acts on joint "{place}", whose coordinate is driven; leave '
+            "the drive out, or put the load on markers (jaxclear.load.Torque) or on another joint."
         )
 
 
@@ -411,6 +435,9 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
                     f'coupling "{name}" names joint "{joint}" twice; it couples different joints.'
                 )
             check_known("joint", joint, connections, f' for coupling "{name}"')
+        if isinstance(coupling, AbstractForceCoupling):
+            _check_forces(name, coupling, couplings, bodies, connections)
+            continue
         if isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None:
             if coupling.motor is not None:
                 coupling.terms()
@@ -428,6 +455,25 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
                 coupling.check(drawn_pose(coupling, bodies, connections))
             except ValueError as error:
                 raise ValueError(f'coupling "{name}" {error}') from None
+
+
+def _check_forces(
+    name: str, coupling: Any, couplings: dict, bodies: dict, connections: dict
+) -> None:
+    """That the joints of a coupling that is a force have one coordinate each, one of them at least
+    free, and its motors are there."""
+    known, driven = _motors(bodies, connections, couplings), []
+    for place in coupling.coordinates():
+        if place not in coupling.joints():
+            check_known("motor", place, known, f' for coupling "{name}"')
+            continue
+        joint = one_coordinate(f'coupling "{name}" speaks of', place, bodies, connections)
+        driven += [place] if drive_of(joint) is not None else []
+    if len(driven) == len(coupling.coordinates()):
+        raise ValueError(
+            f'coupling "{name}" ties joints {listed(driven)}, all of which are driven; leave one '
+            "of the drives out."
+        )
 
 
 def _warn_of_locks(couplings: dict) -> None:

@@ -428,7 +428,11 @@ def driving(history: StateHistory, name: str) -> Float[Array, " time"]:
         wrench = dynamics.joint_wrenches(system, forces, solution)[index]
         joint = system.links[index].joint
         (column,) = joint.columns((joint.drive.motion(now.time)[0],))
-        return jnp.asarray(tree.power(column, wrench), float)
+        given = tree.power(column, wrench)
+        # What couplings do along its coordinate comes through no body.
+        for link, force in dynamics.coupled_on_drives(system, forces, solution):
+            given = sp.sub(given, force) if link == index else given
+        return jnp.asarray(given, float)
 
     return over_time(history, one)
 

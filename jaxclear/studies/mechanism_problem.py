@@ -18,7 +18,7 @@ from jaxclear.ground.quantity import inside, is_one_number, numbers
 from jaxclear.ground.warning import asked, shape_of
 from jaxclear.ground.wording import described
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.results.response import unit_of
+from jaxclear.results.response import AbstractSignal, unit_of
 from jaxclear.studies.base import AbstractProblem, check_names_differ, stacked
 from jaxclear.studies.inputs import correlation_matrix
 from jaxclear.studies.variable import (
@@ -85,7 +85,8 @@ def wanted_of(
 def in_range(*parts: Any) -> Array:
     """Whether all numbers of parts, as of a mechanism, are within their ranges."""
     known = [inside(leaf, metadata) for part in parts for _, leaf, metadata in numbers(part)]
-    return jnp.all(jnp.stack(known))
+    # Tables, as of a function of time, are arrays.
+    return jnp.all(jnp.stack([one if jnp.ndim(one) == 0 else jnp.all(one) for one in known]))
 
 
 class Thinned(eqx.Module):
@@ -114,9 +115,9 @@ def by_name(what: str, given: Any) -> dict[str, Any]:
 
 def answer(name: str, response: Callable, run: Any) -> Array:
     """A response of a run (of positions, a life) as one number. Raises `ValueError` with a sentence
-    that names it where it fails, leaves JAX, or gives something else."""
+    that names it where it fails, leaves JAX, or gives something else. A sensor's are several."""
     value = asked(f'response "{name}"', response, run)
-    if not is_one_number(value):
+    if not is_one_number(value) and not isinstance(response, AbstractSignal):
         hint = " It returns nothing: is a `return` missing?" if value is None else ""
         raise ValueError(
             f'response "{name}" gives {described(value)} for a run; it must be one number, such as '

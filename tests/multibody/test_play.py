@@ -387,8 +387,8 @@ def test_what_cannot_be_is_refused(build, says):
     [
         (jc.integrator.Adaptive(), {}, "without stiffness"),
         (jc.integrator.Adaptive(), {"stiffness": 9.0}, "give damping, or take flank.Stop"),
-        (jc.integrator.MoreauJean(1e-3), {"stiffness": 9.0}, "knows no flanks"),
-        (jc.integrator.NonColliding(1e-3), {"stiffness": 9.0}, "knows no flanks"),
+        (jc.integrator.MoreauJean(1e-3), {}, "or the restitution of rigid ones"),
+        (jc.integrator.MoreauJean(1e-3), {"stiffness": 9.0}, "give damping, or take flank.Stop"),
     ],
 )
 def test_flanks_that_an_integrator_cannot_serve_are_refused(integrator, more, says):

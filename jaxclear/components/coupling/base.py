@@ -14,12 +14,14 @@ torque along the same gradient. s is seen at the slow side b of a `Gear`, at the
 
 import dataclasses
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 
 from jaxclear.components.clearance.backlash import Backlash
+from jaxclear.components.coupling.losses import Efficiency, Thread
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, quantity
 
@@ -97,14 +99,37 @@ class AbstractCoupling(AbstractQuantified):
         """The damping [N m s/rad, N s/m]; None unless a class has this field (`damping_field`)."""
         return None
 
+    @property
+    def efficiency(self) -> Efficiency | None:
+        """What of the power comes out; None unless a class has this field (`efficiency_field`)."""
+        return None
+
+    @property
+    def transmission_error(self) -> Callable | None:
+        """What is added to `ratio` times the turn of b [rad]; None unless a class has this
+        field."""
+        return None
+
+    def slack_twist(self) -> Any:
+        """The twist at which one strand goes slack; None, as unless overridden: none does."""
+        return None
+
+    @property
+    def thread(self) -> Thread | None:
+        """Its thread, if it rubs; None unless a class has one."""
+        return None
+
     @abstractmethod
     def joints(self) -> tuple[str, ...]:
         """Names of the joints that it speaks of, each once."""
 
     @property
     def gives(self) -> bool:
-        """Whether it is a force element: it has play or stiffness."""
-        return self.play is not None or self.stiffness is not None
+        """Whether it is a force element: it has play, whose flanks do not always press, or
+        stiffness."""
+        if self.play is not None:
+            return not self.play.seated
+        return self.stiffness is not None
 
     @property
     def motor(self) -> Motor | None:
@@ -120,10 +145,16 @@ class AbstractCoupling(AbstractQuantified):
                 f"coupling.{name} has a coupling.Motor on more than one of its ends; one end at "
                 "least is a joint, which moves the mechanism."
             )
-        if self.damping is not None and not self.gives:
+        if self.damping is not None and self.play is None and self.stiffness is None:
             raise ValueError(
                 f"coupling.{name} has damping and neither stiffness nor play; a rigid one does not "
                 "twist. Give its stiffness too, or put a damper on a joint (load.JointSpring)."
+            )
+        loses = "efficiency" if self.efficiency is not None else "friction"
+        if (self.efficiency is not None or self.thread is not None) and not self.gives:
+            raise ValueError(
+                f"coupling.{name} has {loses} and neither stiffness nor play: what it loses "
+                "follows from the force of its flank. Give its stiffness."
             )
 
 

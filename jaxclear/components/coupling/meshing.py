@@ -1,5 +1,6 @@
 r"""Couplings of bodies: wheels, belts, racks and threads, whose force acts where they mesh."""
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -15,10 +16,13 @@ from jaxclear.components.coupling.base import (
     play_field,
     stiffness_field,
 )
+from jaxclear.components.coupling.losses import Efficiency, Thread, efficiency_field
+from jaxclear.components.function_of_angle import check_function_of_angle
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import direction_angle, safe_sqrt
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.laws.transmission import helix
 
 
 class Gear(AbstractBodyCoupling):
@@ -33,7 +37,9 @@ class Gear(AbstractBodyCoupling):
     positive angle presses wheels apart, where it is negative a negative one. Without the angle the
     force is across the line of centres. `internal`: one wheel lies within the other, and both turn
     the same way. Turns are counted by a joint of the tree; where none of the two is in it, and
-    bodies move in space, only speeds are tied. Play is seen at b.
+    bodies move in space, only speeds are tied. Play is seen at b. A `transmission_error` e, a
+    function of the turn of b [rad] from home that repeats itself every turn (a `TimeTable` that is
+    repeated, its times the angles), is added [rad] to `ratio` times that turn.
 
     With a `Motor` as an end it acts on the coordinate of the other alone, as a `Ratio` does, and a
     turns `ratio` times for one turn of b, the same way.
@@ -49,15 +55,23 @@ class Gear(AbstractBodyCoupling):
         None, "rad", "pressure angle; its sign picks the flank", above=-1, below=1, kw_only=True
     )
     internal: bool = eqx.field(static=True, default=False, kw_only=True)
+    transmission_error: Callable | None = eqx.field(default=None, kw_only=True)
+    efficiency: Efficiency | None = efficiency_field()
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
     damping: Scalar | None = damping_field()
 
     def __check_init__(self):
+        check_function_of_angle(self, "transmission_error")
         if concrete(self.pressure_angle) == 0:
             raise ValueError(
                 "coupling.Gear has pressure_angle = 0; leave it out, and the force is across the "
                 "line of centres."
+            )
+        if self.motor is not None and self.transmission_error is not None and not self.gives:
+            raise ValueError(
+                "coupling.Gear has a coupling.Motor and a transmission_error, and neither "
+                "stiffness nor play; give its stiffness, behind which the error is felt."
             )
         if self.motor is not None and self.pressure_angle is not None:
             raise ValueError(
@@ -83,6 +97,14 @@ class Gear(AbstractBodyCoupling):
         return radius, side * self.ratio * radius
 
     def rest(self, pose, drawn):
+        if self.transmission_error is None:
+            return self._tangent(pose, drawn)
+        turned = self.angles(pose)[1] - self.angles(drawn)[1]
+        error = self.transmission_error(turned) * self.radii(drawn)[1] / self.ratio
+        return sp.add(self._tangent(pose, drawn), error)
+
+    def _tangent(self, pose, drawn):
+        """What involutes add where the axes have moved."""
         if self.pressure_angle is None:
             return 0
         base = jnp.cos(self.pressure_angle) * _distance(drawn)
@@ -111,9 +133,12 @@ class Belt(AbstractBodyCoupling):
     :math:`r_b` of a, the same way round, or the other way where it is `crossed`.
 
     It acts on the bodies by the difference of its two strands' forces along them, of half each, so
-    that pulleys of one size do not load their bearings by it; the pretension, which does, is a load
-    of your own. Strands do not stretch and do not slip. With a `Motor` as an end it acts on the
-    coordinate of the other alone.
+    that pulleys of one size do not load their bearings by it; that of the pretension on bearings is
+    a load of your own. Strands do not slip. Without stiffness they do not stretch; with it, which
+    both share, as it is seen at a, and a `pretension` [N] of each, a strand pulls and does not
+    push: beyond a torque of :math:`2 r_a F_0` at a the slack one gives up its share, and half the
+    stiffness is left. Without pretension, as of a chain that is taut both ways, both go on. With a
+    `Motor` as an end it acts on the coordinate of the other alone.
     """
 
     a: str | Motor = end()
@@ -121,9 +146,24 @@ class Belt(AbstractBodyCoupling):
     radius_a: Scalar = quantity(unit="m", meaning="radius of pulley a", above=0)
     radius_b: Scalar = quantity(unit="m", meaning="radius of pulley b", above=0)
     crossed: bool = eqx.field(static=True, default=False, kw_only=True)
+    pretension: Scalar | None = quantity(
+        None, "N", "pull F_0 of each strand at rest", at_least=0, kw_only=True
+    )
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
     damping: Scalar | None = damping_field()
+
+    def __check_init__(self):
+        if self.pretension is not None and (self.stiffness is None or self.play is not None):
+            raise ValueError(
+                "coupling.Belt has pretension, and needs stiffness, by which its strands stretch, "
+                "and no play beside it."
+            )
+
+    def slack_twist(self):
+        if self.pretension is None:
+            return None
+        return 2 * self.pretension * self.radius_a / self.stiffness
 
     def joints(self):
         return named(self.a, self.b)
@@ -169,6 +209,7 @@ class Rack(AbstractBodyCoupling):
     pressure_angle: Scalar | None = quantity(
         None, "rad", "pressure angle; its sign picks the flank", above=-1, below=1, kw_only=True
     )
+    efficiency: Efficiency | None = efficiency_field()
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
     damping: Scalar | None = damping_field()
@@ -227,10 +268,36 @@ class Screw(AbstractBodyCoupling):
 
     The joint guides both, and lets them turn and slide (`joint.Cylindrical`, one with clearance);
     the thread acts on the bodies along its axis and about it.
+
+    With `friction` :math:`\mu` the flanks rub along the helix of the mean `diameter` d by
+    :math:`\mu N`, N their normal force, and at rest they hold: friction is a spring up to a
+    deflection of `presliding`, damped by `settling_time`. A nut under a load F is turned by
+    :math:`\frac{F d}{2}\frac{l \pm \pi\mu d \sec\alpha}{\pi d \mp \mu l \sec\alpha}` against it
+    and with it, and stays where it is where :math:`\pi\mu d \sec\alpha > l`; :math:`\alpha`, the
+    `flank_angle`, is that of the section across the thread. It needs `stiffness`. A collar's
+    friction is a `load.JointFriction`.
+
+    Source: Budynas & Nisbett 2020, Shigley's Mechanical Engineering Design, 11th ed., equations 8-1
+    to 8-5; Prandtl 1928, Z. angew. Math. Mech. 8, 85 (friction that holds).
     """
 
     joint: str = eqx.field(static=True)
     lead: Scalar = quantity(unit="m", meaning="advance for one turn", usual=USUAL_LEAD)
+    friction: Scalar | None = quantity(
+        None, "1", "friction coefficient of the flanks", at_least=0, kw_only=True
+    )
+    diameter: Scalar | None = quantity(
+        None, "m", "mean diameter of the thread", above=0, kw_only=True
+    )
+    flank_angle: Scalar = quantity(
+        0.0, "rad", "half the thread's angle", at_least=0, below=1.2, kw_only=True
+    )
+    presliding: Scalar = quantity(
+        1e-5, "m", "deflection along the helix at which friction is full", above=0, kw_only=True
+    )
+    settling_time: Scalar = quantity(
+        1e-3, "s", "damping time of friction that holds", at_least=0, kw_only=True
+    )
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
     damping: Scalar | None = damping_field()
@@ -238,6 +305,11 @@ class Screw(AbstractBodyCoupling):
     def __check_init__(self):
         if concrete(self.lead) == 0:
             raise ValueError("coupling.Screw has lead = 0; a thread advances as it turns.")
+        if (self.friction is None) != (self.diameter is None):
+            raise ValueError(
+                "coupling.Screw needs friction and diameter together: friction acts at the mean "
+                "diameter of the thread."
+            )
 
     def joints(self):
         return (self.joint,)
@@ -260,6 +332,13 @@ class Screw(AbstractBodyCoupling):
     @property
     def seen_as_length(self):
         return True
+
+    @property
+    def thread(self):
+        if self.friction is None:
+            return None
+        own = helix(self.lead, self.diameter, self.flank_angle)
+        return Thread(own, self.friction, self.presliding, self.settling_time)
 
     def check(self, drawn):
         """Any two markers may be on one thread."""
