@@ -50,10 +50,9 @@ from jaxclear.formulations.permanent_wear import (
     wear_rates,
 )
 from jaxclear.formulations.rigid import check_friction
-from jaxclear.formulations.state_rate import link_accelerations
+from jaxclear.formulations.state_rate import followed_rates, link_accelerations
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import dynamics, kinematics
-from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.state import unpack_followed, unpack_motion
@@ -176,7 +175,7 @@ class PermanentContact(AbstractFormulation):
         centres = centres_of(system, ends)
         goes = _rates_of(centres, last[len(v) : -1], h)
         worn = wear_rates(model, motions, motion[0], ends, sliding, goes)
-        gained = [h * rate for rate in (*angle_rates(system, layout, motions), *worn)]
+        gained = [h * rate for rate in (*followed_rates(system, layout, forces), *worn)]
         for one, reaction, place in zip(held, found.reactions, placed(held), strict=True):
             pressed = pressing(one, reaction, own_part(friction, place))
             acting = [*reaction.force, *reaction.torque, *friction[place], pressed]

@@ -1,5 +1,5 @@
-r"""What a transmission does with the stretch of its line of action: a freewheel, a strand that pulls
-and does not push, and what teeth and threads lose by rubbing. Scalars in, scalars out.
+r"""What a transmission does with the stretch of its line of action: a freewheel, a strand that
+pulls and does not push, and what teeth and threads lose by rubbing. Scalars in, scalars out.
 
 `stretch` and `rate` are the residual of a coupling and its rate, by which its force works; a
 positive `force` acts against a positive stretch. Energies in J, powers in W where the stretch is in

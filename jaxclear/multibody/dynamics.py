@@ -165,9 +165,11 @@ def coupled_on_drives(system: System, forces: Forces, solution: Solution) -> lis
     """(link, force) of couplings on coordinates that drives prescribe."""
     found = list(forces.on_drives.items())
     for closure, own in constraints.coupled(system, forces.motions, solution.multipliers):
-        for term in closure.reading.terms:
-            if own and term.link is not None and forces.motions[term.link].prescribed:
-                found.append((term.link, sp.mul(own[0], term.factor)))
+        found += [
+            (term.link, sp.mul(own[0], term.factor))
+            for term in closure.reading.terms
+            if own and term.link is not None and forces.motions[term.link].prescribed
+        ]
     return found
 
 

@@ -36,7 +36,6 @@ from jaxclear.multibody.system import System, body_loads, coordinate_loads
 from jaxclear.multibody.transmissions import Pressing
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
 
-
 AXIS: sp.Vec = (0, 0, 1)
 
 
@@ -97,6 +96,9 @@ def applied_forces(
         closure = system.bearings[name].closure
         pose = kinematics.relative_motion(closure, motions)[1]
         add_action_and_reaction(wrenches, closure, pose, report.force, report.torque)
+    stored: Any
+    damping: Any
+    external: Any
     stored, damping, external = 0, 0, 0
     with jax.named_scope("loads"):
         for name, load in body_loads(system):
@@ -115,19 +117,20 @@ def applied_forces(
         seen = [_seen(system, motions, name, followed) for name in held.coordinates()]
         states = states_of(label, held, followed)
         found = held.effect(
-            time, tuple(own.position for own in seen), tuple(own.speed for own in seen), states
+            time, tuple(one.position for one in seen), tuple(one.speed for one in seen), states
         )
-        for own, force in zip(seen, found.forces, strict=True):
-            own.push(acting, force)
+        for one, force in zip(seen, found.forces, strict=True):
+            one.push(acting, force)
         rates |= {label: found.rates} if found.rates else {}
         stored, damping = sp.add(stored, found.stored), sp.add(damping, found.dissipated)
         external = sp.add(external, found.external)
-    pressed = {}
-    for name, own in system.transmissions.items():
+    pressed: dict[str, Pressing] = {}
+    for name, giving in system.transmissions.items():
         pressed[name] = pressing_of(system, motions, name, followed)
-        _give(system, motions, own, pressed[name].torque, acting)
-        moved = (pressed[name].end_rate,) if own.has_twist else ()
-        rubbed = _rubbed(system, motions, name, pressed[name].torque, followed, acting)
+        torque = pressed[name].torque
+        _give(system, motions, giving, torque, acting)
+        moved = (pressed[name].end_rate,) if giving.has_twist else ()
+        rubbed = _rubbed(system, motions, name, torque, followed, acting)
         if moved or rubbed is not None:
             rates[name] = moved if rubbed is None else (*moved, rubbed.rate)
         damping = damping if rubbed is None else sp.add(damping, rubbed.lost)
@@ -138,8 +141,19 @@ def applied_forces(
     for link, force in acting.on_drives.items():
         external = sp.sub(external, sp.mul(force, motions[link].speeds[0]))
     links = (tuple(acting.wrenches), tuple(acting.forces))
-    told = (stored, damping, external, acting.on_joints, followed, rates, pressed)
-    return Forces(motions, reports, *links, *told, acting.on_drives)
+    return Forces(
+        motions,
+        reports,
+        *links,
+        stored,
+        damping,
+        external,
+        acting.on_joints,
+        followed,
+        rates,
+        pressed,
+        acting.on_drives,
+    )
 
 
 class _Rubbed(NamedTuple):
@@ -160,25 +174,25 @@ def _rubbed(
     """Adds the friction of a coupling that transmits a torque against its twist; None of one
     without."""
     own = system.transmissions[name]
-    coupling, end = own.coupling, own.driving
-    if end is None and coupling.rubs is None:
+    end, thread = own.driving, own.coupling.thread
+    if end is None and thread is None:
         return None
     known = followed.states.get(name)
     deflection = jnp.zeros(()) if known is None else known[-1]
     if end is not None:
         seen = _seen(system, motions, end.coordinate, followed)
-        own = coupling.efficiency
-        held = holding(deflection, seen.speed, own.presliding, own.settling_time)
-        friction = own.loss(torque * end.slope, held.share)
+        held = holding(deflection, seen.speed, end.loses.presliding, end.loses.settling_time)
+        friction = end.loses.loss(torque * end.slope, held.share)
         seen.push(acting, -friction)
         return _Rubbed(held.rate, friction * seen.speed)
+    assert thread is not None
     _, pose, relative = kinematics.relative_motion(own.closure, motions)
-    along = coupling.helix()
-    slip = sp.add(sp.mul(along.axial, relative.velocity[2]), sp.mul(along.lever, relative.spin[2]))
+    helix = thread.helix
+    slip = sp.add(sp.mul(helix.axial, relative.velocity[2]), sp.mul(helix.lever, relative.spin[2]))
     slip = jnp.asarray(slip, float)
-    held = holding(deflection, slip, coupling.presliding, coupling.settling_time)
-    friction = -coupling.friction * along.normal * jnp.abs(torque) * held.share
-    force, turned = sp.scale(friction * along.axial, AXIS), sp.scale(friction * along.lever, AXIS)
+    held = holding(deflection, slip, thread.presliding, thread.settling_time)
+    friction = -thread.coefficient * helix.normal * jnp.abs(torque) * held.share
+    force, turned = sp.scale(friction * helix.axial, AXIS), sp.scale(friction * helix.lever, AXIS)
     add_action_and_reaction(acting.wrenches, own.closure, pose, force, turned)
     return _Rubbed(held.rate, -friction * slip)
 
@@ -247,8 +261,8 @@ def _seen(system: System, motions: tuple[Motion, ...], name: str, followed: Foll
     branch = system.topology.branch_of(name)
     if branch is not None:
         index = system.topology.branches.index(branch)
-        own, along = motions[index], lambda acting, force: acting.along(index, force)
-        return _Seen(own.coordinates[0], own.speeds[0], along)
+        along = lambda acting, force: acting.along(index, force)
+        return _Seen(motions[index].coordinates[0], motions[index].speeds[0], along)
     coordinate = system.measured[name]
     now = closure_coordinates.read(coordinate, motions, followed.angles.get(name))
 

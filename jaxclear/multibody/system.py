@@ -16,9 +16,9 @@ from jaxclear.components.body import GROUND
 from jaxclear.components.clearance import AbstractClearance, ContactLaws
 from jaxclear.components.coupling import (
     AbstractCoordinateCoupling,
-    AbstractCoupling,
     AbstractForceCoupling,
     CoordinateTerm,
+    Efficiency,
 )
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Revolute
 from jaxclear.components.load import AbstractBodyLoad, AbstractStateLoad, Gravity, MotorEnd
@@ -63,11 +63,12 @@ TWIST, SLIP = "twist", "slip"
 
 
 class DrivingEnd(eqx.Module):
-    """The end of a coupling at which it loses power: its coordinate, and by how much the twist
-    changes with it."""
+    """The end of a coupling at which it loses power: its coordinate, by how much the twist changes
+    with it, and what it loses."""
 
     coordinate: str = eqx.field(static=True)
     slope: Any
+    loses: Efficiency
 
 
 class Transmission(eqx.Module):
@@ -76,25 +77,25 @@ class Transmission(eqx.Module):
 
     closure: Closure
     scale: Any
-    coupling: AbstractCoupling
+    coupling: Any  # an AbstractCoupling
     driving: "DrivingEnd | None" = None
 
     def states(self) -> tuple[str, ...]:
         """Its states."""
-        rubs = self.driving is not None or self.coupling.rubs is not None
+        rubs = self.driving is not None or self.coupling.thread is not None
         return (TWIST,) * self.has_twist + (SLIP,) * rubs
 
     @property
     def has_twist(self) -> bool:
         """Whether its law has a state of the flank."""
         play = self.coupling.play
-        return play is not None and play.law.has_twist
+        return play is not None and bool(play.law.has_twist)
 
     @property
     def left_by_torque(self) -> bool:
         """Whether its flanks are left where the torque would pull."""
         play = self.coupling.play
-        return play is not None and play.law.left_by_torque
+        return play is not None and bool(play.law.left_by_torque)
 
 
 class Geared(eqx.Module):
@@ -212,7 +213,8 @@ def motor_ends(mechanism: Mechanism) -> dict[str, MotorEnd]:
 def _motor_end(mechanism: Mechanism, name: str) -> MotorEnd:
     """The motor of a coupling as its joint sees it."""
     motor, terms = motor_name(name), dict(_terms(mechanism, name))
-    own, total = terms.pop(motor), mechanism.couplings[name].total()
+    coupling: Any = mechanism.couplings[name]
+    own, total = terms.pop(motor), coupling.total()
     (factor,) = terms.values()
     return MotorEnd(motor, -factor / own, None if total is None else total / own)
 
@@ -235,21 +237,24 @@ def _scale(mechanism: Mechanism, coupling: Any) -> Any:
 
 def _driving_end(mechanism: Mechanism, name: str, scale: Any) -> DrivingEnd | None:
     """Where a coupling loses power; None for one that loses none."""
-    coupling = mechanism.couplings[name]
+    coupling: Any = mechanism.couplings[name]
     if coupling.efficiency is None:
         return None
     if coupling.motor is not None:
         motor = motor_name(name)
-        return DrivingEnd(motor, dict(_terms(mechanism, name))[motor] / scale)
+        slope = dict(_terms(mechanism, name))[motor] / scale
+        return DrivingEnd(motor, slope, coupling.efficiency)
     first = coupling.joints()[0]
     drawn = drawn_pose(coupling, mechanism.bodies, mechanism.connections)
     side = 1.0 if carried(mechanism.connections[first]).is_child else -1.0
-    return DrivingEnd(first, side * coupling.radii(drawn)[0] / scale)
+    slope = side * coupling.radii(drawn)[0] / scale
+    return DrivingEnd(first, slope, coupling.efficiency)
 
 
 def _terms(mechanism: Mechanism, name: str) -> list[CoordinateTerm]:
     """The terms of a coupling, its motor by name."""
-    own = mechanism.couplings[name].terms()
+    coupling: Any = mechanism.couplings[name]
+    own = coupling.terms()
     called = lambda joint: joint if isinstance(joint, str) else motor_name(name)
     return [CoordinateTerm(called(joint), factor) for joint, factor in own]
 
@@ -257,7 +262,8 @@ def _terms(mechanism: Mechanism, name: str) -> list[CoordinateTerm]:
 def geared_motors(mechanism: Mechanism) -> dict[str, Geared]:
     """The motors that turn with a joint, by name."""
     found = {}
-    for name, coupling in mechanism.couplings.items():
+    couplings: dict[str, Any] = dict(mechanism.couplings)
+    for name, coupling in couplings.items():
         motor = motor_name(name)
         if motor in dict(mechanism.topology.geared):
             end = _motor_end(mechanism, name)
@@ -278,6 +284,7 @@ def _meshing(mechanism: Mechanism, coupling: Any, frames: dict[str, Pose]) -> Cl
 def _summed(mechanism: Mechanism, name: str, places: dict[str, Closure]) -> Closure:
     """The row of a coupling of coordinates; `places`: closures of the joints outside the tree."""
     topology, found = mechanism.topology, _terms(mechanism, name)
+    coupling: Any = mechanism.couplings[name]
     joints = {n: coordinate_joint(n, mechanism.bodies, mechanism.connections) for n, _ in found}
     links = {branch.connection: i for i, branch in enumerate(topology.branches)}
     terms = []
@@ -289,7 +296,7 @@ def _summed(mechanism: Mechanism, name: str, places: dict[str, Closure]) -> Clos
         )
     first = joints[found[0].joint]
     row = WAY if first.units == ("m",) else TURN
-    summed = CoordinateSum(tuple(terms), mechanism.couplings[name].total())
+    summed = CoordinateSum(tuple(terms), coupling.total())
     return Closure(REST, REST, None, None, (row,), summed)
 
 
@@ -367,14 +374,14 @@ def _rotor(mechanism: Mechanism, connection: str | None) -> Any:
     own = []
     for name, ratio in turning.items():
         found = [load.inertia_along() for load in acting if name in load.coordinates()]
-        found += [c.motor.inertia for n, c in mechanism.couplings.items() if _drives(n, c, name)]
+        found += [
+            coupling.motor.inertia
+            for own_name, coupling in mechanism.couplings.items()
+            if coupling.motor is not None and motor_name(own_name) == name
+        ]
         known = [inertia for inertia in found if inertia is not None]
         own += [x if ratio is None else ratio * ratio * x for x in known]
     return sum(own) if own else None
-
-
-def _drives(coupling: str, own: AbstractCoupling, motor: str | None) -> bool:
-    return own.motor is not None and motor_name(coupling) == motor
 
 
 def coordinate_loads(system: System) -> list[tuple[str, AbstractStateLoad]]:

@@ -345,10 +345,11 @@ def moves_along(mechanism: Any, part: Any) -> bool:
         return slides(mechanism, part.coordinates()[0])
     if not isinstance(part, AbstractCoupling):
         return False
+    coupling: Any = part
     if isinstance(part, AbstractCoordinateCoupling) or part.motor is not None:
-        first = part.terms()[0].joint
+        first = coupling.terms()[0].joint
         return isinstance(first, str) and slides(mechanism, first)
-    return part.seen_as_length
+    return bool(coupling.seen_as_length)
 
 
 def turns(mechanism: Any, coupling: Any) -> bool:

@@ -85,7 +85,8 @@ def pressing(own: Transmission, twist: Twist, end: Any = None, shares: Any = Non
         torques.append(play.law.torque(stiffness * depth, viscous))
     if end is not None:
         return _with_end(own, twist, (place, half, end), (torques, shares))
-    depths, rates = zip(*sides, strict=True)
+    depths: tuple = tuple(side[0] for side in sides)
+    rates = tuple(side[1] for side in sides)
     if play.law.left_by_torque:
         by_torque = [torque / stiffness for torque in torques]
         depths = tuple(map(jnp.minimum, depths, by_torque))
@@ -151,7 +152,7 @@ def torque_on_flanks(own: Transmission, depths: Any, rates: Any) -> Any:
     elastic = coupling.stiffness * depths
     if own.has_twist:
         return jnp.maximum(elastic, 0.0)
-    viscous = 0.0 if coupling.damping is None else coupling.damping * rates
+    viscous: Any = 0.0 if coupling.damping is None else coupling.damping * rates
     if coupling.play.law.left_by_torque:
         # As it falls off the depth is the torque's own.
         viscous = positive_part(viscous)

@@ -75,7 +75,9 @@ def test_a_weight_hangs_on_its_rope():
 
 
 def test_a_slack_rope_does_not_push():
-    run = jc.simulate(hoist(0.0, speeds={"B": 3.0}), 0.5, save=51, balance=True, integrator=ADAPTIVE)
+    run = jc.simulate(
+        hoist(0.0, speeds={"B": 3.0}), 0.5, save=51, balance=True, integrator=ADAPTIVE
+    )
     t = np.asarray(run.time)
     # the rope's length does not count while the weight is above
     np.testing.assert_allclose(run.coordinate("B"), 3.0 * t - 0.5 * G * t**2, atol=1e-9)
@@ -97,9 +99,7 @@ def valve(speed, friction=None):
         },
         {"spring": jc.load.JointSpring("B", RATE, rest=-PRELOAD / RATE)},
         couplings={
-            "contact": jc.coupling.Cam(
-                "A", "B", profile, stiffness=2e7, damping=2e3, **sliding
-            )
+            "contact": jc.coupling.Cam("A", "B", profile, stiffness=2e7, damping=2e3, **sliding)
         },
         start={"B": -1e-6},
     )

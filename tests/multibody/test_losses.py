@@ -14,9 +14,7 @@ ADAPTIVE = jc.integrator.Adaptive()
 def motor_drive(efficiency, loads):
     """A body behind a motor and a gear that loses power."""
     motor = jc.coupling.Motor(1e-4)
-    gear = jc.coupling.Gear(
-        motor, "A", RATIO, stiffness=400.0, damping=2.0, efficiency=efficiency
-    )
+    gear = jc.coupling.Gear(motor, "A", RATIO, stiffness=400.0, damping=2.0, efficiency=efficiency)
     return jc.Mechanism(
         {"a": jc.Body(1.0, 0.05)},
         {"A": jc.Connection(TURN, "ground", "a")},
@@ -44,9 +42,7 @@ def test_power_that_comes_back_loses_its_other_share():
     loads |= {"drag": jc.load.JointSpring("gear.motor", damping=drag)}
     rig = motor_drive(jc.coupling.Efficiency(ETA, BACK), loads)
     run = jc.simulate(rig, 2.0, save=3, integrator=ADAPTIVE)
-    np.testing.assert_allclose(
-        run.speed("gear.motor")[-1], BACK * torque / RATIO / drag, rtol=1e-4
-    )
+    np.testing.assert_allclose(run.speed("gear.motor")[-1], BACK * torque / RATIO / drag, rtol=1e-4)
 
 
 def test_a_gear_that_locks_itself_holds_without_creep():
@@ -85,7 +81,13 @@ LEAD, DIAMETER, MU, LOAD = 8e-3, 30e-3, 0.08, 6.4e3
 def jack(turn, friction=MU, loads=None, lead=LEAD, flank=0.0):
     """A spindle that turns in the ground, and a nut that slides, under a load."""
     screw = jc.coupling.Screw(
-        "S", lead, friction=friction, diameter=DIAMETER, flank_angle=flank, stiffness=2e8, damping=2e4
+        "S",
+        lead,
+        friction=friction,
+        diameter=DIAMETER,
+        flank_angle=flank,
+        stiffness=2e8,
+        damping=2e4,
     )
     return jc.Mechanism(
         {"spindle": jc.Body(2.0, (1e-2,) * 3), "nut": jc.Body(1.0, (1e-2,) * 3)},

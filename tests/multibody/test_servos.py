@@ -1,4 +1,4 @@
-"""Servos against closed forms: of second order, at rest under a load, at their limit, and sampled."""
+"""Servos against closed forms: of second order, at rest under a load, at their limit, sampled."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,7 +24,9 @@ def test_without_integral_it_is_a_spring_and_a_damper():
     decay, square = KD / (2 * J), KP / J
     omega = np.sqrt(square - decay**2)
     t = np.asarray(run.time)
-    wanted = 0.3 * (1 - np.exp(-decay * t) * (np.cos(omega * t) + decay / omega * np.sin(omega * t)))
+    wanted = 0.3 * (
+        1 - np.exp(-decay * t) * (np.cos(omega * t) + decay / omega * np.sin(omega * t))
+    )
     # rk4 in steps of 1e-3 at 19 rad/s: (h omega)^4 / 120 a step
     np.testing.assert_allclose(run.coordinate("A"), wanted, atol=1e-7)
 
@@ -133,13 +135,14 @@ def test_behind_a_stiff_gear_it_acts_as_on_the_joint():
     ("rig", "sentence"),
     [
         (
-            lambda: arm(
-                jc.load.Servo("A", 0.3, KP), joint=jc.joint.Revolute(jc.drive.Held(0.0))
-            ),
+            lambda: arm(jc.load.Servo("A", 0.3, KP), joint=jc.joint.Revolute(jc.drive.Held(0.0))),
             "whose coordinate is driven; leave the drive out",
         ),
         (lambda: arm(jc.load.Servo("A", 0.3, KP, encoder="motor")), "no coupling.Motor turns"),
-        (lambda: arm(jc.load.Servo("A", 0.3, KP, encoder="tacho")), 'no encoder of a Servo "tacho"'),
+        (
+            lambda: arm(jc.load.Servo("A", 0.3, KP, encoder="tacho")),
+            'no encoder of a Servo "tacho"',
+        ),
         (lambda: arm(jc.load.Servo("A", 0.3, KP, delay=2)), "delay without a period"),
         (lambda: arm(jc.load.Servo("A", 0.3, KP, torque_limit=0.0)), "must be above 0"),
         (

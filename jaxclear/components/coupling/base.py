@@ -20,7 +20,7 @@ import equinox as eqx
 import jax
 
 from jaxclear.components.clearance.backlash import Backlash
-from jaxclear.components.coupling.losses import Efficiency
+from jaxclear.components.coupling.losses import Efficiency, Thread
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, quantity
 
@@ -104,8 +104,8 @@ class AbstractCoupling(AbstractQuantified):
         return None
 
     @property
-    def rubs(self) -> Any:
-        """Friction of its thread; None unless a class has some."""
+    def thread(self) -> Thread | None:
+        """Its thread, if it rubs; None unless a class has one."""
         return None
 
     @abstractmethod
@@ -137,10 +137,10 @@ class AbstractCoupling(AbstractQuantified):
                 "twist. Give its stiffness too, or put a damper on a joint (load.JointSpring)."
             )
         loses = "efficiency" if self.efficiency is not None else "friction"
-        if (self.efficiency is not None or self.rubs is not None) and not self.gives:
+        if (self.efficiency is not None or self.thread is not None) and not self.gives:
             raise ValueError(
-                f"coupling.{name} has {loses} and neither stiffness nor play: what it loses follows "
-                "from the force of its flank. Give its stiffness."
+                f"coupling.{name} has {loses} and neither stiffness nor play: what it loses "
+                "follows from the force of its flank. Give its stiffness."
             )
 
 

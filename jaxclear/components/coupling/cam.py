@@ -14,8 +14,8 @@ from jaxclear.laws.transmission import one_sided
 
 
 class Cam(AbstractForceCoupling):
-    r"""A cam lifts a follower by its `profile` y of the cam's turn :math:`\varphi`, and the follower
-    may leave it: where its coordinate q is below y the surfaces press on each other by
+    r"""A cam lifts a follower by its `profile` y of the cam's turn :math:`\varphi`, and the
+    follower may leave it: where its coordinate q is below y the surfaces press on each other by
 
     .. math:: N = k\delta + d\dot\delta,\quad \delta = y(\varphi) - q \ge 0,
 

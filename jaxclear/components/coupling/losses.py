@@ -1,23 +1,23 @@
 """What teeth and threads lose: the efficiency of a transmission."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, quantity
-from jaxclear.laws.transmission import loss
+from jaxclear.laws.transmission import Helix, loss
 
 
 class Efficiency(AbstractQuantified):
     r"""The share of the power passed that comes out: `forwards` from the first end to the second,
-    `backwards` from the second to the first (None: the same). Where it locks itself that is negative:
-    to come back it must be pushed by this share of the torque.
+    `backwards` from the second to the first (None: the same). Where it locks itself the latter is
+    negative: to come back it must be pushed by this share of the torque.
 
     The rest is friction on the first end, in proportion to the force of the flank: what it takes
     more to drive forwards, and gets less when it is driven. At rest friction holds: it is a spring
-    up to the deflection `presliding` of that end, damped by `settling_time`, so that nothing creeps; a motor holds a load with
-    less than it needs to lift it. It needs `stiffness` or play of its coupling, by which the force
-    of the flank is known. It acts on the coordinate of that end.
+    up to the deflection `presliding` of that end, damped by `settling_time`, so that nothing
+    creeps; a motor holds a load with less than it needs to lift it. It needs `stiffness` or play of
+    its coupling, by which the force of the flank is known, and acts on the coordinate of that end.
 
     Source: Pelchen, Schweiger & Otter 2002, Modeling and simulating the efficiency of gearboxes and
     of planetary gearboxes, Proc. 2nd Int. Modelica Conference, 257; Prandtl 1928, Z. angew. Math.
@@ -42,6 +42,16 @@ class Efficiency(AbstractQuantified):
         of which a `share` from -1 to 1 acts."""
         backwards = self.forwards if self.backwards is None else self.backwards
         return loss(force, share, self.forwards, backwards)
+
+
+class Thread(NamedTuple):
+    """A thread that rubs: its `helix`, friction `coefficient` [1], and how friction holds:
+    deflection `presliding` [m] and damping time [s]."""
+
+    helix: Helix
+    coefficient: Any
+    presliding: Any
+    settling_time: Any
 
 
 def as_efficiency(given: Any) -> Any:

@@ -16,13 +16,13 @@ from jaxclear.components.coupling.base import (
     play_field,
     stiffness_field,
 )
-from jaxclear.components.coupling.losses import Efficiency, efficiency_field
+from jaxclear.components.coupling.losses import Efficiency, Thread, efficiency_field
 from jaxclear.components.function_of_angle import check_function_of_angle
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import direction_angle, safe_sqrt
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import Scalar, concrete, quantity
-from jaxclear.laws.transmission import Helix, helix
+from jaxclear.laws.transmission import helix
 
 
 class Gear(AbstractBodyCoupling):
@@ -246,12 +246,13 @@ class Screw(AbstractBodyCoupling):
     The joint guides both, and lets them turn and slide (`joint.Cylindrical`, one with clearance);
     the thread acts on the bodies along its axis and about it.
 
-    With `friction` :math:`\mu` the flanks rub along the helix of the mean `diameter` d by :math:`\mu
-    N`, N their normal force, and at rest they hold: friction is a spring up to a deflection of
-    `presliding`, damped by `settling_time`. A nut under a load F is turned by :math:`\frac{F d}{2}\frac{l \pm \pi\mu d
-    \sec\alpha}{\pi d \mp \mu l \sec\alpha}` against it and with it, and stays where it is where
-    :math:`\pi\mu d \sec\alpha > l`; :math:`\alpha`, the `flank_angle`, is that of the section
-    across the thread. It needs `stiffness`. A collar's friction is a `load.JointFriction`.
+    With `friction` :math:`\mu` the flanks rub along the helix of the mean `diameter` d by
+    :math:`\mu N`, N their normal force, and at rest they hold: friction is a spring up to a
+    deflection of `presliding`, damped by `settling_time`. A nut under a load F is turned by
+    :math:`\frac{F d}{2}\frac{l \pm \pi\mu d \sec\alpha}{\pi d \mp \mu l \sec\alpha}` against it
+    and with it, and stays where it is where :math:`\pi\mu d \sec\alpha > l`; :math:`\alpha`, the
+    `flank_angle`, is that of the section across the thread. It needs `stiffness`. A collar's
+    friction is a `load.JointFriction`.
 
     Source: Budynas & Nisbett 2020, Shigley's Mechanical Engineering Design, 11th ed., equations 8-1
     to 8-5; Prandtl 1928, Z. angew. Math. Mech. 8, 85 (friction that holds).
@@ -283,8 +284,8 @@ class Screw(AbstractBodyCoupling):
             raise ValueError("coupling.Screw has lead = 0; a thread advances as it turns.")
         if (self.friction is None) != (self.diameter is None):
             raise ValueError(
-                "coupling.Screw needs friction and diameter together: friction acts at the thread's "
-                "mean diameter."
+                "coupling.Screw needs friction and diameter together: friction acts at the mean "
+                "diameter of the thread."
             )
 
     def joints(self):
@@ -310,12 +311,11 @@ class Screw(AbstractBodyCoupling):
         return True
 
     @property
-    def rubs(self):
-        return self.friction
-
-    def helix(self) -> Helix:
-        """The helix of the thread, at its mean diameter."""
-        return helix(self.lead, self.diameter, self.flank_angle)
+    def thread(self):
+        if self.friction is None:
+            return None
+        own = helix(self.lead, self.diameter, self.flank_angle)
+        return Thread(own, self.friction, self.presliding, self.settling_time)
 
     def check(self, drawn):
         """Any two markers may be on one thread."""
