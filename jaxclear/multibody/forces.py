@@ -124,9 +124,8 @@ def applied_forces(
         rates |= {label: found.rates} if found.rates else {}
         stored, damping = sp.add(stored, found.stored), sp.add(damping, found.dissipated)
         external = sp.add(external, found.external)
-    pressed: dict[str, Pressing] = {}
+    pressed = pressing_of(system, motions, followed)
     for name, giving in system.transmissions.items():
-        pressed[name] = pressing_of(system, motions, name, followed)
         torque = pressed[name].torque
         _give(system, motions, giving, torque, acting)
         moved = (pressed[name].end_rate,) if giving.has_twist else ()
@@ -198,15 +197,18 @@ def _rubbed(
 
 
 def pressing_of(
-    system: System, motions: tuple[Motion, ...], name: str, followed: Followed
-) -> Pressing:
-    """What a coupling with play or stiffness does."""
-    own = system.transmissions[name]
-    twist, end = transmissions.twist_of(system, motions, own), None
-    if own.has_twist:
-        known = followed.states.get(name)
-        end = transmissions.end_at_start(own, twist) if known is None else known[0]
-    return transmissions.pressing(own, twist, end, followed.shares.get(name))
+    system: System, motions: tuple[Motion, ...], followed: Followed
+) -> dict[str, Pressing]:
+    """What couplings with play or stiffness do, by name; alike ones are traced once."""
+    calls = []
+    for name, own in system.transmissions.items():
+        twist, end = transmissions.twist_of(system, motions, own), None
+        if own.has_twist:
+            known = followed.states.get(name)
+            end = transmissions.end_at_start(own, twist) if known is None else known[0]
+        calls.append((transmissions.between(own), twist, end, followed.shares.get(name)))
+    found = map_alike(transmissions.pressing, calls)
+    return dict(zip(system.transmissions, found, strict=True))
 
 
 def states_of(name: str, load: AbstractStateLoad, followed: Followed) -> tuple:

@@ -64,12 +64,24 @@ def twist_of(system: System, motions: tuple[Motion, ...], own: Transmission) -> 
     return Twist(residual / own.scale, rate / own.scale)
 
 
-def pressing(own: Transmission, twist: Twist, end: Any = None, shares: Any = None) -> Pressing:
+class Between(NamedTuple):
+    """What lies between the two sides of a transmission: play, stiffness, damping."""
+
+    play: Any
+    stiffness: Any
+    damping: Any
+
+
+def between(own: Transmission) -> Between:
+    """What lies between the two sides of a transmission."""
+    return Between(own.coupling.play, own.coupling.stiffness, own.coupling.damping)
+
+
+def pressing(own: Between, twist: Twist, end: Any = None, shares: Any = None) -> Pressing:
     """What a transmission does at a twist. `end`: where the shaft's far end is from the middle of
     the gap (None: its law has none); `shares` of the upper and the lower flank that count as
     touching, 1 or 0 (None: as their places have it)."""
-    coupling = own.coupling
-    play, stiffness, damping = coupling.play, coupling.stiffness, coupling.damping
+    play, stiffness, damping = own
     if play is None:
         viscous = 0 if damping is None else damping * twist.rate
         lost = sp.mul(viscous, twist.rate)
@@ -106,11 +118,11 @@ def pressing(own: Transmission, twist: Twist, end: Any = None, shares: Any = Non
     return Pressing(*told, depths, rates, tuple(acting))
 
 
-def _with_end(own: Transmission, twist: Twist, places: tuple, flanks: tuple) -> Pressing:
+def _with_end(own: Between, twist: Twist, places: tuple, flanks: tuple) -> Pressing:
     """The same of a shaft in series with the gap: `places` (from the middle of the gap, half of it,
     far end), `flanks` (torques as if touching, shares)."""
     (place, half, end), (torques, shares), rate = places, flanks, twist.rate
-    stiffness, damping = own.coupling.stiffness, own.coupling.damping
+    _, stiffness, damping = own
     gaps = (end - half, -end - half)
     met = [(gap >= 0) & (torque >= 0) for gap, torque in zip(gaps, torques, strict=True)]
     natural = [jnp.where(each, 1.0, 0.0) for each in met]
