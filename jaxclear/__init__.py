@@ -58,7 +58,7 @@ from jaxclear.multibody.heated import heated
 from jaxclear.multibody.loops import Baumgarte, Projection
 from jaxclear.multibody.magnitudes import UnusualMagnitude
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.results import response
+from jaxclear.results import response, signal
 from jaxclear.results.pointing_error import pointing_error
 from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
@@ -66,7 +66,7 @@ from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.simulate import SimulationError, simulate
 from jaxclear.statics.position_path import positions
 from jaxclear.statics.seated import seated
-from jaxclear.studies import distribution, limit_state
+from jaxclear.studies import distribution, limit_state, sensor
 from jaxclear.studies.advice import PilotSettings, advise
 from jaxclear.studies.base import AbstractProblem, AbstractVariable
 from jaxclear.studies.campaign.campaign import campaign, open_campaign
@@ -75,6 +75,8 @@ from jaxclear.studies.design.design import design, design_front
 from jaxclear.studies.design.search import DesignSettings
 from jaxclear.studies.fidelity.multi_fidelity import multi_fidelity
 from jaxclear.studies.function_problem import Dimension, FunctionProblem
+from jaxclear.studies.identification.identify import identify
+from jaxclear.studies.identification.measurement import Measurement
 from jaxclear.studies.life.derivative import wear_life_derivatives
 from jaxclear.studies.life.life_problem import AbstractLifeResponse, LifeEnd, LifeProblem, LifeUntil
 from jaxclear.studies.life.settled import settled
@@ -127,6 +129,7 @@ __all__ = [
     "LifeUntil",
     "Marker",
     "Material",
+    "Measurement",
     "Mechanism",
     "NotImported",
     "PilotSettings",
@@ -162,6 +165,7 @@ __all__ = [
     "formulation",
     "friction",
     "heated",
+    "identify",
     "integrator",
     "joint",
     "limit",
@@ -188,8 +192,10 @@ __all__ = [
     "screening",
     "seated",
     "sensitivity",
+    "sensor",
     "settled",
     "shapley_effects",
+    "signal",
     "simulate",
     "sobol_indices",
     "stiffness",

@@ -40,13 +40,14 @@ STUDIES = (
     # What a study asks, and what it answers.
     "base distribution inputs variable limit_state texts answer endless warned",
     "ledger",
-    "mechanism_problem function_problem position_problem problem "
+    "mechanism_problem function_problem position_problem problem sensor "
     "chosen_integrator usual_integrator",
     "sampling scrambling sequential replicas statistics",
     "monte_carlo sweep screening worst_case advice",
     "campaign.result campaign.samples campaign.dataset campaign.recorded",
     "surface",
-    "statistics.shapley statistics.sobol_indices sensitivity fidelity reliability design life",
+    "statistics.shapley statistics.sobol_indices sensitivity fidelity reliability design life "
+    "identification",
     "campaign",
 )
 LONGEST_FILE, LONGEST_FUNCTION, MOST_ARGUMENTS, LONGEST_LINE = 600, 80, 9, 100

@@ -112,7 +112,7 @@ INNER = {
     "AsNeeded",
     "CylinderMap",
     "ImpactMemory",
-    "MotorServo",
+    "_ServoOnMotor",
     "PeriodicTorque",
     "SphereMap",
     "StepTorque",
@@ -122,6 +122,10 @@ INNER = {
 INNER |= {"RecordedProblem", "StateGroup"}
 # What problems of a mechanism have in common.
 INNER |= {"AbstractMechanismProblem"}
+# Laws of which a number says which acts, in the sample of an identification; what sensors are.
+INNER |= {"ChosenDissipation", "ChosenFriction", "AbstractSignal"}
+# A load as steps see it that find its force themselves.
+INNER |= {"OverStep"}
 
 
 def family_classes():

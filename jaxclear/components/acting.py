@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 
-from jaxclear.ground.quantity import AbstractQuantified, Scalar
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 
 
 class AbstractLoad(AbstractQuantified):
@@ -35,13 +35,26 @@ class CoordinateEffect(NamedTuple):
     external: Any
 
 
-class MotorEnd(eqx.Module):
+class Side(NamedTuple):
+    """One side of a `stop` (a `JointStop`): the coordinate is held where `sign` times it is above
+    `sign` times the `place` [rad, m]."""
+
+    sign: float
+    place: Any
+    stop: Any
+
+    def beyond(self, position: Any) -> Any:
+        """How far the coordinate is beyond it [rad, m]."""
+        return self.sign * (self.place - position)
+
+
+class MotorEnd(AbstractQuantified):
     """The motor behind a joint: its `coordinate`, which is `ratio` times that of the joint and an
     `offset` (None: 0) where nothing lies between."""
 
     coordinate: str = eqx.field(static=True)
-    ratio: Any
-    offset: Any
+    ratio: Scalar = quantity(unit="1", meaning="turns of the motor for one of the joint")
+    offset: Scalar | None = quantity(None, "rad", "angle of the motor where the joint's is 0")
 
 
 class AbstractStateLoad(AbstractLoad):
@@ -106,3 +119,36 @@ class AbstractStateLoad(AbstractLoad):
         """Itself where couplings turn joints, by name, by these motors; the same unless
         overridden."""
         return self
+
+    def sides(self) -> tuple[Side, ...]:
+        """The sides at which it stops its only coordinate, none unless overridden: `MoreauJean` and
+        `NonColliding` take them as rigid, and do not ask for its `effect`."""
+        return ()
+
+    def dry_friction(self) -> Scalar | None:
+        """The friction [N m, N] with which it holds its only coordinate or resists it, None unless
+        overridden: `MoreauJean` and `NonColliding` take it as set-valued, and do not ask for its
+        `effect`."""
+        return None
+
+
+class AbstractCoordinateLoad(AbstractStateLoad):
+    """Acts on the single coordinate of a joint, child against parent, an angle or a displacement,
+    or of a motor, by its position and speed alone: the simple case of `AbstractStateLoad`.
+    """
+
+    connection: eqx.AbstractVar[str]
+
+    @abstractmethod
+    def force(self, time: Scalar, position: Scalar, speed: Scalar) -> tuple[Any, Any, Any, Any]:
+        """(generalised force, stored energy, dissipated power, external power)."""
+
+    def coordinates(self):
+        return (self.connection,)
+
+    def states(self):
+        return ()
+
+    def effect(self, time, positions, speeds, states):
+        force, *energies = self.force(time, positions[0], speeds[0])
+        return CoordinateEffect((force,), (), *energies)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.components.clearance import ContactLaws
+from jaxclear.components.load import AbstractStateLoad
 from jaxclear.formulations import contacts_over_step, joint_friction, midpoint_step, state_rate
 from jaxclear.formulations.base import (
     AbstractFormulation,
@@ -102,6 +103,15 @@ class CompliantContact(AbstractFormulation):
 
     def check(self, mechanism, integrator):
         joint_friction.check_rubbing(mechanism, integrator)
+        for name, load in mechanism.loads.items():
+            if isinstance(load, AbstractStateLoad) and not all(
+                side.stop.stiffness is not None for side in load.sides()
+            ):
+                raise ValueError(
+                    f'load "{name}" is a JointStop without stiffness, which is rigid: for '
+                    f"{integrator} give it one, by which what strikes it with speed v goes "
+                    "v sqrt(m / k) deep, or take integrator.MoreauJean or NonColliding."
+                )
         check_play(mechanism, integrator, rigid=False)
         for name in mechanism.topology.clearances:
             for laws in mechanism.connections[name].joint.contact_laws():
@@ -256,8 +266,9 @@ class CompliantContact(AbstractFormulation):
         entries = within_gaps(model.system, model.layout, entries)
         if all(place is None for place in places):
             return sp.stack(entries)
-        count = model.layout.joint_contacts
-        before, after = (ContactMotion(*(x[:count] for x in own)) for own in (before, after))
+        if model.layout.plays:
+            count = model.layout.joint_contacts
+            before, after = (ContactMotion(*(x[:count] for x in own)) for own in (before, after))
         held = sp.stack([0 if place is None else entries[place] for place in places])
         speeds = remembered(held, before, after, length)
         for i, place in enumerate(places):

@@ -20,7 +20,6 @@ from jaxclear.formulations.base import model_of
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.contact_rows import free_motion, split
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.assembly import Start, ready
@@ -29,6 +28,7 @@ from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Followed, unpack_motion
 from jaxclear.multibody.system import prepare
+from jaxclear.native.compiled import compiled_quickly
 
 # Instants of a run at which its loads are looked at.
 INSTANTS = 9

@@ -2,15 +2,25 @@
 one simulation.
 """
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.ground.quantity import Scalar, concrete, constant, count, is_traced, quantity
+from jaxclear.ground.quantity import (
+    Scalar,
+    concrete,
+    constant,
+    count,
+    is_traced,
+    on_device,
+    on_host,
+    quantity,
+)
 from jaxclear.ground.tangents import derived_once
 from jaxclear.integrators.base import LOOSE, REFERENCE, AbstractIntegrator, Advance
 from jaxclear.integrators.checks import Outcome
@@ -116,13 +126,14 @@ class Adaptive(AbstractIntegrator):
         return REFERENCE if rtol is not None and rtol <= LOOSEST else LOOSE
 
     def with_finer_steps(self, share):
-        finer = share**FINER_TOLERANCE * LOOSEST / jnp.maximum(self.rtol, LOOSEST)
-        finer = jnp.minimum(1.0, jnp.maximum(finer, ROUNDING / self.rtol))
+        rtol, atol = on_host((self.rtol, self.atol))
+        of: Any = jnp if is_traced((share, rtol, atol)) else np
+        finer = share**FINER_TOLERANCE * LOOSEST / of.maximum(rtol, LOOSEST)
+        finer = of.minimum(1.0, of.maximum(finer, ROUNDING / rtol))
         if not is_traced(finer) and finer > ROUNDED_OFF:
             return None
-        own = eqx.tree_at(
-            lambda own: (own.rtol, own.atol), self, (finer * self.rtol, finer * self.atol)
-        )
+        sizes = on_device(finer * rtol), on_device(finer * atol)
+        own = eqx.tree_at(lambda own: (own.rtol, own.atol), self, sizes)
         return own if self.largest_step is None else own.held(share * self.largest_step)
 
     def counting_in(self, gap, arm):

@@ -111,10 +111,10 @@ def applied_forces(
                     _add(wrenches, link, _in_link(action, motions[link], marker))
             stored, damping = sp.add(stored, effect.stored), sp.add(damping, effect.dissipated)
             external = sp.add(external, effect.external)
-    acting = _Acting(wrenches, [(0,) * len(motion.columns) for motion in motions], {}, {})
+    acting = Acting(wrenches, [(0,) * len(motion.columns) for motion in motions], {}, {})
     rates: dict[str, tuple] = {}
     for label, held in coordinate_loads(system):
-        seen = [_seen(system, motions, name, followed) for name in held.coordinates()]
+        seen = [seen_at(system, motions, name, followed) for name in held.coordinates()]
         states = states_of(label, held, followed)
         found = held.effect(
             time, tuple(one.position for one in seen), tuple(one.speed for one in seen), states
@@ -127,7 +127,7 @@ def applied_forces(
     pressed = pressing_of(system, motions, followed)
     for name, giving in system.transmissions.items():
         torque = pressed[name].torque
-        _give(system, motions, giving, torque, acting)
+        give(system, motions, giving, torque, acting)
         moved = (pressed[name].end_rate,) if giving.has_twist else ()
         rubbed = _rubbed(system, motions, name, torque, followed, acting)
         if moved or rubbed is not None:
@@ -168,7 +168,7 @@ def _rubbed(
     name: str,
     torque: Any,
     followed: Followed,
-    acting: "_Acting",
+    acting: "Acting",
 ) -> _Rubbed | None:
     """Adds the friction of a coupling that transmits a torque against its twist; None of one
     without."""
@@ -179,7 +179,7 @@ def _rubbed(
     known = followed.states.get(name)
     deflection = jnp.zeros(()) if known is None else known[-1]
     if end is not None:
-        seen = _seen(system, motions, end.coordinate, followed)
+        seen = seen_at(system, motions, end.coordinate, followed)
         held = holding(deflection, seen.speed, end.loses.presliding, end.loses.settling_time)
         friction = end.loses.loss(torque * end.slope, held.share)
         seen.push(acting, -friction)
@@ -217,7 +217,7 @@ def states_of(name: str, load: AbstractStateLoad, followed: Followed) -> tuple:
     return tuple(jnp.asarray(x.start, float) for x in load.states()) if known is None else known
 
 
-class _Acting(NamedTuple):
+class Acting(NamedTuple):
     """What acts so far: wrenches on links, forces on their coordinates, wrenches of loads on
     coordinates outside the tree, by joint, and forces on coordinates that drives prescribe, by
     link."""
@@ -240,22 +240,22 @@ class _Seen(NamedTuple):
 
     position: Any
     speed: Any
-    push: Callable[[_Acting, Any], None]
+    push: Callable[[Acting, Any], None]
 
 
 def seen_coordinates(
     system: System, motions: tuple[Motion, ...], load: AbstractStateLoad, followed: Followed
 ) -> tuple[tuple, tuple]:
     """Positions and speeds of the coordinates that a load reads."""
-    seen = [_seen(system, motions, name, followed) for name in load.coordinates()]
+    seen = [seen_at(system, motions, name, followed) for name in load.coordinates()]
     return tuple(own.position for own in seen), tuple(own.speed for own in seen)
 
 
-def _seen(system: System, motions: tuple[Motion, ...], name: str, followed: Followed) -> _Seen:
+def seen_at(system: System, motions: tuple[Motion, ...], name: str, followed: Followed) -> _Seen:
     """The coordinate of a joint, or of a motor."""
     if name in system.geared:
         own = system.geared[name]
-        joint = _seen(system, motions, own.joint, followed)
+        joint = seen_at(system, motions, own.joint, followed)
         position = sp.mul(own.ratio, joint.position)
         position = position if own.offset is None else position + own.offset
         turned = lambda acting, force: joint.push(acting, sp.mul(own.ratio, force))
@@ -276,9 +276,9 @@ def _seen(system: System, motions: tuple[Motion, ...], name: str, followed: Foll
     return _Seen(now.position, now.speed, between)
 
 
-def _give(system, motions, own, torque, acting) -> None:
+def give(system, motions, own, torque, acting) -> None:
     """Adds the torque of a coupling."""
-    for link, force in transmissions.on_coordinates(own, torque):
+    for link, force in transmissions.on_coordinates(motions, own, torque):
         acting.along(link, force)
     for closure, pose, wrench, joint in transmissions.on_closures(motions, own, torque):
         add_action_and_reaction(acting.wrenches, closure, pose, *wrench)

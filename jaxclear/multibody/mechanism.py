@@ -12,7 +12,6 @@ from typing import Any, NoReturn
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.components.body import Body, Connection
@@ -29,7 +28,7 @@ from jaxclear.ground.printing import (
     number_in_words,
     numbers_in_words,
 )
-from jaxclear.ground.quantity import IF_ANY, AbstractQuantified, as_number
+from jaxclear.ground.quantity import IF_ANY, AbstractQuantified, as_number, on_device
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described, public_name
 from jaxclear.multibody import validation
@@ -385,7 +384,7 @@ def _unshared(parts: tuple[dict[str, Any], ...]) -> tuple[Parts, ...]:
             return leaf
         first = id(leaf) not in seen
         seen.add(id(leaf))
-        return leaf if first else jnp.array(leaf)
+        return leaf if first else on_device(np.array(leaf))
 
     def told_apart(part):
         new = [own(leaf) for leaf in jax.tree.leaves(part)]

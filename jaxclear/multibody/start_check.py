@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.newton import independent
 from jaxclear.multibody.start_equations import Start, ask, retract
 from jaxclear.multibody.system import System
 from jaxclear.multibody.topology import coordinate_joint
+from jaxclear.native.compiled import compiled_quickly
 
 # What may be left of a closure [m, 1].
 CLOSED = 1e-8

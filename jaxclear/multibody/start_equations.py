@@ -104,9 +104,10 @@ def guess(mechanism: Mechanism) -> tuple[Array, Array]:
     q: list[Any] = []
     v: list[Any] = []
     system = prepare(mechanism)
-    rough, speeds, ends = mechanism.guess | mechanism.start, mechanism.speeds, {}
-    for joint, end in motor_ends(mechanism).items():
-        ends[end.coordinate] = joint, end
+    rough, speeds = mechanism.guess | mechanism.start, mechanism.speeds
+    ends: dict[Any, Any] = {
+        end.coordinate: (joint, end) for joint, end in motor_ends(mechanism).items()
+    }
     for branch, link in zip(system.topology.branches, system.links, strict=True):
         if branch.coordinate_count:
             known, fast = rough.get(branch.name), speeds.get(branch.name)

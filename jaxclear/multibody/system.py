@@ -110,7 +110,8 @@ class Geared(eqx.Module):
 class System(eqx.Module):
     """Links in the topology's order, loop closures and the joints that make them, clearance joints,
     couplings that give, and loads; `measured`: joints outside the tree on whose coordinate loads
-    act; `geared`: motors that turn with a joint. `arm` [m]: the longest, where rows of loops depend
+    act; `geared`: motors that turn with a joint; `flanks`: couplings whose play is between rigid
+    ones. `arm` [m]: the longest, where rows of loops depend
     on each other; None elsewhere.
     """
 
@@ -126,6 +127,7 @@ class System(eqx.Module):
     topology: Topology = eqx.field(static=True)
     transmissions: dict[str, Transmission] = eqx.field(default_factory=dict)
     geared: dict[str, Geared] = eqx.field(default_factory=dict)
+    flanks: dict[str, Transmission] = eqx.field(default_factory=dict)
 
 
 def _turned(pose: Pose, turn: sp.Mat) -> Pose:
@@ -178,7 +180,8 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     for name, coupling in mechanism.couplings.items():
         if coupling.gives:
             own = _row(mechanism, name, places, frames)
-            scale = _scale(mechanism, coupling)
+            scale = scale_of(mechanism, coupling)
+            _check_error(name, coupling, own)
             end = _driving_end(mechanism, name, scale)
             transmissions[name] = Transmission(own, scale, coupling, end)
     measured = _measured(mechanism, places)
@@ -188,6 +191,17 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     if not topology.depend:
         return system
     return dataclasses.replace(system, arm=longest_arm(system))
+
+
+def _check_error(name: str, coupling: Any, own: Closure) -> None:
+    """Raises `ValueError` for a transmission error of a joint whose turn nobody counts."""
+    summed = isinstance(own.reading, CoordinateSum)
+    if summed and coupling.transmission_error is not None and own.reading.terms[0].link is None:
+        raise ValueError(
+            f'coupling "{name}" has a transmission_error, a function of the turn of joint '
+            f'"{own.reading.terms[0].joint}", which closes a loop or has clearance; only a joint '
+            "that the tree carries can have one behind a coupling.Motor."
+        )
 
 
 def acting_in(mechanism: Mechanism) -> dict[str, Any]:
@@ -228,7 +242,7 @@ def _row(mechanism: Mechanism, name: str, places: dict, frames: dict) -> Closure
     return _meshing(mechanism, coupling, frames)
 
 
-def _scale(mechanism: Mechanism, coupling: Any) -> Any:
+def scale_of(mechanism: Mechanism, coupling: Any) -> Any:
     """What the residual of a coupling is divided by, so that it is its twist."""
     if isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None:
         return coupling.terms()[0].factor

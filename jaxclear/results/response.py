@@ -74,6 +74,14 @@ class AbstractResponse(AbstractQuantified):
         """The response of a run."""
 
 
+class AbstractSignal(AbstractQuantified):
+    """Numbers drawn from a run, one for each of its saving times: what a sensor sees of it."""
+
+    @abstractmethod
+    def __call__(self, run: Trajectory) -> Float[Array, " time"]:
+        """The signal of a run, at its saving times."""
+
+
 def needs_of(response: Any) -> str:
     """What of a run a response needs to be right, as `drawn_from` says; a plain function may need
     "anything"."""

@@ -19,7 +19,6 @@ from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, expect
-from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import described
@@ -30,6 +29,7 @@ from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.redundancy import DEPENDENT, rank_of, says_new
 from jaxclear.multibody.start_check import HELD
 from jaxclear.multibody.system import longest_arm, prepare
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.statics import least_energy
 from jaxclear.statics.least_energy import ByEnergy, Rest
 from jaxclear.statics.positions import Positions
@@ -342,7 +342,9 @@ def positions(
     """A mechanism at rest at positions of its drives, without time.
 
     `positions`: coordinates [rad, m] by joint, as many of each; every drive must be among them. {}
-    for a mechanism without drives, which then stands once. `start` and `guess` of the mechanism
+    for a mechanism without drives, which then stands once. A motor behind play or stiffness is held
+    by its own name (its coupling's and ".motor"): the joint then rests on the flank on which loads
+    press it, wound up by them. `start` and `guess` of the mechanism
     choose between ways to assemble. Loads are quasi-static, as at 0 s; they act without friction
     and inertia, and contacts are rigid. `both_ways`: also under reversed loads (`.reversed`), for
     lost motion; springs and stops stay as they are.

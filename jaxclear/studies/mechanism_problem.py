@@ -18,7 +18,7 @@ from jaxclear.ground.quantity import inside, is_one_number, numbers
 from jaxclear.ground.warning import asked, shape_of
 from jaxclear.ground.wording import described
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.results.response import unit_of
+from jaxclear.results.response import AbstractSignal, unit_of
 from jaxclear.studies.base import AbstractProblem, check_names_differ, stacked
 from jaxclear.studies.inputs import correlation_matrix
 from jaxclear.studies.variable import (
@@ -115,9 +115,9 @@ def by_name(what: str, given: Any) -> dict[str, Any]:
 
 def answer(name: str, response: Callable, run: Any) -> Array:
     """A response of a run (of positions, a life) as one number. Raises `ValueError` with a sentence
-    that names it where it fails, leaves JAX, or gives something else."""
+    that names it where it fails, leaves JAX, or gives something else. A sensor's are several."""
     value = asked(f'response "{name}"', response, run)
-    if not is_one_number(value):
+    if not is_one_number(value) and not isinstance(response, AbstractSignal):
         hint = " It returns nothing: is a `return` missing?" if value is None else ""
         raise ValueError(
             f'response "{name}" gives {described(value)} for a run; it must be one number, such as '

@@ -14,6 +14,7 @@ torque along the same gradient. s is seen at the slow side b of a `Gear`, at the
 
 import dataclasses
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -104,6 +105,16 @@ class AbstractCoupling(AbstractQuantified):
         return None
 
     @property
+    def transmission_error(self) -> Callable | None:
+        """What is added to `ratio` times the turn of b [rad]; None unless a class has this
+        field."""
+        return None
+
+    def slack_twist(self) -> Any:
+        """The twist at which one strand goes slack; None, as unless overridden: none does."""
+        return None
+
+    @property
     def thread(self) -> Thread | None:
         """Its thread, if it rubs; None unless a class has one."""
         return None
@@ -114,8 +125,11 @@ class AbstractCoupling(AbstractQuantified):
 
     @property
     def gives(self) -> bool:
-        """Whether it is a force element: it has play or stiffness."""
-        return self.play is not None or self.stiffness is not None
+        """Whether it is a force element: it has play, whose flanks do not always press, or
+        stiffness."""
+        if self.play is not None:
+            return not self.play.seated
+        return self.stiffness is not None
 
     @property
     def motor(self) -> Motor | None:

@@ -2,8 +2,8 @@
 
 A distribution is told by its `quantile`: a share u in (0, 1) gives the deviation from nominal, so
 any sampling of the unit cube serves every distribution. Those of closed form are in `closed_forms`
-and `discrete`; `tabulated` has beta distributions and all of scipy's. A new one is a subclass of
-`AbstractDistribution` with `quantile` and `deviation`.
+and `discrete`; `tabulated` has beta distributions, all of scipy's, and those of samples. A new one
+is a subclass of `AbstractDistribution` with `quantile` and `deviation`.
 """
 
 from jaxclear.ground.argument_errors import nothing_else
@@ -16,12 +16,13 @@ from jaxclear.studies.distribution.closed_forms import (
     Uniform,
 )
 from jaxclear.studies.distribution.discrete import Discrete
-from jaxclear.studies.distribution.tabulated import Beta, FromScipy
+from jaxclear.studies.distribution.tabulated import Beta, Empirical, FromScipy
 
 __all__ = [
     "AbstractDistribution",
     "Beta",
     "Discrete",
+    "Empirical",
     "FromScipy",
     "Lognormal",
     "Normal",

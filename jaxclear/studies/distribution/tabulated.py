@@ -1,4 +1,5 @@
-"""Distributions whose quantile is no formula: beta, and any continuous one of scipy.
+"""Distributions whose quantile is no formula: beta, any continuous one of scipy, and what a sample
+says.
 
 Their deviation is tabulated over standard normal scores, with its slope, and read off by cubic
 Hermite polynomials: what is drawn is differentiated and compiled as any other number, without a
@@ -189,3 +190,41 @@ class Beta(AbstractDistribution):
         total = self.alpha + self.beta
         variance = self.alpha * self.beta / (total * total * (total + 1.0))
         return (self.high - self.low) * variance**0.5
+
+
+class Empirical(AbstractDistribution):
+    """As a sample of deviations says: between its values along straight lines over their normal
+    scores, from `low` to `high` beyond the outermost ones (None: these themselves).
+
+    `deviations` (samples,) [the number's unit], two different ones at least. Its shape is that of
+    the sample it was built with.
+    """
+
+    scores: Float[Array, " knots"]
+    knots: Float[Array, " knots"]
+    spread: Scalar = quantity(unit=UNIT, meaning="standard deviation", above=0)
+
+    def __init__(self, deviations: Any, *, low: float | None = None, high: float | None = None):
+        own = np.sort(np.asarray(deviations, float).ravel())
+        if len(own) < 2 or not np.all(np.isfinite(own)) or own[0] == own[-1]:
+            raise ValueError(
+                f"distribution.Empirical is given {described(deviations)}; it must be two "
+                "different finite numbers at least."
+            )
+        ends = (own[0] if low is None else low), (own[-1] if high is None else high)
+        own = np.clip(own, *ends)
+        shares = (np.arange(len(own)) + 0.5) / len(own)
+        scores = scipy.special.ndtri(shares)
+        scores = np.concatenate([[-LARGEST_SCORE], scores, [LARGEST_SCORE]])
+        knots = np.concatenate([[ends[0]], own, [ends[1]]])
+        self.scores, self.knots = jnp.asarray(scores), jnp.asarray(knots)
+        self.spread = float(own.std())
+
+    def quantile(self, share):
+        return self.of_score(ndtri(share))
+
+    def of_score(self, score):
+        return jnp.interp(score, self.scores, self.knots)
+
+    def deviation(self):
+        return self.spread

@@ -1,0 +1,198 @@
+"""What numbers say of a signal: `jaxclear.signal`, the statistics that diagnostics of machines use.
+
+A `Signal` holds one or many signals of equal sampling and, where an encoder or the period tells it,
+the same cut into turns and sampled anew over the angle (order tracking). Every statistic takes a
+`Signal` and returns an array (signals, numbers). All but `levels` are taken relative to the mean
+cycle's own size, so that a gain changes nothing; what is positive is told by its natural logarithm.
+
+Source: McFadden & Toozhy 2000, Mech. Syst. Signal Process. 14, 981, doi:10.1006/mssp.2000.1309
+(synchronous average); Fyfe & Munck 1997, Mech. Syst. Signal Process. 11, 187,
+doi:10.1006/mssp.1996.0056 (order tracking); Randall 2011, Vibration-based Condition Monitoring,
+doi:10.1002/9780470977668 (the others).
+"""
+
+import itertools
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxclear.ground.argument_errors import nothing_else
+
+__all__ = [
+    "Signal",
+    "band_energies",
+    "by_turns",
+    "impact_rate",
+    "jerk_quantiles",
+    "levels",
+    "order_spectrum",
+    "peaks",
+    "spread_by_phase",
+    "synchronous_average",
+    "usual_statistics",
+]
+__getattr__, __dir__ = nothing_else("jaxclear.signal", __all__)
+
+# Logarithms of what may be nothing begin here, as a share of the size of the mean cycle.
+LEAST = 1e-6
+# Shares of the jerks, and of the sizes, below which the quantiles lie.
+JERKS = (0.25, 0.5, 0.75, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
+SIZES = (0.9, 0.99, 0.995, 0.999)
+# A change between two samples by less than these shares of the mean cycle's size is quiet; by more
+# than this many, an impact.
+QUIET, IMPACT = (0.02, 0.05, 0.1), 1.0
+
+
+class Signal(NamedTuple):
+    """Signals of one sampling: `values` (signals, samples) in their own unit, `rate` [Hz], and
+    `turns` (signals, turns, samples a turn), the same over the angle (None: nothing tells it)."""
+
+    values: np.ndarray
+    rate: float
+    turns: np.ndarray | None = None
+
+    @property
+    def size(self) -> np.ndarray:
+        """Standard deviation (signals, 1) of the mean cycle, or of the whole without turns."""
+        whole = self.values.std(axis=1, keepdims=True)
+        own = whole if self.turns is None else self.turns.mean(1).std(axis=1, keepdims=True)
+        # Of a cycle that is all noise, the whole.
+        own = np.where(own > LEAST * whole, own, whole)
+        return np.where(own > 0, own, 1.0)
+
+
+def by_turns(
+    values: np.ndarray, rate: float, angle: np.ndarray, turns: int, samples: int
+) -> Signal:
+    """Signals (signals, samples) with their last so many whole `turns`, each sampled `samples`
+    times over the `angle` [rad] (signals, samples), which grows or falls throughout; turns begin at
+    whole multiples of 2 pi. Raises `ValueError` where there are fewer.
+    """
+    found = np.empty((len(values), turns, samples))
+    for i, (own, at) in enumerate(zip(values, np.broadcast_to(angle, values.shape), strict=True)):
+        begin, end = whole_turns(at)
+        if end - begin < turns:
+            raise ValueError(
+                f"{turns} turns were asked for; the angle goes through {max(end - begin, 0)} whole "
+                "ones."
+            )
+        forwards = at if at[-1] > at[0] else -at
+        grid = 2 * math.pi * (end - turns + np.arange(turns * samples) / samples)
+        found[i] = np.interp(grid, np.maximum.accumulate(forwards), own).reshape(turns, samples)
+    return Signal(values, rate, found)
+
+
+def whole_turns(angle: np.ndarray) -> tuple[int, int]:
+    """The numbers of the first and the last whole turn's ends of an angle [rad]."""
+    ends = sorted((angle[0], angle[-1])) if angle[-1] > angle[0] else sorted(-angle[[0, -1]])
+    slack = 1e-9
+    return math.ceil(ends[0] / (2 * math.pi) - slack), math.floor(ends[1] / (2 * math.pi) + slack)
+
+
+def synchronous_average(signal: Signal, bins: int = 32) -> np.ndarray:
+    """The mean over the turns in so many `bins` of phase, beside the mean cycle's size [1]."""
+    cycle = _turns(signal, "synchronous_average").mean(1)
+    return _binned(cycle, bins) / signal.size
+
+
+def spread_by_phase(signal: Signal, bins: int = 32) -> np.ndarray:
+    """Logarithm of the standard deviation about the mean cycle in so many `bins` of phase, beside
+    the mean cycle's size [1]: where in the turn motion does not repeat."""
+    turns = _turns(signal, "spread_by_phase")
+    spread = turns.std(axis=1)
+    return np.log(_binned(spread, bins) / signal.size + LEAST)
+
+
+def order_spectrum(signal: Signal, bands: int = 24) -> np.ndarray:
+    """Logarithm of the mean power in so many `bands` of orders (multiples of the speed of turning),
+    equally wide in their logarithm from 1.5 up to half the samples a turn, beside the mean of all
+    [1]; of the whole turns together under a Hann window."""
+    turns = _turns(signal, "order_spectrum")
+    return _powers(turns.reshape(len(turns), -1), bands, 1.5 * turns.shape[1])
+
+
+def band_energies(signal: Signal, bands: int = 24) -> np.ndarray:
+    """Logarithm of the mean power in so many `bands` of frequency, equally wide in their logarithm
+    from four periods in the whole signal up to half the sampling rate, beside the mean of all
+    [1]."""
+    return _powers(signal.values, bands, 4.0)
+
+
+def jerk_quantiles(signal: Signal, shares: tuple[float, ...] = JERKS) -> np.ndarray:
+    """Logarithms of quantiles of the change between two samples, its sign left out, beside the mean
+    cycle's size [1]; of an acceleration this is jerk over the sampling rate."""
+    found = np.quantile(_jerks(signal), shares, axis=1).T
+    return np.log(found + LEAST)
+
+
+def peaks(signal: Signal, shares: tuple[float, ...] = SIZES) -> np.ndarray:
+    """Logarithms of quantiles of the signal's size, and mean and standard deviation of the
+    logarithm of the largest of each turn (of each sixteenth part without turns), beside the mean
+    cycle's size [1]."""
+    sizes = np.abs(signal.values) / signal.size
+    parts = signal.turns
+    if parts is None:
+        length = max(signal.values.shape[1] // 16, 1)
+        whole = signal.values[:, : signal.values.shape[1] // length * length]
+        parts = whole.reshape(len(whole), -1, length)
+    largest = np.log(np.abs(parts).max(2) / signal.size + LEAST)
+    quantiles = np.log(np.quantile(sizes, shares, axis=1).T + LEAST)
+    return np.column_stack([quantiles, largest.mean(1), largest.std(1)])
+
+
+def impact_rate(signal: Signal) -> np.ndarray:
+    """Shares of samples that change by less than 0.02, 0.05 and 0.1 of the mean cycle's size, and
+    how many changes by more than that size begin, beside the number of samples [1]."""
+    jerks = _jerks(signal)
+    quiet = [(jerks < limit).mean(1) for limit in QUIET]
+    hit = jerks > IMPACT
+    return np.column_stack([*quiet, (hit[:, 1:] & ~hit[:, :-1]).mean(1)])
+
+
+def levels(signal: Signal) -> np.ndarray:
+    """Mean, and logarithm of the standard deviation, in the signal's own unit: what a gain or an
+    offset changes."""
+    spread = signal.values.std(axis=1)
+    return np.column_stack([signal.values.mean(1), np.log(spread + np.finfo(float).tiny)])
+
+
+def usual_statistics(turns: bool) -> dict[str, Callable[[Signal], np.ndarray]]:
+    """Those that `jaxclear.identify` takes by itself, by their names; with `turns` the ones over
+    the angle too."""
+    over_angle = (synchronous_average, spread_by_phase, order_spectrum)
+    own = over_angle if turns else (band_energies,)
+    every = (*own, jerk_quantiles, peaks, impact_rate, levels)
+    return {one.__name__.replace("_", " "): one for one in every}
+
+
+def _turns(signal: Signal, owner: str) -> np.ndarray:
+    if signal.turns is None:
+        raise ValueError(
+            f"signal.{owner} is of turns, and nothing tells these: give the Measurement its turn, "
+            "the name of an encoder's signal or the period [s]."
+        )
+    return signal.turns
+
+
+def _binned(cycle: np.ndarray, bins: int) -> np.ndarray:
+    """Means over equal parts of a cycle."""
+    parts = np.array_split(np.arange(cycle.shape[1]), bins)
+    return np.stack([cycle[:, part].mean(1) for part in parts if len(part)], axis=1)
+
+
+def _jerks(signal: Signal) -> np.ndarray:
+    return np.abs(np.diff(signal.values, axis=1)) / signal.size
+
+
+def _powers(values: np.ndarray, bands: int, first: float) -> np.ndarray:
+    """Logarithms of mean powers in bands from the `first` line of the spectrum on."""
+    count = values.shape[1]
+    centred = values - values.mean(1, keepdims=True)
+    power = np.abs(np.fft.rfft(centred * np.hanning(count), axis=1)) ** 2
+    edges = np.unique(np.geomspace(first, power.shape[1] - 1, bands + 1).astype(int))
+    whole = power[:, 1:].mean(1)
+    whole = np.where(whole > 0, whole, 1.0)
+    found = [power[:, a:b].mean(1) / whole for a, b in itertools.pairwise(edges)]
+    return np.log(np.stack(found, axis=1) + LEAST * LEAST)

@@ -1,0 +1,241 @@
+"""From a record to the numbers of a machine: `jaxclear.identify`.
+
+Signals of machines with clearance are not reproducible over more than a few impacts, and not those
+of another law at all; statistics of signals are. A sample of the problem is run, the record's
+sensors see it, and each unknown is regressed on the statistics of what they see.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxclear.ground.argument_errors import answering
+from jaxclear.ground.arguments import check_count, check_flags, check_known, expect
+from jaxclear.ground.wording import described
+from jaxclear.results.signal import usual_statistics
+from jaxclear.studies.identification.laws import Ensemble, ensemble
+from jaxclear.studies.identification.measurement import Measurement, checked_records
+from jaxclear.studies.identification.models import (
+    Model,
+    check_only_signals,
+    models_of,
+    only_one,
+    same_sensing,
+)
+from jaxclear.studies.identification.regression import Regression, regression, told, told_alone
+from jaxclear.studies.identification.result import (
+    ONE_RECORD,
+    Evidence,
+    Identified,
+    prior_quantiles,
+    prior_shares,
+    together,
+    unknown_of,
+)
+from jaxclear.studies.identification.sample import (
+    Cut,
+    Sample,
+    as_signals,
+    check_identifiable,
+    cut_of,
+    sampled,
+    sensed,
+    statistics_of,
+    watched,
+)
+from jaxclear.studies.identification.told import of_records, told_by_signals
+from jaxclear.studies.ledger.ledger import Ledger, current
+from jaxclear.studies.problem import Problem
+from jaxclear.studies.sampling import check_sampled
+from jaxclear.studies.texts import in_texts
+
+WAYS = ("statistics", "signal")
+# What a folder is told to hold.
+WHAT = "the sample of an identification"
+# Runs below which residuals say nothing of an interval of 95 %.
+LEAST_RUNS = 64
+# A kind of statistics tells an unknown where its left-out residuals are below this share of the
+# prior's deviation.
+TELLS = 0.9
+
+
+@answering
+def identify(
+    problem: Model | Mapping[str, Model],
+    data: Measurement | Sequence[Measurement],
+    runs: int = 256,
+    *,
+    how: str = "statistics",
+    statistics: Mapping[str, Callable] | None = None,
+    laws: Sequence[type] | None = None,
+    seed: int = 0,
+    store: str | Path | None = None,
+    progress_bar: bool = False,
+) -> Identified:
+    """What a record tells of the variables of a problem, whose distributions are the priors.
+
+    `problem`: a `Problem`; or a function that makes it for a `Measurement`, as where the motion of
+    a drive was recorded. It shows at its end what was measured: what its runs last longer lets the
+    motion settle.
+    `data`: a `Measurement`, or several; of several each tells its own, and intervals are those of
+    the next record, by Student's t of the differences between them.
+    `runs`: of the sample, 64 at the least; 256 serve one loose joint, 512 three.
+    `how`: "statistics", a regression of each unknown on statistics of the signals, with intervals
+    of 95 % from runs that it did not see; or "signal", least squares by Levenberg and Marquardt
+    from several starts, and the posterior by weighted draws, `runs` a round. The problem may then
+    be a `FunctionProblem`, whose series a `sensor.Series` names, or a dictionary of several models
+    of the machine: intervals hold those of all that the record does not speak against. Where a
+    sensor's noise is 0 what is left stands for it; one that is known must explain what is left, or
+    nothing is told. What is left and alike over many samples counts as one of them.
+    `statistics`: functions of a `jaxclear.signal.Signal` that return arrays (signals, numbers), by
+    name; by default `signal.usual_statistics`.
+    `laws`: classes of dissipation factors and friction laws, one of which acts in each run at the
+    joint's own restitution and kinetic coefficient; by default LankaraniNikravesh, Flores and
+    HuntCrossley, Ambrosio and CoulombTanh, with the joint's own among them; (): the joint's own
+    alone.
+    `store`: a folder that keeps the sample's signals without noise; asked again, with other numbers
+    of the instruments, other statistics or another record of the same sampling, nothing runs anew.
+    `seed`: of the sample and the draws; `progress_bar`: of the runs.
+
+    An unknown whose interval is wider than 0.8 of the prior's is not identified, and has the
+    prior's interval; one below 0.5 is identified. Raises `ValueError` with a sentence for what
+    cannot be asked.
+    """
+    records = checked_records(data)
+    check_count("runs of identify", runs, at_least=LEAST_RUNS)
+    check_known("way", how, WAYS, " of identify")
+    check_flags("identify", progress_bar=progress_bar)
+    models = models_of(problem, records)
+    for own in [own for every in models.values() for own in every]:
+        check_sampled(own, runs, seed)
+    if how == "signal":
+        check_only_signals(statistics=statistics, laws=laws, store=store)
+        return told_by_signals(models, records, runs, seed)
+    found: list[Identified] = []
+    fitted: list[tuple[Any, Measurement, Fit]] = []
+    for own, record in zip(only_one(models), records, strict=True):
+        check_identifiable(own, record)
+        same = [fit for one, other, fit in fitted if one is own and same_sensing(other, record)]
+        if not same:
+            known = ensemble(own.mechanism, laws)
+            runs_of = watched(own, record, known)
+            kept = None if store is None else Ledger.opened(store, WHAT, in_texts(runs_of))
+            with current(kept):
+                sample = sampled(own, record, runs_of, known, runs, seed, progress_bar)
+            same = [fit(own, record, sample, _statistics(statistics, record), seed)]
+            fitted.append((own, record, same[0]))
+        found.append(answered(same[0], record))
+    return found[0] if len(found) == 1 else of_records(found[0].problem, found, seed)
+
+
+def _statistics(given: Any, record: Measurement) -> dict[str, Callable]:
+    """Statistics by name."""
+    if given is None:
+        return usual_statistics(record.turn is not None)
+    expect(given, Mapping, "statistics of identify", "a dictionary from names to functions")
+    for name, function in given.items():
+        if not callable(function):
+            raise ValueError(
+                f'statistic "{name}" is {described(function)}; it must be a function of a '
+                "jaxclear.signal.Signal that returns an array (signals, numbers)."
+            )
+    if not given:
+        raise ValueError("statistics of identify is empty; it must hold at least one.")
+    return dict(given)
+
+
+class Fit(NamedTuple):
+    """A sample of a problem, regressed on the `statistics` of what a record's sensors see of it:
+    what any record of the same sensors and sampling is compared with. `signals` are those of the
+    sample as they were sensed, `cut` into turns; `kinds` their statistics (runs, numbers) by kind,
+    `tellers` by unknown the kind that tells it best by itself."""
+
+    problem: Problem
+    sample: Sample
+    statistics: dict[str, Callable]
+    cut: Cut
+    kinds: dict[str, np.ndarray]
+    regressed: Regression
+    tellers: dict[str, str]
+
+
+def fit(
+    problem: Problem,
+    record: Measurement,
+    sample: Sample,
+    statistics: dict[str, Callable],
+    seed: int = 0,
+) -> Fit:
+    """The sample as a record's sensors see it, and the unknowns by what they see."""
+    if len(sample.values) < LEAST_RUNS:
+        raise ValueError(
+            f"{sample.failed} runs of the sample failed and {len(sample.values)} are left, fewer "
+            f"than {LEAST_RUNS}: look at one by jaxclear.monte_carlo of the same problem."
+        )
+    cut = cut_of(record, sample)
+    kinds = statistics_of(as_signals(sensed(sample, record, seed), record, cut), statistics)
+    shares = prior_shares(problem, sample.values)
+    # A machine's law is none of the sample's: those of one are left out together.
+    groups = next(iter(sample.choices.values()), None)
+    regressed = regression(np.concatenate(list(kinds.values()), axis=1), shares, groups)
+    tellers = _tellers(kinds, shares, problem.names)
+    return Fit(problem, sample, statistics, cut, kinds, regressed, tellers)
+
+
+def answered(known: Fit, record: Measurement) -> Identified:
+    """What a record tells beside a sample that is fitted."""
+    problem, sample, fitted = known.problem, known.sample, known.regressed
+    own = {name: values[None] for name, values in record.signals.items()}
+    shown = statistics_of(as_signals(own, record, known.cut), known.statistics)
+    here = np.concatenate([one[0] for one in shown.values()])
+    unknowns = tuple(
+        unknown_of(problem, name, (row.estimate, row.low, row.high), known.tellers[name])
+        for name, row in zip(problem.names, told(fitted, here), strict=True)
+    )
+    joint = _joint(fitted, here)
+    values = [prior_quantiles(problem, n, joint[:, i]) for i, n in enumerate(problem.names)]
+    remarks = (
+        *together(problem.names, fitted, [own.verdict for own in unknowns]),
+        *_laws_in_words(sample.laws),
+        ONE_RECORD,
+    )
+    return Identified(
+        problem,
+        unknowns,
+        np.stack(values, axis=1),
+        len(sample.values),
+        sample.failed,
+        f"by {len(here)} statistics of {len(shown) // len(known.statistics)} signals",
+        remarks,
+        fitted.distance(here),
+        Evidence(fitted, {n: (runs, shown[n][0]) for n, runs in known.kinds.items()}, joint),
+    )
+
+
+def _tellers(
+    kinds: dict[str, np.ndarray], shares: np.ndarray, names: Sequence[str]
+) -> dict[str, str]:
+    """By unknown the kind of statistics that tells it best by itself."""
+    missed = {what: told_alone(own, shares) for what, own in kinds.items()}
+    found = {}
+    for k, name in enumerate(names):
+        best = min(missed, key=lambda what: float(missed[what][k]))
+        found[name] = best if missed[best][k] < TELLS else ""
+    return found
+
+
+def _joint(fitted: Any, here: np.ndarray) -> np.ndarray:
+    """Shares (runs, unknowns) that the unknowns may have together: the estimates and what they
+    miss, run by run."""
+    at = fitted.estimates(here)[0]
+    return np.clip(at + fitted.missed(at), 0.0, 1.0)
+
+
+def _laws_in_words(laws: Ensemble) -> tuple[str, ...]:
+    """Which laws acted in the sample."""
+    return tuple(
+        f"The {what} was one of {', '.join(names[:-1])} and {names[-1]}."
+        for what, names in laws.names.items()
+    )

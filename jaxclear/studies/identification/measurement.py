@@ -1,0 +1,162 @@
+"""A record of a machine: what its sensors showed over time, and how turns are told."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.printing import AbstractShown
+from jaxclear.ground.table import as_table
+from jaxclear.ground.wording import described, listed
+from jaxclear.studies.sensor import AbstractSensor, Encoder
+
+# Times that stand equally but for this share of their interval are equally spaced.
+EVEN = 0.01
+
+
+class Measurement(AbstractShown):
+    """Signals that sensors showed at common times.
+
+    `time` [s] (samples,); `signals` (samples,) by name, each in the unit of its sensor; `sensors`
+    by the same names, of `jaxclear.sensor`. `turn`: the name of an `Encoder`'s signal, whose angle
+    cuts the others into turns at whole multiples of 2 pi; or the period [s], turns then begin with
+    the record; None where nothing turns. A record shows what a run does up to its end. Times that
+    are not equally spaced are read off straight lines. Raises `ValueError` with a sentence for what
+    is no record.
+    """
+
+    time: np.ndarray
+    signals: dict[str, np.ndarray]
+    sensors: dict[str, AbstractSensor]
+    turn: str | float | None = eqx.field(static=True)
+
+    def __init__(
+        self,
+        time: Any,
+        signals: Mapping[str, Any],
+        sensors: Mapping[str, AbstractSensor],
+        turn: str | float | None = None,
+    ):
+        at = _column("time of a Measurement", time)
+        if len(at) < 2 or np.any(np.diff(at) <= 0):
+            raise ValueError("time of a Measurement must rise from sample to sample, two at least.")
+        expect(signals, Mapping, "signals of a Measurement", "a dictionary from names to arrays")
+        expect(sensors, Mapping, "sensors of a Measurement", "a dictionary from names to sensors")
+        if not signals or set(signals) != set(sensors):
+            raise ValueError(
+                f"a Measurement has signals {listed(signals) or 'none'} and sensors "
+                f"{listed(sensors) or 'none'}; each signal needs its sensor, and there must be one."
+            )
+        own = {name: _column(f'signal "{name}"', values) for name, values in signals.items()}
+        for name, values in own.items():
+            if len(values) != len(at):
+                raise ValueError(
+                    f'signal "{name}" has {len(values)} samples, and there are {len(at)} times.'
+                )
+            wanted = 'one of jaxclear.sensor, such as Accelerometer("slider", axis="x")'
+            expect(sensors[name], AbstractSensor, f'the sensor of signal "{name}"', wanted)
+        even = np.linspace(at[0], at[-1], len(at))
+        if np.max(np.abs(at - even)) > EVEN * (even[1] - even[0]):
+            own = {name: np.interp(even, at, values) for name, values in own.items()}
+        self.time, self.signals = even, own
+        self.sensors = {name: sensors[name] for name in own}
+        if isinstance(turn, str):
+            check_known("signal", turn, own, " of the Measurement to tell its turns")
+            expect(sensors[turn], Encoder, f'the sensor of signal "{turn}"', "an Encoder")
+        elif turn is not None:
+            check_number("turn of a Measurement", turn, "s", above=0)
+        self.turn = turn
+
+    @classmethod
+    def read_csv(
+        cls,
+        path: str | Path,
+        *,
+        time: str,
+        signals: Mapping[str, AbstractSensor],
+        turn: str | float | None = None,
+    ) -> "Measurement":
+        """A record from a file of values between commas: the column `time` [s], and the columns of
+        `signals`, {column: sensor}."""
+        import pandas
+
+        table = pandas.read_csv(path)
+        for column in (time, *signals):
+            check_known("column", column, map(str, table.columns), f" in {path}")
+        return cls(
+            table[time].to_numpy(),
+            {name: table[name].to_numpy() for name in signals},
+            signals,
+            turn,
+        )
+
+    @classmethod
+    def from_dataset(
+        cls,
+        dataset: Any,
+        signals: Mapping[str, AbstractSensor],
+        *,
+        time: str = "time",
+        turn: str | float | None = None,
+    ) -> "Measurement":
+        """A record from an xarray Dataset: its variables of `signals`, {variable: sensor}, over the
+        coordinate `time` [s]."""
+        for column in (time, *signals):
+            check_known("variable", column, map(str, dataset.variables), " in the Dataset")
+        values = {name: dataset[name].to_numpy() for name in signals}
+        return cls(dataset[time].to_numpy(), values, signals, turn)
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate [Hz]."""
+        return float((len(self.time) - 1) / (self.time[-1] - self.time[0]))
+
+    @property
+    def lasts(self) -> float:
+        """From its first to its last sample [s]."""
+        return float(self.time[-1] - self.time[0])
+
+    def part(self, begin: float, end: float) -> "Measurement":
+        """What lies between two times [s]."""
+        inside = (self.time >= begin) & (self.time <= end)
+        own = {name: values[inside] for name, values in self.signals.items()}
+        return Measurement(self.time[inside], own, self.sensors, self.turn)
+
+    def _shown(self):
+        rows = [
+            {
+                "signal": name,
+                "sensor": type(self.sensors[name]).__name__,
+                "least": float(values.min()),
+                "largest": float(values.max()),
+                "standard deviation": float(values.std()),
+            }
+            for name, values in self.signals.items()
+        ]
+        what = f"Measurement of {self.lasts:.6g} s at {self.rate:.6g} Hz, {len(self.time)} samples"
+        return what, as_table(rows)
+
+
+def checked_records(data: Any) -> list[Measurement]:
+    """One record or several, in a list. Raises `ValueError` with a sentence for anything else."""
+    several = isinstance(data, Sequence) and not isinstance(data, str)
+    records = list(data) if several else [data]
+    for record in records:
+        expect(record, Measurement, "data of identify", "a jaxclear.Measurement, or several")
+    if not records:
+        raise ValueError("data of identify holds no record; it must hold a jaxclear.Measurement.")
+    return records
+
+
+def _column(what: str, given: Any) -> np.ndarray:
+    """Finite numbers in a row."""
+    try:
+        found = np.asarray(given, float)
+    except (TypeError, ValueError):
+        found = np.zeros((0, 0))
+    if found.ndim != 1 or not np.all(np.isfinite(found)):
+        raise ValueError(f"{what} is {described(given)}; it must be finite numbers in a row.")
+    return found

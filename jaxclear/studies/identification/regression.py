@@ -1,0 +1,249 @@
+"""From statistics to unknowns: kernel ridge regression on a sample, and intervals from what it
+misses where a run is left out.
+
+Unknowns are shares of their priors, so that each is uniform over the sample. For a record the
+interval is its estimate and the order statistics of the residuals, each of a run that the
+regression did not see and beside the spread of residuals about its estimate: of n exchangeable ones
+the k-th smallest is below that of another run with probability k/(n + 1). Runs that belong together
+are left out together: where those of one law are, the residuals are those of a law that was not
+seen, as a machine's is.
+
+Source: kernel ridge with leave-one-out in closed form, Rasmussen & Williams 2006, Gaussian
+Processes for Machine Learning, sec. 5.4, doi:10.7551/mitpress/3206.001.0001; intervals with their
+finite-sample correction, Vovk, Gammerman & Shafer 2005, Algorithmic Learning in a Random World,
+doi:10.1007/b106715; leave-one-out, Barber, Candès, Ramdas & Tibshirani 2021, Ann. Stat. 49, 486,
+doi:10.1214/20-AOS1965; beside their spread, Lei, G'Sell, Rinaldo, Tibshirani & Wasserman 2018, J.
+Am. Stat. Assoc. 113, 1094, doi:10.1080/01621459.2017.1307116.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+# Lengths of the kernel, in the spread of the whitened statistics, and ridges: the least mean square
+# of left-out residuals chooses.
+LENGTHS, RIDGES = (0.5, 1.0, 2.0, 4.0), (1e-3, 1e-2, 1e-1, 1.0)
+# Length by which single kinds of statistics are compared.
+ONE_LENGTH = (2.0,)
+# Weight of the straight line beside the bell-shaped part.
+LINE = 0.2
+# Principal parts of the statistics with less than this share of the largest variance are rounding.
+LEAST_VARIANCE = 1e-3
+# The spread of residuals about an estimate is that of this share of the runs, at least so many.
+NEAREST_SHARE, LEAST_NEAREST = 0.3, 30
+TINY = float(np.finfo(float).tiny)
+# Runs nearest by statistics, whose mean distance says whether a record is like any run.
+NEIGHBOURS = 5
+
+
+class Whitened(NamedTuple):
+    """Statistics as principal parts of about unit spread: `mean`, `spread` (statistics,), `axes`
+    (statistics, parts)."""
+
+    mean: np.ndarray
+    spread: np.ndarray
+    axes: np.ndarray
+
+    def __call__(self, statistics: np.ndarray) -> np.ndarray:
+        """Principal parts (rows, parts)."""
+        return (statistics - self.mean) / self.spread @ self.axes
+
+
+def whitened(statistics: np.ndarray) -> Whitened:
+    """How the statistics (runs, statistics) of a sample become principal parts."""
+    mean, spread = statistics.mean(0), statistics.std(0)
+    spread = np.where(spread > 1e-12 * (np.abs(mean) + 1e-300), spread, np.inf)
+    scaled = (statistics - mean) / spread
+    variances, axes = np.linalg.eigh(np.atleast_2d(np.cov(scaled.T)))
+    kept = variances > LEAST_VARIANCE * max(variances.max(), 1e-300)
+    if not kept.any():
+        return Whitened(mean, spread, np.zeros((len(mean), 1)))
+    variances, axes = variances[kept], axes[:, kept]
+    # Parts below the middle are noise for the most: they keep a lesser weight.
+    weight = np.minimum(1.0, np.sqrt(variances / np.median(variances)))
+    return Whitened(mean, spread, axes / np.sqrt(variances) * weight)
+
+
+class Surface(NamedTuple):
+    """The regression of one unknown: `length` of the kernel, `weights` (runs,), `mean`, the
+    `left_out` estimates (runs,) of each run that it did not see, and their `residuals` (runs,)."""
+
+    length: float
+    weights: np.ndarray
+    mean: float
+    left_out: np.ndarray
+    residuals: np.ndarray
+
+    def spread(self, estimate: float, but: int | None = None) -> float:
+        """Root mean square of the residuals of the runs nearest by estimate, one left out."""
+        apart = np.abs(self.left_out - estimate)
+        if but is not None:
+            apart[but] = np.inf
+        count = min(max(LEAST_NEAREST, int(NEAREST_SHARE * len(apart))), len(apart) - 1)
+        near = np.argpartition(apart, count - 1)[:count]
+        return float(np.sqrt(np.mean(self.residuals[near] ** 2)))
+
+    def spreads(self) -> np.ndarray:
+        """That of the others about each run (runs,)."""
+        return np.array([self.spread(own, i) for i, own in enumerate(self.left_out)])
+
+
+class Regression(NamedTuple):
+    """Surfaces of all unknowns over the statistics of a sample: `whiten`, `parts` (runs, parts),
+    `unknowns` (runs, unknowns) as shares of their priors, `surfaces`, and `relative` (runs,
+    unknowns), the residuals beside their spread [1]."""
+
+    whiten: Whitened
+    parts: np.ndarray
+    unknowns: np.ndarray
+    surfaces: tuple[Surface, ...]
+    relative: np.ndarray
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """What is missed of each run that is left out (runs, unknowns)."""
+        return np.stack([own.residuals for own in self.surfaces], axis=1)
+
+    @property
+    def scatter(self) -> np.ndarray:
+        """Root mean square (unknowns,) of the residuals beside the prior's deviation [1]."""
+        return np.sqrt(np.mean(self.residuals**2, axis=0) * 12)
+
+    def estimates(self, statistics: np.ndarray) -> np.ndarray:
+        """Estimates (records, unknowns) for statistics (records, statistics)."""
+        parts = self.whiten(np.atleast_2d(statistics))
+        found = [
+            own.mean + _kernel(parts, self.parts, own.length) @ own.weights for own in self.surfaces
+        ]
+        return np.stack(found, axis=1)
+
+    def missed(self, estimates: np.ndarray) -> np.ndarray:
+        """What estimates (unknowns,) may miss: the residuals (runs, unknowns) of all runs, as wide
+        as they are about there."""
+        pairs = zip(self.surfaces, estimates, strict=True)
+        return self.relative * np.array([own.spread(at) for own, at in pairs])
+
+    def distance(self, statistics: np.ndarray) -> float:
+        """The share [1] of the sample's runs that lie further from the others than these statistics
+        (statistics,): near 0 where no run is like them."""
+        here = _nearness(self.whiten(statistics[None]), self.parts)[0]
+        others = _nearness(self.parts, self.parts, itself=True)
+        return float((1 + np.sum(others >= here)) / (len(others) + 1))
+
+
+def regression(
+    statistics: np.ndarray, unknowns: np.ndarray, groups: np.ndarray | None = None
+) -> Regression:
+    """The regression of `unknowns` (runs, unknowns), shares of their priors, on `statistics` (runs,
+    statistics) of a sample. `groups` (runs,): numbers of those that are left out together (None:
+    each alone)."""
+    whiten = whitened(statistics)
+    parts = whiten(statistics)
+    surfaces = _surfaces(parts, unknowns, LENGTHS, groups)
+    relative = np.stack([own.residuals / np.maximum(own.spreads(), TINY) for own in surfaces], 1)
+    return Regression(whiten, parts, unknowns, surfaces, relative)
+
+
+def told_alone(statistics: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
+    """Root mean square (unknowns,) of what some statistics alone miss of runs that are left out,
+    beside the prior's deviation [1]."""
+    surfaces = _surfaces(whitened(statistics)(statistics), unknowns, ONE_LENGTH)
+    return np.array([np.sqrt(12 * np.mean(own.residuals**2)) for own in surfaces])
+
+
+def _surfaces(
+    parts: np.ndarray,
+    unknowns: np.ndarray,
+    lengths: tuple[float, ...],
+    groups: np.ndarray | None = None,
+) -> tuple[Surface, ...]:
+    """Of each unknown the surface that misses least of runs that are left out."""
+    means = unknowns.mean(0)
+    best: list[tuple[float, Surface] | None] = [None] * unknowns.shape[1]
+    for length in lengths:
+        values, vectors = np.linalg.eigh(_kernel(parts, parts, length))
+        turned = vectors.T @ (unknowns - means)
+        for ridge in RIDGES:
+            inverse = 1 / (np.maximum(values, 0) + ridge)
+            weights = vectors @ (inverse[:, None] * turned)
+            residuals = _left_out(vectors, inverse, weights, groups)
+            for k, missed in enumerate(np.mean(residuals**2, axis=0)):
+                known = best[k]
+                if known is None or missed < known[0]:
+                    own = residuals[:, k]
+                    left_out = unknowns[:, k] - own
+                    found = Surface(length, weights[:, k], float(means[k]), left_out, own)
+                    best[k] = float(missed), found
+    return tuple(own[1] for own in best if own is not None)
+
+
+def _left_out(
+    vectors: np.ndarray, inverse: np.ndarray, weights: np.ndarray, groups: np.ndarray | None
+) -> np.ndarray:
+    """Residuals (runs, unknowns) of runs that a ridge regression does not see, from that of all:
+    its inverse is `vectors` times the diagonal `inverse` times these."""
+    if groups is None:
+        return weights / (vectors**2 @ inverse)[:, None]
+    found = np.empty_like(weights)
+    for group in np.unique(groups):
+        own = np.flatnonzero(groups == group)
+        block = (vectors[own] * inverse) @ vectors[own].T
+        found[own] = np.linalg.solve(block, weights[own])
+    return found
+
+
+def _kernel(one: np.ndarray, other: np.ndarray, length: float) -> np.ndarray:
+    count = one.shape[1]
+    inner = one @ other.T
+    apart = np.sum(one**2, axis=1)[:, None] + np.sum(other**2, axis=1) - 2 * inner
+    return np.exp(-apart / (2 * count * length**2)) + LINE * inner / count
+
+
+def _nearness(one: np.ndarray, other: np.ndarray, itself: bool = False) -> np.ndarray:
+    """Mean distance of rows from their nearest neighbours."""
+    apart = np.sum(one**2, axis=1)[:, None] + np.sum(other**2, axis=1) - 2 * one @ other.T
+    nearest = np.sort(np.sqrt(np.maximum(apart, 0)), axis=1)
+    first = 1 if itself else 0
+    return nearest[:, first : first + NEIGHBOURS].mean(1)
+
+
+def conformal(residuals: np.ndarray, level: float = 0.95) -> tuple[float, float]:
+    """The ends between which a further residual lies with probability `level` at least, half of the
+    rest on either side; the extremes where there are too few."""
+    count = len(residuals)
+    ranked = np.sort(residuals)
+    above = min(math.ceil((count + 1) * (0.5 + 0.5 * level)), count)
+    return float(ranked[count - above]), float(ranked[above - 1])
+
+
+class Told(NamedTuple):
+    """An unknown of one record, as shares of its prior [1]: `estimate`, `low` and `high` ends of
+    its interval, and the `sample` of what it may be."""
+
+    estimate: float
+    low: float
+    high: float
+    sample: np.ndarray
+
+
+def told(fitted: Regression, statistics: np.ndarray, level: float = 0.95) -> list[Told]:
+    """What the statistics (statistics,) of a record say of each unknown."""
+    estimates = fitted.estimates(statistics)[0]
+    found = []
+    for estimate, missed in zip(estimates, fitted.missed(estimates).T, strict=True):
+        low, high = conformal(missed, level)
+        within = lambda share: float(np.clip(share, 0.0, 1.0))
+        ends = within(estimate), within(estimate + low), within(estimate + high)
+        found.append(Told(*ends, np.clip(estimate + missed, 0.0, 1.0)))
+    return found
+
+
+def calibration(fitted: Regression, level: float = 0.95) -> np.ndarray:
+    """Whether the interval of each run, left out, holds its unknowns (runs, unknowns)."""
+    held = np.zeros(fitted.relative.shape, bool)
+    for k, own in enumerate(fitted.relative.T):
+        for i, missed in enumerate(own):
+            low, high = conformal(np.delete(own, i), level)
+            held[i, k] = low <= missed <= high
+    return held

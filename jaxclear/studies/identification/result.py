@@ -1,0 +1,282 @@
+"""What a record tells of a machine: of each unknown an interval, and whether it is identified."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from jaxclear.ground.arguments import check_known
+from jaxclear.studies.answer import DATASET, VARIABLE, AbstractAnswer, Column, Stated
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.distribution import Empirical
+from jaxclear.studies.function_problem import Dimension, FunctionProblem
+from jaxclear.studies.identification.regression import Regression, calibration
+from jaxclear.studies.inputs import LEAST_EIGENVALUE
+from jaxclear.studies.problem import Problem
+from jaxclear.studies.variable import Variable, with_values
+
+IDENTIFIED, PARTLY, NOT = "identified", "partly identified", "not identified"
+# Width of an interval beside the prior's: from here on it is the prior's, and up to here the
+# record decides more than the prior does.
+NOT_ABOVE, PARTLY_ABOVE = 0.8, 0.5
+# Probability of all intervals, and the largest share of runs that may lie as far from the others as
+# a record that their laws explain.
+LEVEL, STRANGE = 0.95, 0.01
+# Shares at which a prior ends where it has no end.
+LEAST_SHARE = 1e-6
+# A combination is told where its spread is below this share of the prior's, and that of each of
+# its unknowns above; and those that weigh less belong to no combination.
+TOGETHER, LEAST_WEIGHT = 0.4, 0.3
+ONE_RECORD = (
+    "One record does not show an elastic law beyond the priors: where the stiffness of a contact "
+    "may be another than these allow, let it vary."
+)
+
+
+class Unknown(NamedTuple):
+    """What is known of one unknown, in its `unit`: its `estimate`, `low` and `high` ends of its
+    95 % interval, those of its prior, `width` of the one beside the other [1] before a verdict,
+    the `verdict` in words, and what it is `told_by`."""
+
+    name: str
+    unit: str
+    estimate: float
+    low: float
+    high: float
+    prior_low: float
+    prior_high: float
+    width: float
+    verdict: str
+    told_by: str
+
+    def sentence(self) -> str:
+        """The unknown in words."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        ends = f"{self.low:.4g} to {self.high:.4g}{unit}"
+        if self.verdict == NOT:
+            return f"{self.name} is not identified: its interval is the prior's, {ends}."
+        also = ", partly identified" if self.verdict == PARTLY else ""
+        return f"{self.name} is {self.estimate:.4g}{unit}, {ends} with 95 %{also}."
+
+
+def unknown_of(problem: AbstractProblem, name: str, shares: Any, told_by: str = "") -> Unknown:
+    """What is known of an unknown whose interval is `shares`, (estimate, low, high) of its prior
+    [1]. An interval wider than 0.8 of the prior's is the prior's."""
+    half = 0.5 * (1 - LEVEL)
+    values = prior_quantiles(problem, name, np.array([*shares, half, 1 - half, 0.5]))
+    estimate, low, high, prior_low, prior_high, middle = map(float, values)
+    width = (high - low) / (prior_high - prior_low)
+    verdict = verdict_of(width)
+    if verdict == NOT:
+        estimate, low, high = middle, prior_low, prior_high
+    unit = problem.variable_units[problem.names.index(name)]
+    ends = low, high, prior_low, prior_high
+    return Unknown(name, unit, estimate, *ends, width, verdict, told_by)
+
+
+def verdict_of(width: float) -> str:
+    """In words, for the width [1] of an interval beside the prior's."""
+    return NOT if width > NOT_ABOVE else PARTLY if width > PARTLY_ABOVE else IDENTIFIED
+
+
+def prior_quantiles(problem: AbstractProblem, name: str, shares: np.ndarray) -> np.ndarray:
+    """Values of an unknown below which these shares of its prior lie."""
+    nominal = float(problem.nominal()[problem.names.index(name)])
+    within = jnp.asarray(np.clip(shares, LEAST_SHARE, 1 - LEAST_SHARE))
+    return nominal + np.asarray(problem.variables[name].distribution.quantile(within))
+
+
+def prior_shares(problem: AbstractProblem, values: np.ndarray) -> np.ndarray:
+    """Values (runs, variables) as shares of their priors."""
+    nominal = np.asarray(problem.nominal())
+    found = [
+        ndtr(np.asarray(problem.variables[name].distribution.score(jnp.asarray(own))))
+        for name, own in zip(problem.names, (values - nominal).T, strict=True)
+    ]
+    return np.stack(found, axis=1)
+
+
+class Evidence(NamedTuple):
+    """What an identification by statistics was made of: the `fitted` regression, statistics of the
+    sample's runs (runs, numbers) and of the record (numbers,), by kind and all together, and
+    samples (samples, unknowns) as shares of the priors that the unknowns may be."""
+
+    fitted: Regression
+    kinds: dict[str, tuple[np.ndarray, np.ndarray]]
+    shares: np.ndarray
+
+    def held(self) -> np.ndarray:
+        """Whether the interval of each run of the sample, left out, holds its unknowns."""
+        return calibration(self.fitted, LEVEL)
+
+
+class Identified(AbstractAnswer):
+    """What a record tells. `unknowns` in the order of the problem's variables, `posterior_values`
+    (samples, variables) what they may be together, `runs` that were compared and `failed` ones,
+    `remarks` in sentences, `how`, and the `evidence` of an identification by statistics (None:
+    otherwise). By signals: `answers`, what follows of the problem's responses, and `refusal`, why
+    nothing is told ("": something is).
+
+    `found["clearance B"]` is an `Unknown`; `posterior()` is the problem whose variables follow what
+    the record leaves.
+    """
+
+    problem: Problem | FunctionProblem
+    unknowns: tuple[Unknown, ...] = eqx.field(static=True)
+    posterior_values: np.ndarray
+    runs: int = eqx.field(static=True)
+    failed: int = eqx.field(static=True)
+    how: str = eqx.field(static=True)
+    remarks: tuple[str, ...] = eqx.field(static=True, default=())
+    explained: float | None = eqx.field(static=True, default=None)
+    evidence: Evidence | None = None
+    answers: tuple[Unknown, ...] = eqx.field(static=True, default=())
+    refusal: str = eqx.field(static=True, default="")
+
+    def __getitem__(self, name: str) -> Unknown:
+        """What is known of one unknown, or of a response that follows."""
+        known = {own.name: own for own in (*self.unknowns, *self.answers)}
+        check_known("unknown", name, known, " of this identification")
+        return known[name]
+
+    @property
+    def explains(self) -> bool | None:
+        """Whether the record is like the sample's runs; None where nothing says so."""
+        if self.refusal:
+            return False
+        return None if self.explained is None else self.explained > STRANGE
+
+    def calibration(self) -> dict[str, float]:
+        """Of each unknown the share of the sample's runs whose interval, the run left out, holds
+        it: 0.95 is promised. Empty where no sample was regressed on."""
+        if self.evidence is None:
+            return {}
+        return dict(zip(self.problem.names, self.evidence.held().mean(0).tolist(), strict=True))
+
+    def posterior(self) -> Problem | FunctionProblem:
+        """The problem whose variables follow what the record leaves of their priors, with the
+        correlation of their normal scores; its mechanism stands at the medians. Any study takes
+        it."""
+        return posterior_of(self.problem, self.posterior_values)
+
+    def sentence(self) -> str:
+        """Each unknown in words, and what else is to be known of the answer."""
+        told = [own.sentence() for own in (*self.unknowns, *self.answers)]
+        lost = f" {self.failed} more failed." if self.failed else ""
+        told.append(f"From {self.runs} runs, {self.how}.{lost}")
+        return " ".join([*told, *self.remarks])
+
+    def _stated(self):
+        over = ("unknown",)
+        read = lambda part: {
+            own.name: getattr(own, part) for own in (*self.unknowns, *self.answers)
+        }
+        columns = {
+            "unit": Column(over, read("unit")),
+            "estimate": Column(over, read("estimate")),
+            "low": Column(over, read("low"), meaning="lower end of the 95 % interval"),
+            "high": Column(over, read("high"), meaning="upper end of the 95 % interval"),
+            "prior low": Column(over, read("prior_low"), meaning="lower end of the prior's"),
+            "prior high": Column(over, read("prior_high"), meaning="upper end of the prior's"),
+            "width": Column(over, read("width"), "1", "of the interval beside the prior's"),
+            "verdict": Column(over, read("verdict")),
+            "told by": Column(over, read("told_by")),
+        }
+        for i, name in enumerate(self.problem.names):
+            unit = self.problem.variable_units[i]
+            own = self.posterior_values[:, i]
+            columns[f"posterior {name}"] = Column(("draw",), own, unit, kind=VARIABLE, only=DATASET)
+        return Stated("identification", columns, self.problem, self.warned)
+
+    @property
+    def warned(self) -> tuple[str, ...]:
+        """A sentence where the sample's laws do not explain the record."""
+        if self.refusal:
+            return (f"No interval is told: {self.refusal}",)
+        if self.explained is None or self.explained > STRANGE:
+            return ()
+        return (
+            f"No law of the sample explains the record: {100 * self.explained:.2g} % of the runs "
+            "lie as far from the others as it does. Look for what differs: a sensor's numbers, "
+            "loads, speeds, a part that the mechanism has not; the intervals hold none of that.",
+        )
+
+
+def posterior_of(
+    problem: Problem | FunctionProblem, values: np.ndarray
+) -> Problem | FunctionProblem:
+    """The problem with variables that follow a sample of `values` (samples, variables)."""
+    middle = np.median(values, axis=0)
+    correlation = score_correlation(values)
+    ends = np.stack([prior_quantiles(problem, n, np.array([0.0, 1.0])) for n in problem.names])
+    nominal, known, moved = np.asarray(problem.nominal()), {}, []
+    for i, (name, own) in enumerate(problem.variables.items()):
+        # What is no number of the mechanism keeps its nominal value.
+        centre = middle[i] if isinstance(own, (Variable, Dimension)) else nominal[i]
+        moved.append(centre)
+        shape = Empirical(values[:, i] - centre, low=ends[i, 0] - centre, high=ends[i, 1] - centre)
+        known[name] = eqx.tree_at(lambda variable: variable.distribution, own, shape)
+        if isinstance(own, Dimension):
+            known[name] = Dimension(float(centre), shape, unit=own.unit)
+    if isinstance(problem, FunctionProblem):
+        units = problem.units()
+        return FunctionProblem(problem.function, known, units=units, correlation=correlation)
+    varied = list(problem.variables.values())
+    named: list[Any] = [own for own in varied if isinstance(own, Variable)]
+    at = [value for value, own in zip(moved, varied, strict=True) if isinstance(own, Variable)]
+    return Problem(
+        with_values(problem.mechanism, named, jnp.asarray(at)),
+        problem.response,
+        known,
+        duration=float(problem.duration),
+        integrator=problem.integrator,
+        save=np.asarray(problem.shares * problem.duration),
+        state=problem.state,
+        correlation=correlation,
+    )
+
+
+def score_correlation(values: np.ndarray) -> np.ndarray | None:
+    """Correlation of the normal scores of a sample (samples, variables), from ranks."""
+    count = values.shape[1]
+    if count < 2:
+        return None
+    ranks = np.argsort(np.argsort(values, axis=0, kind="stable"), axis=0) + 0.5
+    found = np.corrcoef(ndtri(ranks / len(values)).T)
+    # Of few draws nearly dependent columns are possible; a little less than that is positive.
+    least = np.linalg.eigvalsh(found)[0]
+    if least < 10 * LEAST_EIGENVALUE:
+        share = 1e-6
+        found = (1 - share) * found + share * np.eye(count)
+    return found
+
+
+def together(names: Sequence[str], fitted: Regression, verdicts: Sequence[str]) -> tuple[str, ...]:
+    """A sentence for each combination of unknowns that is told better than any of them."""
+    scatter = fitted.scatter
+    open_ = [k for k, verdict in enumerate(verdicts) if verdict != IDENTIFIED]
+    if len(open_) < 2:
+        return ()
+    # Shares of a uniform prior have a variance of 1/12.
+    covariance = 12 * np.cov(fitted.residuals[:, open_].T)
+    variances, axes = np.linalg.eigh(covariance)
+    found = []
+    for variance, axis in zip(variances, axes.T, strict=True):
+        weights = axis / axis[np.argmax(np.abs(axis))]
+        own = [i for i, weight in enumerate(weights) if abs(weight) >= LEAST_WEIGHT]
+        spread = float(np.sqrt(max(variance, 0.0)))
+        least = min(scatter[open_[i]] for i in own)
+        if len(own) > 1 and spread < TOGETHER and spread < 0.6 * least:
+            parts = " ".join(
+                f"{'+' if weights[i] > 0 else '-'} {abs(weights[i]):.2g} x {names[open_[i]]}"
+                for i in own
+            ).removeprefix("+ ")
+            found.append(
+                f"{' and '.join(names[open_[i]] for i in own)} are identified only together: "
+                f"{parts} (each as a share of its prior) is known to {100 * spread:.0f} % of what "
+                "the priors leave."
+            )
+    return tuple(found)

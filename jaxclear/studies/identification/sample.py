@@ -1,0 +1,202 @@
+"""The sample that a record is compared with: runs of the problem with its unknowns, and the laws,
+drawn from their priors, as the record's sensors would see them.
+
+What is kept are signals without noise, at the record's sampling: sensing them anew, with other
+numbers of the instruments, needs no run.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.ground.arguments import expect
+from jaxclear.ground.wording import listed
+from jaxclear.integrators import NonColliding, Outcome
+from jaxclear.results.signal import Signal, by_turns, whole_turns
+from jaxclear.studies.identification.laws import Ensemble
+from jaxclear.studies.identification.measurement import Measurement
+from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
+from jaxclear.studies.problem import Problem
+from jaxclear.studies.sampling import Drawing, usual_scramblings
+from jaxclear.studies.sensor import check_sensor
+
+# Turns that statistics of turns need.
+LEAST_TURNS = 3
+# Samples of a turn, at the least and the most, in whole parts of the bins of phase.
+LEAST_SAMPLES, MOST_SAMPLES, BINS = 32, 4096, 32
+
+
+class Sample(NamedTuple):
+    """Runs of a problem. `values` (runs, variables of the asked problem), `choices` by name the
+    number (runs,) of the law that acted, `signals` (runs, samples) by name, without noise, and how
+    many runs failed."""
+
+    problem: Problem
+    values: np.ndarray
+    choices: dict[str, np.ndarray]
+    signals: dict[str, np.ndarray]
+    failed: int
+    laws: Ensemble
+
+
+def watched(problem: Problem, record: Measurement, laws: Ensemble) -> Problem:
+    """The problem whose responses are the signals of a record's sensors, without noise, saved as
+    often as the record; up to its end."""
+    intervals = round(float(problem.duration) * record.rate)
+    variables = dict(problem.variables) | laws.variables
+    correlation = None
+    if problem.correlation is not None:
+        known = len(problem.names)
+        correlation = np.eye(len(variables))
+        correlation[:known, :known] = np.asarray(problem.correlation)
+    return Problem(
+        laws.mechanism,
+        {_response(name): sensor.ideal() for name, sensor in record.sensors.items()},
+        variables,
+        duration=intervals / record.rate,
+        integrator=problem.integrator,
+        save=intervals + 1,
+        state=problem.state,
+        correlation=correlation,
+    )
+
+
+def _response(name: str) -> str:
+    return f"signal {name}"
+
+
+def check_identifiable(problem: Any, record: Measurement) -> None:
+    """Raises `ValueError` with a sentence where a problem's runs cannot be compared with a record,
+    or cannot see what is asked."""
+    expect(problem, Problem, "what is identified", "a jaxclear.Problem, its unknowns as variables")
+    if not problem.variables:
+        raise ValueError("the problem has no variables; its unknowns are these: give it some.")
+    if isinstance(problem.integrator, NonColliding):
+        raise ValueError(
+            "integrator.NonColliding moves bodies as ideal joints do, whatever the clearance, so "
+            "that no record of motion tells a clearance by it; take one in whose runs journals "
+            "leave their bearings, such as FixedStep() or Adaptive()."
+        )
+    for name, sensor in record.sensors.items():
+        check_sensor(name, sensor, problem.mechanism)
+    lasts = float(problem.duration)
+    if record.lasts > lasts * (1 + 1e-6):
+        raise ValueError(
+            f"the record lasts {record.lasts:.6g} s and the problem's runs {lasts:.6g} s; give the "
+            "problem a longer duration (what is beyond the record, at the beginning, lets the "
+            f"motion settle), or take record.part({record.time[0]:.6g}, "
+            f"{record.time[0] + lasts:.6g})."
+        )
+
+
+def sampled(
+    problem: Problem,
+    record: Measurement,
+    asked: Problem,
+    known: Ensemble,
+    runs: int,
+    seed: int = 0,
+    progress_bar: bool = False,
+) -> Sample:
+    """Runs of the problem over its priors; `asked`: what `watched` makes of it with the laws
+    `known`."""
+    drawing = Drawing(asked, seed, "sobol", usual_scramblings(runs), runs)
+    values = drawing.span(0, runs)
+    chunk = chunk_size(asked, runs)
+    found = evaluate_all(
+        asked, jnp.asarray(values), chunk=chunk, progress_bar=progress_bar, label="identify"
+    )
+    signals = {name: np.asarray(found.responses[_response(name)]) for name in record.sensors}
+    good = np.asarray(found.outcome) == Outcome.REACHED
+    for own in signals.values():
+        good &= np.all(np.isfinite(own), axis=1)
+    count = len(problem.names)
+    choices = {name: values[good, count + i] for i, name in enumerate(known.variables)}
+    kept = {name: own[good] for name, own in signals.items()}
+    return Sample(problem, values[good, :count], choices, kept, int(np.sum(~good)), known)
+
+
+class Cut(NamedTuple):
+    """How signals are cut: by how many whole `turns` and `samples` a turn (0: nothing turns), the
+    same for the record and all runs."""
+
+    turns: int
+    samples: int
+
+
+def cut_of(record: Measurement, sample: Sample) -> Cut:
+    """How many turns all have. Raises `ValueError` where they are too few."""
+    if record.turn is None:
+        return Cut(0, 0)
+    if isinstance(record.turn, str):
+        angles = [record.signals[record.turn], *_end(sample.signals[record.turn], record)]
+        ends = [whole_turns(own) for own in angles]
+        turns = min(last - first for first, last in ends)
+    else:
+        turns = int(np.floor(record.lasts / record.turn * (1 + 1e-9)))
+    if turns < LEAST_TURNS:
+        raise ValueError(
+            f"the record and the problem's runs have {max(turns, 0)} whole turns in common; "
+            f"statistics of turns need {LEAST_TURNS}: record longer, or leave turn out."
+        )
+    if isinstance(record.turn, str):
+        angle = record.signals[record.turn]
+        each = 2 * np.pi * len(angle) / abs(angle[-1] - angle[0])
+    else:
+        each = record.turn * record.rate
+    samples = int(np.clip(BINS * round(each / BINS), LEAST_SAMPLES, MOST_SAMPLES))
+    return Cut(turns, samples)
+
+
+def _end(signals: np.ndarray, record: Measurement) -> np.ndarray:
+    """What of the runs stands beside the record: as many samples, at their end."""
+    return signals[:, signals.shape[1] - len(record.time) :]
+
+
+def as_signals(signals: dict[str, np.ndarray], record: Measurement, cut: Cut) -> dict[str, Signal]:
+    """Signals (runs, samples) as statistics take them; the encoder's own is none."""
+    found = {}
+    for name, own in signals.items():
+        if name == record.turn:
+            continue
+        if cut.turns == 0:
+            found[name] = Signal(own, record.rate)
+            continue
+        if isinstance(record.turn, str):
+            angle = signals[record.turn]
+        else:
+            angle = 2 * np.pi / float(record.turn or 1) * np.arange(own.shape[1]) / record.rate
+        found[name] = by_turns(own, record.rate, angle, cut.turns, cut.samples)
+    return found
+
+
+def sensed(sample: Sample, record: Measurement, seed: int) -> dict[str, np.ndarray]:
+    """What the record's sensors would show of each run, over the time of the record. The angle that
+    tells turns is taken as it is."""
+    rng = np.random.default_rng((seed, 1))
+    found = {}
+    for name, own in sample.signals.items():
+        shown = own
+        if name != record.turn:
+            shown = record.sensors[name].sensed(own, record.rate, rng)
+        found[name] = _end(shown, record)
+    return found
+
+
+def statistics_of(signals: dict[str, Signal], statistics: Any) -> dict[str, np.ndarray]:
+    """Statistics (runs, numbers) of each kind, by the signal's name and their own. Raises
+    `ValueError` with a sentence where one's own gives something else."""
+    found = {}
+    for name, signal in signals.items():
+        for what, function in statistics.items():
+            own = np.asarray(function(signal), float)
+            if own.ndim != 2 or len(own) != len(signal.values):
+                raise ValueError(
+                    f'statistic "{what}" gives an array of shape {own.shape} for signals of shape '
+                    f"{signal.values.shape}; it must be (signals, numbers)."
+                )
+            found[f"{name}: {what}"] = own
+    if not found:
+        raise ValueError(f"there is no signal beside the encoder's, {listed(signals)}.")
+    return found

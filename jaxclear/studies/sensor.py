@@ -1,0 +1,324 @@
+"""What a sensor sees of a run, `jaxclear.sensor`: the signal itself, without noise, at the saving
+times; and what the instrument makes of it, in the order in which signals pass: low-pass, delay,
+gain, sampling, noise, resolution.
+
+Each number of an instrument is known, or a `jaxclear.Dimension` that is drawn for each run of a
+sample. The second step needs no run: signals that are kept can be sensed anew.
+"""
+
+import dataclasses
+from abc import abstractmethod
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.components.body import Marker
+from jaxclear.ground.argument_errors import nothing_else
+from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.quantity import Scalar, count, quantity
+from jaxclear.multibody.topology import coordinate_units
+from jaxclear.results.response import AbstractSignal, coordinate_unit
+from jaxclear.studies.function_problem import Dimension
+
+__all__ = [
+    "AbstractSensor",
+    "Accelerometer",
+    "Displacement",
+    "Encoder",
+    "ForceGauge",
+    "Gyroscope",
+    "Series",
+]
+__getattr__, __dir__ = nothing_else("jaxclear.sensor", __all__)
+
+# A number that is known, or drawn anew for each run.
+if TYPE_CHECKING:
+    Drawn: TypeAlias = Any
+else:
+    Drawn = Scalar | Dimension
+
+AXES = ("x", "y", "z")
+
+
+def noise_field() -> Any:
+    """Field of the standard deviation of white noise."""
+    meaning = "standard deviation of white noise"
+    return quantity(0.0, "(its unit)", meaning, at_least=0, kw_only=True)
+
+
+def bandwidth_field() -> Any:
+    """Field of a cut-off frequency [Hz]."""
+    meaning = "cut-off frequency of its first-order low-pass (None: passes all)"
+    return quantity(None, "Hz", meaning, above=0, kw_only=True)
+
+
+def gain_field() -> Any:
+    """Field of a gain [1]."""
+    return quantity(1.0, "1", "what it shows beside what there is", kw_only=True)
+
+
+def delay_field() -> Any:
+    """Field of a delay [s]."""
+    return quantity(0.0, "s", "time by which it lags", at_least=0, kw_only=True)
+
+
+def sampling_field() -> Any:
+    """Field of a sampling rate [Hz]."""
+    meaning = "its own sampling rate, held in between (None: the record's)"
+    return quantity(None, "Hz", meaning, above=0, kw_only=True)
+
+
+def as_marker(where: Any) -> Any:
+    """A marker; a body's name stands for its frame."""
+    return Marker(where) if isinstance(where, str) else where
+
+
+class AbstractSensor(AbstractSignal):
+    """An instrument: calling it with a run gives what there is to see, `sensed` what it shows.
+
+    `noise` [the signal's unit] standard deviation of white noise; `bandwidth` [Hz] of a first-order
+    low-pass; `gain` [1]; `delay` [s]; `sampling` [Hz] of its own. Each is a number, or a
+    `jaxclear.Dimension` where it is not known: it is then drawn for each run of a sample.
+    """
+
+    noise: eqx.AbstractVar[Any]
+    bandwidth: eqx.AbstractVar[Any]
+    gain: eqx.AbstractVar[Any]
+    delay: eqx.AbstractVar[Any]
+    sampling: eqx.AbstractVar[Any]
+
+    @abstractmethod
+    def unit_in(self, mechanism: Any) -> str:
+        """Unit of its signal."""
+
+    def ideal(self) -> "AbstractSensor":
+        """The same place and direction, as an instrument that changes nothing."""
+        nothing = {"noise": 0.0, "bandwidth": None, "gain": 1.0, "delay": 0.0, "sampling": None}
+        return dataclasses.replace(self, **nothing)
+
+    def rounded(self, signals: np.ndarray) -> np.ndarray:
+        """Signals in steps of its resolution, if it has any."""
+        return signals
+
+    def sensed(self, signals: Any, rate: float, rng: np.random.Generator) -> np.ndarray:
+        """What it shows where the signals (runs, samples) are there, at `rate` [Hz]; numbers that
+        are not known, and the noise, are drawn for each run from `rng`."""
+        found = np.atleast_2d(np.asarray(signals, float))
+        runs, samples = found.shape
+        draw = lambda value: _drawn(value, runs, rng)
+        if self.bandwidth is not None:
+            found = _low_pass(found, draw(self.bandwidth) / rate)
+        lag = draw(self.delay) * rate
+        if np.any(lag > 0):
+            found = _read(found, np.arange(samples) - lag[:, None])
+        found = draw(self.gain)[:, None] * found
+        if self.sampling is not None:
+            every = rate / draw(self.sampling)[:, None]
+            at = np.arange(samples)
+            found = _read(found, np.where(every > 1, np.floor(at / every) * every, at))
+        noise = draw(self.noise)
+        if np.any(noise > 0):
+            found = found + noise[:, None] * rng.standard_normal(found.shape)
+        return self.rounded(found)
+
+
+def _drawn(value: Any, runs: int, rng: np.random.Generator) -> np.ndarray:
+    """A number for each run."""
+    if not isinstance(value, Dimension):
+        return np.full(runs, float(value))
+    shares = jnp.asarray(rng.random(runs))
+    return np.asarray(value.nominal + value.distribution.quantile(shares))
+
+
+def _low_pass(signals: np.ndarray, cut: np.ndarray) -> np.ndarray:
+    """First-order low-pass, exact for signals that are constant between samples; it begins settled.
+    `cut` (runs,): cut-off beside the sampling rate."""
+    from scipy.signal import lfilter
+
+    found = np.empty_like(signals)
+    for i, (own, share) in enumerate(zip(signals, cut, strict=True)):
+        kept = np.exp(-2 * np.pi * share)
+        found[i] = lfilter([1 - kept], [1, -kept], own, zi=[kept * own[0]])[0]
+    return found
+
+
+def _read(signals: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Signals at fractions of their samples, along straight lines between these."""
+    samples = np.arange(signals.shape[1])
+    at = np.broadcast_to(at, signals.shape)
+    return np.stack([np.interp(own, samples, each) for own, each in zip(at, signals, strict=True)])
+
+
+class Accelerometer(AbstractSensor):
+    """Specific force [m/s^2] along an `axis` ("x", "y", "z") of a `marker` (or of a body's frame):
+    acceleration less gravity, so that one at rest reads g upwards.
+
+    Each sample is the mean since the sample before, from the velocities at both: impacts between
+    two samples count in full, as through the filter before a converter, and no sampling misses
+    them. For instants take `Trajectory.marker(...).specific_force`.
+    """
+
+    marker: Marker = eqx.field(converter=as_marker)
+    axis: str = eqx.field(static=True, default="x")
+    noise: Drawn = noise_field()
+    bandwidth: Drawn | None = bandwidth_field()
+    gain: Drawn = gain_field()
+    delay: Drawn = delay_field()
+    sampling: Drawn | None = sampling_field()
+
+    def __check_init__(self):
+        _check_axis(self)
+
+    def unit_in(self, mechanism):
+        return "m/s^2"
+
+    def __call__(self, run):
+        found = run.marker(self.marker)
+        change = jnp.diff(found.velocity, axis=0) / jnp.diff(run.time)[:, None]
+        along = found.rotation[:, :, AXES.index(self.axis)]
+        gravity = jnp.stack([jnp.asarray(x, float) for x in run.history.model().system.gravity])
+        felt = jnp.sum((change - gravity) * 0.5 * (along[1:] + along[:-1]), axis=1)
+        return jnp.concatenate([felt[:1], felt])
+
+
+class Gyroscope(AbstractSensor):
+    """Angular velocity [rad/s] about an `axis` ("x", "y", "z") of a `marker` (or of a body's
+    frame).
+    """
+
+    marker: Marker = eqx.field(converter=as_marker)
+    axis: str = eqx.field(static=True, default="z")
+    noise: Drawn = noise_field()
+    bandwidth: Drawn | None = bandwidth_field()
+    gain: Drawn = gain_field()
+    delay: Drawn = delay_field()
+    sampling: Drawn | None = sampling_field()
+
+    def __check_init__(self):
+        _check_axis(self)
+
+    def unit_in(self, mechanism):
+        return "rad/s"
+
+    def __call__(self, run):
+        found = run.marker(self.marker)
+        along = found.rotation[:, :, AXES.index(self.axis)]
+        return jnp.sum(found.body.spin * along, axis=1)
+
+
+class Displacement(AbstractSensor):
+    """Place [m] of a `marker` (or of a body's frame) along an `axis` ("x", "y", "z") of the
+    ground.
+    """
+
+    marker: Marker = eqx.field(converter=as_marker)
+    axis: str = eqx.field(static=True, default="x")
+    noise: Drawn = noise_field()
+    bandwidth: Drawn | None = bandwidth_field()
+    gain: Drawn = gain_field()
+    delay: Drawn = delay_field()
+    sampling: Drawn | None = sampling_field()
+
+    def __check_init__(self):
+        _check_axis(self)
+
+    def unit_in(self, mechanism):
+        return "m"
+
+    def __call__(self, run):
+        return run.marker(self.marker).position[:, AXES.index(self.axis)]
+
+
+class ForceGauge(AbstractSensor):
+    """Force [N] in a `joint` on its child along an `axis` ("x", "y", "z") of the ground, at the
+    saving times; of a `coupling` or a driven joint with `axis=""` what it transmits [N, N m].
+    """
+
+    joint: str = eqx.field(static=True)
+    axis: str = eqx.field(static=True, default="x")
+    noise: Drawn = noise_field()
+    bandwidth: Drawn | None = bandwidth_field()
+    gain: Drawn = gain_field()
+    delay: Drawn = delay_field()
+    sampling: Drawn | None = sampling_field()
+
+    def __check_init__(self):
+        if self.axis:
+            _check_axis(self)
+
+    def unit_in(self, mechanism):
+        return "N"
+
+    def __call__(self, run):
+        if not self.axis:
+            return run.transmitted(self.joint)
+        return run.reaction(self.joint).force[:, AXES.index(self.axis)]
+
+
+class Encoder(AbstractSensor):
+    """Coordinate [rad, m] of a `joint` (number `index` of several), in steps of its `resolution`
+    [the same]."""
+
+    joint: str = eqx.field(static=True)
+    index: int = count(0, "number of the coordinate", at_least=0)
+    resolution: Scalar | None = quantity(
+        None, "(its unit)", "steps in which it counts (None: none)", above=0, kw_only=True
+    )
+    noise: Drawn = noise_field()
+    bandwidth: Drawn | None = bandwidth_field()
+    gain: Drawn = gain_field()
+    delay: Drawn = delay_field()
+    sampling: Drawn | None = sampling_field()
+
+    def unit_in(self, mechanism):
+        return coordinate_unit(mechanism, self.joint, self.index)
+
+    def rounded(self, signals):
+        if self.resolution is None:
+            return signals
+        step = float(self.resolution)
+        return step * np.round(signals / step)
+
+    def __call__(self, run):
+        found: Float[Array, "time ..."] = run.coordinate(self.joint)
+        return found if found.ndim == 1 else found[:, self.index]
+
+
+class Series(AbstractSensor):
+    """A series that the function of a `jaxclear.FunctionProblem` returns under this `name`, in its
+    own unit."""
+
+    name: str = eqx.field(static=True)
+    noise: Drawn = noise_field()
+    bandwidth: Drawn | None = bandwidth_field()
+    gain: Drawn = gain_field()
+    delay: Drawn = delay_field()
+    sampling: Drawn | None = sampling_field()
+
+    def unit_in(self, mechanism):
+        return "1"
+
+    def __call__(self, run):
+        return run[self.name]
+
+
+def _check_axis(sensor: Any) -> None:
+    check_known("axis", sensor.axis, AXES, f" of a {type(sensor).__name__}")
+
+
+def check_sensor(name: str, sensor: Any, mechanism: Any) -> None:
+    """Raises `ValueError` with a sentence where a signal has no sensor, or one of something that
+    the mechanism has not."""
+    wanted = 'one of jaxclear.sensor, such as Accelerometer("slider", axis="x")'
+    expect(sensor, AbstractSensor, f'the sensor of signal "{name}"', wanted)
+    if isinstance(sensor, Encoder):
+        coordinate_units(mechanism, sensor.joint)
+    elif isinstance(sensor, ForceGauge):
+        known = [*mechanism.connections, *mechanism.couplings]
+        check_known("joint", sensor.joint, known, f' for the sensor of signal "{name}"')
+    else:
+        bodies = list(mechanism.bodies)
+        check_known("body", sensor.marker.body, bodies, f' for the sensor of signal "{name}"')
