@@ -213,7 +213,7 @@ def mean_torque(own: Between, twist: Twist, end: Any, length: Any) -> Any:
 
     Source: Gonzalez 1996, J. Nonlinear Sci. 6, 449, doi:10.1007/BF02440162.
     """
-    play, stiffness, damping = own
+    play, stiffness, damping, _ = own
     if play is None:
         viscous = 0 if damping is None else damping * twist.rate
         return sp.add(stiffness * (twist.value + 0.5 * length * twist.rate), viscous)
