@@ -112,7 +112,7 @@ INNER = {
     "AsNeeded",
     "CylinderMap",
     "ImpactMemory",
-    "MotorServo",
+    "_ServoOnMotor",
     "PeriodicTorque",
     "SphereMap",
     "StepTorque",
