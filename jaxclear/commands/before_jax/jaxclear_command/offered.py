@@ -83,6 +83,11 @@ SCENE_FILES = {
         [MAYBE_SCENE],
         ["jaxclear parameters scene.yaml", "jaxclear parameters"],
     ),
+    "cache": Offer(
+        "the compiled programs that are kept between runs, in $JAXCLEAR_CACHE (0: none are)",
+        [click.Option(["--clear"], is_flag=True, help="remove them all")],
+        ["jaxclear cache", "jaxclear cache --clear", "JAXCLEAR_CACHE=0 jaxclear run scene.yaml"],
+    ),
 }
 
 
