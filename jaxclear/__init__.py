@@ -50,7 +50,7 @@ from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.datasets import installed
 from jaxclear.ground.outcome import why_unknown
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
-from jaxclear.laws import contact, friction, material, stiffness, wear
+from jaxclear.laws import contact, flank, friction, material, stiffness, wear
 from jaxclear.laws.material import Material
 from jaxclear.multibody.assemblies import assemblies
 from jaxclear.multibody.assembly import assemble
@@ -161,6 +161,7 @@ __all__ = [
     "design_front",
     "distribution",
     "drive",
+    "flank",
     "formulation",
     "friction",
     "heated",

@@ -112,6 +112,7 @@ INNER = {
     "AsNeeded",
     "CylinderMap",
     "ImpactMemory",
+    "MotorServo",
     "PeriodicTorque",
     "SphereMap",
     "StepTorque",

@@ -24,7 +24,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.quantity import constant, is_traced
 from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody import constraints
@@ -40,6 +39,7 @@ from jaxclear.multibody.start_equations import (
     speed_scales,
     stacked,
 )
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import SingularPosition, Trajectory
 
@@ -207,7 +207,7 @@ def _rows_of(asked: Ask, q: Array, time: Any) -> _Rows:
             entries.append({j: x * scales[j] / measure for j, x in row.items()})
             left.append(jnp.asarray(residual / measure, float))
             closures.append(k)
-    return _Rows(entries, jnp.stack(left), closures)
+    return _Rows(entries, jnp.stack(left) if left else jnp.zeros(0), closures)
 
 
 def _matrix(rows: _Rows, held: HeldLoop) -> Float[Array, "n n"]:

@@ -13,6 +13,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_known, check_number, expect
@@ -71,10 +72,12 @@ class FunctionProblem(AbstractProblem):
 
     `function`: takes the variables by name and returns a number, or a dictionary of several by
     name; a number alone is called "response". It must be made of operations that JAX can trace and
-    differentiate (`jax.numpy` instead of `math` and `numpy`). `variables`: a
-    `jaxclear.Dimension` each. `units`: of what is returned, one text or a dictionary by name, by
-    default that of the variables where they share one, else "1". A sample whose response is not
-    finite has failed. `correlation` [1] of the variables' normal scores: {("first", "second"):
+    differentiate (`jax.numpy` instead of `math` and `numpy`). What it returns with a length, (n,),
+    is a series, such as a force over time: `series` gives it, `identify` compares it with a
+    measurement, and other studies see the numbers. `variables`: a `jaxclear.Dimension` each.
+    `units`: of what is returned, one text or a dictionary by name, by default that of the variables
+    where they share one, else "1". A sample whose response is not finite has failed. `correlation`
+    [1] of the variables' normal scores: {("first", "second"):
     0.5}, or a matrix. Raises `ValueError` with a sentence for what cannot be asked.
     """
 
@@ -83,6 +86,7 @@ class FunctionProblem(AbstractProblem):
     correlation: Float[Array, "variables variables"] | None
     names: tuple[str, ...] = eqx.field(static=True)
     response_names: tuple[str, ...] = eqx.field(static=True)
+    series_names: tuple[str, ...] = eqx.field(static=True)
     variable_units: tuple[str, ...] = eqx.field(static=True)
     response_units: tuple[str, ...] = eqx.field(static=True)
     memory: int = eqx.field(static=True)
@@ -113,9 +117,11 @@ class FunctionProblem(AbstractProblem):
         _check_names(function, self.names)
         at = {name: variable.nominal for name, variable in variables.items()}
         found = _traced(function, at)
-        self.response_names = tuple(found)
-        check_names_differ(self.response_names, self.variables)
-        self.response_units = _units(units, self.response_names, self.variable_units)
+        self.response_names = tuple(name for name, own in found.items() if not own.shape)
+        self.series_names = tuple(name for name, own in found.items() if own.shape)
+        every = (*self.response_names, *self.series_names)
+        check_names_differ(every, self.variables)
+        self.response_units = _units(units, every, self.variable_units)
         self.memory = _memory(function, at)
         self.undifferentiated = _undifferentiated(function, at)
 
@@ -123,15 +129,23 @@ class FunctionProblem(AbstractProblem):
         return stacked([self.variables[name].nominal for name in self.names])
 
     def units(self):
-        return dict(zip(self.response_names, self.response_units, strict=True))
+        every = (*self.response_names, *self.series_names)
+        return dict(zip(every, self.response_units, strict=True))
 
     def evaluate(self, values, *, discrete_derivatives=False):
         check_double_precision()
         self.check_values(values)
-        found = self._answers(values)
-        finite = jnp.all(jnp.isfinite(jnp.stack(list(found.values()))))
+        found = self.answers(values)
+        finite = jnp.all(jnp.isfinite(jnp.concatenate([jnp.ravel(x) for x in found.values()])))
         outcome = jnp.where(finite, Outcome.REACHED, Outcome.NOT_FINITE)
-        return SampleResult(found, outcome, jnp.zeros(()))
+        numbers = {name: found[name] for name in self.response_names}
+        return SampleResult(numbers, outcome, jnp.zeros(()))
+
+    def series(self, values: Float[Array, " variables"]) -> dict[str, Array]:
+        """The series (n,) that the function gives for one set of values, by name; pure."""
+        self.check_values(values)
+        found = self.answers(values)
+        return {name: found[name] for name in self.series_names}
 
     def sample_memory(self):
         return self.memory
@@ -143,11 +157,11 @@ class FunctionProblem(AbstractProblem):
         return LARGEST_CHUNK
 
     def rerun(self, values, index, chunk) -> dict[str, Array]:
-        """What the function gives for one sample, by name."""
-        return sample_of_chunk(self._answers, values, index, chunk)
+        """What the function gives for one sample, numbers and series by name."""
+        return sample_of_chunk(self.answers, values, index, chunk)
 
-    def _answers(self, values: Float[Array, " variables"]) -> dict[str, Array]:
-        """What the function gives for one set of values, by name; pure."""
+    def answers(self, values: Float[Array, " variables"]) -> dict[str, Array]:
+        """What the function gives for one set of values, numbers and series by name; pure."""
         return _by_name(self.function(**dict(zip(self.names, values, strict=True))))
 
     def ending(self, outcome, ended):
@@ -189,14 +203,20 @@ def _by_name(given: Any) -> dict[str, Array]:
         raise ValueError("the function of a FunctionProblem returns no number; it must return one.")
     for name, value in found.items():
         expect(name, str, "a name in what the function of a FunctionProblem returns", "a text")
-        if not is_one_number(value):
+        if not is_one_number(value) and not _is_series(value):
             hint = " It returns nothing: is a `return` missing?" if value is None else ""
             what = "returns" if name == ALONE else f'returns for "{name}"'
             raise ValueError(
                 f"the function of a FunctionProblem {what} {described(value)}; it must be one "
-                f"number, or a dictionary of numbers by name.{hint}"
+                f"number, or a dictionary of numbers (or series of them, one axis) by name.{hint}"
             )
     return {name: jnp.asarray(value, float) for name, value in found.items()}
+
+
+def _is_series(value: Any) -> bool:
+    """Whether something is an array of real numbers in a row."""
+    row = isinstance(value, (np.ndarray, jax.Array)) and np.ndim(value) == 1 and len(value) > 0
+    return bool(row and jnp.isrealobj(value))
 
 
 def _traced(function: Callable[..., Any], at: dict[str, Any]) -> dict[str, Any]:

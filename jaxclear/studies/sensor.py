@@ -30,6 +30,7 @@ __all__ = [
     "Encoder",
     "ForceGauge",
     "Gyroscope",
+    "Series",
 ]
 __getattr__, __dir__ = nothing_else("jaxclear.sensor", __all__)
 
@@ -284,6 +285,24 @@ class Encoder(AbstractSensor):
     def __call__(self, run):
         found: Float[Array, "time ..."] = run.coordinate(self.joint)
         return found if found.ndim == 1 else found[:, self.index]
+
+
+class Series(AbstractSensor):
+    """A series that the function of a `jaxclear.FunctionProblem` returns under this `name`, in its
+    own unit."""
+
+    name: str = eqx.field(static=True)
+    noise: Drawn = noise_field()
+    bandwidth: Drawn | None = bandwidth_field()
+    gain: Drawn = gain_field()
+    delay: Drawn = delay_field()
+    sampling: Drawn | None = sampling_field()
+
+    def unit_in(self, mechanism):
+        return "1"
+
+    def __call__(self, run):
+        return run[self.name]
 
 
 def _check_axis(sensor: Any) -> None:

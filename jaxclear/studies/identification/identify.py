@@ -16,7 +16,14 @@ from jaxclear.ground.arguments import check_count, check_flags, check_known, exp
 from jaxclear.ground.wording import described
 from jaxclear.results.signal import usual_statistics
 from jaxclear.studies.identification.laws import Ensemble, ensemble
-from jaxclear.studies.identification.measurement import Measurement
+from jaxclear.studies.identification.measurement import Measurement, checked_records
+from jaxclear.studies.identification.models import (
+    Model,
+    check_only_signals,
+    models_of,
+    only_one,
+    same_sensing,
+)
 from jaxclear.studies.identification.regression import Regression, regression, told, told_alone
 from jaxclear.studies.identification.result import (
     NOT,
@@ -39,12 +46,13 @@ from jaxclear.studies.identification.sample import (
     statistics_of,
     watched,
 )
+from jaxclear.studies.identification.told import of_records, told_by_signals
 from jaxclear.studies.ledger.ledger import Ledger, current
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.texts import in_texts
 
-WAYS = ("statistics",)
+WAYS = ("statistics", "signal")
 # What a folder is told to hold.
 WHAT = "the sample of an identification"
 # Runs below which residuals say nothing of an interval of 95 %.
@@ -56,8 +64,8 @@ TELLS = 0.9
 
 @answering
 def identify(
-    problem: Problem,
-    data: Measurement,
+    problem: Model | Mapping[str, Model],
+    data: Measurement | Sequence[Measurement],
     runs: int = 256,
     *,
     how: str = "statistics",
@@ -69,35 +77,58 @@ def identify(
 ) -> Identified:
     """What a record tells of the variables of a problem, whose distributions are the priors.
 
-    `data`: a `Measurement`; it shows what the problem's runs do at their end, so that what these
-    last longer lets the motion settle. `runs`: of the sample, 64 at the least; 256 serve one loose
-    joint, 512 three. `how`: "statistics", a regression of each unknown on statistics of the
-    signals, with intervals of 95 % from runs that it did not see. `statistics`: functions of a
-    `jaxclear.signal.Signal` that return arrays (signals, numbers), by name; by default
-    `signal.usual_statistics`. `laws`: classes of dissipation factors and friction laws, one of
-    which acts in each run at the joint's own restitution and kinetic coefficient; by default
-    LankaraniNikravesh, Flores and HuntCrossley, Ambrosio and CoulombTanh, with the joint's own
-    among them; (): the joint's own alone. `store`: a folder that keeps the runs' signals without
-    noise; asked again, with other numbers of the instruments, other statistics or another record of
-    the same sampling, nothing runs anew.
+    `problem`: a `Problem`; or a function that makes it for a `Measurement`, as where the motion of
+    a drive was recorded. It shows at its end what was measured: what its runs last longer lets the
+    motion settle.
+    `data`: a `Measurement`, or several; of several each tells its own, and intervals are those of
+    the next record, by Student's t of the differences between them.
+    `runs`: of the sample, 64 at the least; 256 serve one loose joint, 512 three.
+    `how`: "statistics", a regression of each unknown on statistics of the signals, with intervals
+    of 95 % from runs that it did not see; or "signal", least squares by Levenberg and Marquardt
+    from several starts, and the posterior by weighted draws, `runs` a round. The problem may then
+    be a `FunctionProblem`, whose series a `sensor.Series` names, or a dictionary of several models
+    of the machine: intervals hold those of all that the record does not speak against. Where a
+    sensor's noise is 0 what is left stands for it; one that is known must explain what is left, or
+    nothing is told. What is left and alike over many samples counts as one of them.
+    `statistics`: functions of a `jaxclear.signal.Signal` that return arrays (signals, numbers), by
+    name; by default `signal.usual_statistics`.
+    `laws`: classes of dissipation factors and friction laws, one of which acts in each run at the
+    joint's own restitution and kinetic coefficient; by default LankaraniNikravesh, Flores and
+    HuntCrossley, Ambrosio and CoulombTanh, with the joint's own among them; (): the joint's own
+    alone.
+    `store`: a folder that keeps the sample's signals without noise; asked again, with other numbers
+    of the instruments, other statistics or another record of the same sampling, nothing runs anew.
+    `seed`: of the sample and the draws; `progress_bar`: of the runs.
 
     An unknown whose interval is wider than 0.8 of the prior's is not identified, and has the
     prior's interval; one below 0.5 is identified. Raises `ValueError` with a sentence for what
     cannot be asked.
     """
-    expect(data, Measurement, "data of identify", "a jaxclear.Measurement")
+    records = checked_records(data)
     check_count("runs of identify", runs, at_least=LEAST_RUNS)
     check_known("way", how, WAYS, " of identify")
     check_flags("identify", progress_bar=progress_bar)
-    check_identifiable(problem, data)
-    check_sampled(problem, runs, seed)
-    asked = _statistics(statistics, data)
-    known = ensemble(problem.mechanism, laws)
-    runs_of = watched(problem, data, known)
-    kept = None if store is None else Ledger.opened(store, WHAT, in_texts(runs_of))
-    with current(kept):
-        sample = sampled(problem, data, runs_of, known, runs, seed, progress_bar)
-    return answered(fit(problem, data, sample, asked, seed), data)
+    models = models_of(problem, records)
+    for own in [own for every in models.values() for own in every]:
+        check_sampled(own, runs, seed)
+    if how == "signal":
+        check_only_signals(statistics=statistics, laws=laws, store=store)
+        return told_by_signals(models, records, runs, seed)
+    found: list[Identified] = []
+    fitted: list[tuple[Any, Measurement, Fit]] = []
+    for own, record in zip(only_one(models), records, strict=True):
+        check_identifiable(own, record)
+        same = [fit for one, other, fit in fitted if one is own and same_sensing(other, record)]
+        if not same:
+            known = ensemble(own.mechanism, laws)
+            runs_of = watched(own, record, known)
+            kept = None if store is None else Ledger.opened(store, WHAT, in_texts(runs_of))
+            with current(kept):
+                sample = sampled(own, record, runs_of, known, runs, seed, progress_bar)
+            same = [fit(own, record, sample, _statistics(statistics, record), seed)]
+            fitted.append((own, record, same[0]))
+        found.append(answered(same[0], record))
+    return found[0] if len(found) == 1 else of_records(found[0].problem, found, seed)
 
 
 def _statistics(given: Any, record: Measurement) -> dict[str, Callable]:

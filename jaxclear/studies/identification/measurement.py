@@ -1,6 +1,6 @@
 """A record of a machine: what its sensors showed over time, and how turns are told."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -138,6 +138,17 @@ class Measurement(AbstractShown):
         ]
         what = f"Measurement of {self.lasts:.6g} s at {self.rate:.6g} Hz, {len(self.time)} samples"
         return what, as_table(rows)
+
+
+def checked_records(data: Any) -> list[Measurement]:
+    """One record or several, in a list. Raises `ValueError` with a sentence for anything else."""
+    several = isinstance(data, Sequence) and not isinstance(data, str)
+    records = list(data) if several else [data]
+    for record in records:
+        expect(record, Measurement, "data of identify", "a jaxclear.Measurement, or several")
+    if not records:
+        raise ValueError("data of identify holds no record; it must hold a jaxclear.Measurement.")
+    return records
 
 
 def _column(what: str, given: Any) -> np.ndarray:

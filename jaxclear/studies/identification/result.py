@@ -10,7 +10,9 @@ from scipy.special import ndtr, ndtri
 
 from jaxclear.ground.arguments import check_known
 from jaxclear.studies.answer import DATASET, VARIABLE, AbstractAnswer, Column, Stated
+from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution import Empirical
+from jaxclear.studies.function_problem import Dimension, FunctionProblem
 from jaxclear.studies.identification.regression import Regression, calibration
 from jaxclear.studies.inputs import LEAST_EIGENVALUE
 from jaxclear.studies.problem import Problem
@@ -60,14 +62,14 @@ class Unknown(NamedTuple):
         return f"{self.name} is {self.estimate:.4g}{unit}, {ends} with 95 %{also}."
 
 
-def unknown_of(problem: Problem, name: str, shares: Any, told_by: str = "") -> Unknown:
+def unknown_of(problem: AbstractProblem, name: str, shares: Any, told_by: str = "") -> Unknown:
     """What is known of an unknown whose interval is `shares`, (estimate, low, high) of its prior
     [1]. An interval wider than 0.8 of the prior's is the prior's."""
     half = 0.5 * (1 - LEVEL)
     values = prior_quantiles(problem, name, np.array([*shares, half, 1 - half, 0.5]))
     estimate, low, high, prior_low, prior_high, middle = map(float, values)
     width = (high - low) / (prior_high - prior_low)
-    verdict = NOT if width > NOT_ABOVE else PARTLY if width > PARTLY_ABOVE else IDENTIFIED
+    verdict = verdict_of(width)
     if verdict == NOT:
         estimate, low, high = middle, prior_low, prior_high
     unit = problem.variable_units[problem.names.index(name)]
@@ -75,14 +77,19 @@ def unknown_of(problem: Problem, name: str, shares: Any, told_by: str = "") -> U
     return Unknown(name, unit, estimate, *ends, width, verdict, told_by)
 
 
-def prior_quantiles(problem: Problem, name: str, shares: np.ndarray) -> np.ndarray:
+def verdict_of(width: float) -> str:
+    """In words, for the width [1] of an interval beside the prior's."""
+    return NOT if width > NOT_ABOVE else PARTLY if width > PARTLY_ABOVE else IDENTIFIED
+
+
+def prior_quantiles(problem: AbstractProblem, name: str, shares: np.ndarray) -> np.ndarray:
     """Values of an unknown below which these shares of its prior lie."""
     nominal = float(problem.nominal()[problem.names.index(name)])
     within = jnp.asarray(np.clip(shares, LEAST_SHARE, 1 - LEAST_SHARE))
     return nominal + np.asarray(problem.variables[name].distribution.quantile(within))
 
 
-def prior_shares(problem: Problem, values: np.ndarray) -> np.ndarray:
+def prior_shares(problem: AbstractProblem, values: np.ndarray) -> np.ndarray:
     """Values (runs, variables) as shares of their priors."""
     nominal = np.asarray(problem.nominal())
     found = [
@@ -110,13 +117,14 @@ class Identified(AbstractAnswer):
     """What a record tells. `unknowns` in the order of the problem's variables, `posterior_values`
     (samples, variables) what they may be together, `runs` that were compared and `failed` ones,
     `remarks` in sentences, `how`, and the `evidence` of an identification by statistics (None:
-    otherwise).
+    otherwise). By signals: `answers`, what follows of the problem's responses, and `refusal`, why
+    nothing is told ("": something is).
 
     `found["clearance B"]` is an `Unknown`; `posterior()` is the problem whose variables follow what
     the record leaves.
     """
 
-    problem: Problem
+    problem: Problem | FunctionProblem
     unknowns: tuple[Unknown, ...] = eqx.field(static=True)
     posterior_values: np.ndarray
     runs: int = eqx.field(static=True)
@@ -125,15 +133,20 @@ class Identified(AbstractAnswer):
     remarks: tuple[str, ...] = eqx.field(static=True, default=())
     explained: float | None = eqx.field(static=True, default=None)
     evidence: Evidence | None = None
+    answers: tuple[Unknown, ...] = eqx.field(static=True, default=())
+    refusal: str = eqx.field(static=True, default="")
 
     def __getitem__(self, name: str) -> Unknown:
-        """What is known of one unknown."""
-        check_known("unknown", name, self.problem.names, " of this identification")
-        return self.unknowns[self.problem.names.index(name)]
+        """What is known of one unknown, or of a response that follows."""
+        known = {own.name: own for own in (*self.unknowns, *self.answers)}
+        check_known("unknown", name, known, " of this identification")
+        return known[name]
 
     @property
     def explains(self) -> bool | None:
         """Whether the record is like the sample's runs; None where nothing says so."""
+        if self.refusal:
+            return False
         return None if self.explained is None else self.explained > STRANGE
 
     def calibration(self) -> dict[str, float]:
@@ -143,7 +156,7 @@ class Identified(AbstractAnswer):
             return {}
         return dict(zip(self.problem.names, self.evidence.held().mean(0).tolist(), strict=True))
 
-    def posterior(self) -> Problem:
+    def posterior(self) -> Problem | FunctionProblem:
         """The problem whose variables follow what the record leaves of their priors, with the
         correlation of their normal scores; its mechanism stands at the medians. Any study takes
         it."""
@@ -151,14 +164,16 @@ class Identified(AbstractAnswer):
 
     def sentence(self) -> str:
         """Each unknown in words, and what else is to be known of the answer."""
-        told = [own.sentence() for own in self.unknowns]
+        told = [own.sentence() for own in (*self.unknowns, *self.answers)]
         lost = f" {self.failed} more failed." if self.failed else ""
         told.append(f"From {self.runs} runs, {self.how}.{lost}")
         return " ".join([*told, *self.remarks])
 
     def _stated(self):
         over = ("unknown",)
-        read = lambda part: {own.name: getattr(own, part) for own in self.unknowns}
+        read = lambda part: {
+            own.name: getattr(own, part) for own in (*self.unknowns, *self.answers)
+        }
         columns = {
             "unit": Column(over, read("unit")),
             "estimate": Column(over, read("estimate")),
@@ -179,6 +194,8 @@ class Identified(AbstractAnswer):
     @property
     def warned(self) -> tuple[str, ...]:
         """A sentence where the sample's laws do not explain the record."""
+        if self.refusal:
+            return (f"No interval is told: {self.refusal}",)
         if self.explained is None or self.explained > STRANGE:
             return ()
         return (
@@ -188,17 +205,25 @@ class Identified(AbstractAnswer):
         )
 
 
-def posterior_of(problem: Problem, values: np.ndarray) -> Problem:
+def posterior_of(
+    problem: Problem | FunctionProblem, values: np.ndarray
+) -> Problem | FunctionProblem:
     """The problem with variables that follow a sample of `values` (samples, variables)."""
     middle = np.median(values, axis=0)
+    correlation = score_correlation(values)
     ends = np.stack([prior_quantiles(problem, n, np.array([0.0, 1.0])) for n in problem.names])
     nominal, known, moved = np.asarray(problem.nominal()), {}, []
     for i, (name, own) in enumerate(problem.variables.items()):
         # What is no number of the mechanism keeps its nominal value.
-        centre = middle[i] if isinstance(own, Variable) else nominal[i]
+        centre = middle[i] if isinstance(own, (Variable, Dimension)) else nominal[i]
         moved.append(centre)
         shape = Empirical(values[:, i] - centre, low=ends[i, 0] - centre, high=ends[i, 1] - centre)
         known[name] = eqx.tree_at(lambda variable: variable.distribution, own, shape)
+        if isinstance(own, Dimension):
+            known[name] = Dimension(float(centre), shape, unit=own.unit)
+    if isinstance(problem, FunctionProblem):
+        units = problem.units()
+        return FunctionProblem(problem.function, known, units=units, correlation=correlation)
     varied = list(problem.variables.values())
     named: list[Any] = [own for own in varied if isinstance(own, Variable)]
     at = [value for value, own in zip(moved, varied, strict=True) if isinstance(own, Variable)]
@@ -210,7 +235,7 @@ def posterior_of(problem: Problem, values: np.ndarray) -> Problem:
         integrator=problem.integrator,
         save=np.asarray(problem.shares * problem.duration),
         state=problem.state,
-        correlation=score_correlation(values),
+        correlation=correlation,
     )
 
 

@@ -1,0 +1,78 @@
+"""Several models of the same machine: which of them the records speak against, and what those that
+remain say together.
+
+Of models that explain records equally well each tells an interval under its own assumption; the
+interval without that assumption holds all of theirs.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+
+from jaxclear.studies.identification.signal_fit import REFUSED, Interval, SignalFit
+
+
+class Kept(NamedTuple):
+    """`models`: names of those that the records do not speak against, the nearest first;
+    `against`: a sentence by name of each other."""
+
+    models: tuple[str, ...]
+    against: dict[str, str]
+
+
+def kept_models(fits: Mapping[str, Sequence[SignalFit]]) -> Kept:
+    """Which models stay, by their fits of each record. One is left out where a record refuses it,
+    or where the nearest is so much nearer that one right model in a thousand would be."""
+    against = {}
+    for name, own in fits.items():
+        refused = [fit.refusal for fit in own if fit.refusal]
+        if refused:
+            against[name] = refused[0]
+    order = sorted((name for name in fits if name not in against), key=lambda n: _left(fits[n]))
+    kept = order[:1]
+    for name in order[1:]:
+        apart = len(fits[name][0].best) - len(fits[order[0]][0].best)
+        limit = float(scipy.stats.chi2.isf(REFUSED, max(abs(apart), 1)))
+        ratio = sum(map(_log_ratio, fits[name], fits[order[0]]))
+        if ratio <= limit:
+            kept.append(name)
+        else:
+            against[name] = (
+                f'"{order[0]}" is nearer to what was measured: twice the logarithm of the ratio of '
+                f"their likelihoods is {ratio:.3g}, where {limit:.3g} is the most of equals."
+            )
+    return Kept(tuple(kept), against)
+
+
+def _left(fits: Sequence[SignalFit]) -> float:
+    """What is left of the records, as a logarithm."""
+    return float(sum(np.log(own.size) for fit in fits for own in fit.misfits.values()))
+
+
+def _log_ratio(fit: SignalFit, nearest: SignalFit) -> float:
+    """Twice the logarithm of the likelihood ratio to the nearest model, of noise of any size."""
+    return float(
+        sum(
+            2.0
+            * own.samples
+            / max(own.time, nearest.misfits[name].time)
+            * np.log(own.size / nearest.misfits[name].size)
+            for name, own in fit.misfits.items()
+        )
+    )
+
+
+def hull(told: Sequence[Interval]) -> Interval:
+    """The interval that holds those that each model tells of one unknown, or of a response."""
+    values = np.array([own.value for own in told])
+    deviation = np.sqrt(np.mean([own.deviation**2 for own in told]) + values.var())
+    return Interval(
+        float(values.mean()),
+        min(own.low for own in told),
+        max(own.high for own in told),
+        float(deviation),
+        min(own.prior_low for own in told),
+        max(own.prior_high for own in told),
+    )

@@ -1,0 +1,105 @@
+"""Unknowns from the signals themselves, `jaxclear.identify(..., how="signal")`: each model of the
+machine on each record, the next record from the differences between records, and what all models
+say that the records do not speak against.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.identification.alternatives import Kept, hull, kept_models
+from jaxclear.studies.identification.forward import Forward, Record
+from jaxclear.studies.identification.several_records import FEWEST, NextRecord, next_record
+from jaxclear.studies.identification.signal_fit import Interval, SignalFit, fit_signal
+
+
+class Compared(NamedTuple):
+    """A model of the machine as it ran in one record, and that record."""
+
+    forward: Forward
+    record: Record
+
+
+class BySignal(NamedTuple):
+    """What records tell. `fits`: of each model each record; `kept`: the models that remain, and
+    sentences against the others; `unknowns` and `answers`: intervals that hold those of all kept
+    models, for what all have (of several records, of the next one); `own`: what only some models
+    have, by model; `between`: the differences between records, by model and name."""
+
+    fits: dict[str, tuple[SignalFit, ...]]
+    kept: Kept
+    unknowns: dict[str, Interval]
+    answers: dict[str, Interval]
+    own: dict[str, dict[str, Interval]]
+    between: dict[str, dict[str, NextRecord]]
+
+    @property
+    def refusal(self) -> str:
+        """Why nothing is told; "" where something is."""
+        if self.kept.models:
+            return ""
+        if len(self.fits) == 1:
+            return next(iter(self.kept.against.values()))
+        return " ".join(f"{name}: {why}" for name, why in self.kept.against.items())
+
+
+def by_signal(
+    models: Mapping[str, Sequence[Compared]],
+    *,
+    starts: int = 8,
+    windows: int = 1,
+    draws: int = 512,
+    seed: int = 0,
+) -> BySignal:
+    """What records of a machine tell of the unknowns of its `models`, {name: one for each record};
+    the rest as in `fit_signal`."""
+    how = {"starts": starts, "windows": windows, "draws": draws, "seed": seed}
+    fits = {
+        name: tuple(fit_signal(own.forward, own.record, **how) for own in every)
+        for name, every in models.items()
+    }
+    kept = kept_models(fits)
+    unknowns: dict[str, dict[str, Interval]] = {}
+    answers: dict[str, dict[str, Interval]] = {}
+    between: dict[str, dict[str, NextRecord]] = {}
+    for name in kept.models:
+        own, problem = fits[name], models[name][0].forward.problem
+        told = [{**fit.unknowns, **fit.answers} for fit in own]
+        found = {key: _of_records([each[key] for each in told]) for key in told[0]}
+        unknowns[name] = {key: _within(problem, key, found[key]) for key in own[0].unknowns}
+        answers[name] = {key: found[key] for key in own[0].answers}
+        if len(own) >= FEWEST:
+            between[name] = {key: next_record([each[key] for each in told]) for key in told[0]}
+    shared, rest = _shared(unknowns)
+    return BySignal(fits, kept, shared, _shared(answers)[0], rest, between)
+
+
+def _of_records(told: list[Interval]) -> Interval:
+    """One record's interval as it is; of several that of the next."""
+    if len(told) < FEWEST:
+        return told[0]
+    found = next_record(told)
+    deviation = max(found.between, found.within)
+    ends = told[0].prior_low, told[0].prior_high
+    return Interval(found.value, found.low, found.high, deviation, *ends)
+
+
+def _within(problem: AbstractProblem, name: str, own: Interval) -> Interval:
+    """An interval of an unknown within the ends of its prior."""
+    place = problem.names.index(name)
+    distribution, nominal = problem.inputs.distributions[place], float(problem.nominal()[place])
+    low, high = (nominal + float(distribution.quantile(jnp.asarray(end))) for end in (0.0, 1.0))
+    return own._replace(low=max(own.low, low), high=min(own.high, high))
+
+
+def _shared(
+    every: dict[str, dict[str, Interval]],
+) -> tuple[dict[str, Interval], dict[str, dict[str, Interval]]]:
+    """What all models tell of, together; and what only some do, by model."""
+    told = list(every.values())
+    names = [n for n in told[0] if all(n in own for own in told)] if told else []
+    shared = {name: hull([own[name] for own in told]) for name in names}
+    rest = {model: {n: x for n, x in own.items() if n not in names} for model, own in every.items()}
+    return shared, {model: own for model, own in rest.items() if own}

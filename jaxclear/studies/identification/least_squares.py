@@ -1,0 +1,140 @@
+"""The values of unknowns whose signals are nearest to a record: Levenberg-Marquardt from several
+starts, with JAX's own derivatives of the problem.
+
+It goes by the unknowns' independent standard normal numbers, in which every bound of a prior lies
+at infinity; the prior is one equation more for each of them, so that what the record does not tell
+stays where the prior has it. From a short window of the record to all of it: of a motion with
+impacts the whole has many minima, its beginning few.
+
+Source: Levenberg 1944, Quart. Appl. Math. 2, 164; Marquardt 1963, J. SIAM 11, 431; by optimistix
+(Rader, Lyons & Kidger 2024, arXiv:2402.09983).
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+from jaxtyping import Array, Float
+
+from jaxclear.studies.identification.forward import Forward, Record
+from jaxclear.studies.scrambling import ScrambledSequence, normal_scores
+
+# Relative and absolute change of the unknowns' normal numbers and of the sum of squares at an end.
+TOLERANCE = 1e-4
+MOST_STEPS = 40
+# Starts lie within the middle of the prior: far out its scores hardly move the unknowns.
+WIDEST_START = 1.5
+# Two optima are one where the sums of squares and the distance of their normal numbers are this.
+SAME_COST, SAME_PLACE = 1e-3, 1e-2
+# A place is an optimum where a step of Gauss and Newton would move it by less than this, in
+# standard deviations of what the record tells.
+LARGEST_STEP = 0.1
+
+
+class Optimum(NamedTuple):
+    """A place of the unknowns. `normal` (variables,) [1]: their standard normal numbers; `cost`
+    [1]: half the sum of squares, prior and all; `residual` (n,), signals less measurement in their
+    units; `slopes` (n, variables) by normal number; `converged`: whether it is an optimum."""
+
+    normal: np.ndarray
+    cost: float
+    residual: np.ndarray
+    slopes: np.ndarray
+    converged: bool
+
+    def information(self, scale: np.ndarray) -> np.ndarray:
+        """Curvature (variables, variables) [1] of the half sum of squares; `scale` (n,): of each
+        residual, in its unit."""
+        weighted = self.slopes / scale[:, None]
+        return weighted.T @ weighted + np.eye(len(self.normal))
+
+
+@eqx.filter_jit
+def _solved(forward: Forward, starts: Array, measured: Array, scale: Array, seen: Array):
+    inputs = forward.problem.inputs
+
+    def residual(normal, _):
+        left = seen * (forward.row(inputs.values(normal)) - measured) / scale
+        return jnp.concatenate([left, normal])
+
+    def one(start):
+        solver = optimistix.LevenbergMarquardt(TOLERANCE, TOLERANCE)
+        found = optimistix.least_squares(
+            residual, solver, start, options={"jac": "fwd"}, max_steps=MOST_STEPS, throw=False
+        )
+        return found.value, found.result == optimistix.RESULTS.successful
+
+    return jax.vmap(one)(starts)
+
+
+@eqx.filter_jit
+def _seen_at(forward: Forward, normals: Array, measured: Array):
+    inputs = forward.problem.inputs
+    own = lambda normal: forward.row(inputs.values(normal))
+    rows = jax.vmap(lambda normal: own(normal) - measured)(normals)
+    return rows, jax.vmap(jax.jacfwd(own))(normals)
+
+
+def starts_of(count: int, variables: int, seed: int) -> np.ndarray:
+    """Normal numbers (count, variables) to start from: the nominal ones, and some spread evenly
+    over the middle of the prior."""
+    drawn = normal_scores(
+        ScrambledSequence(variables, np.random.default_rng(seed)).points(0, count)
+    )
+    return np.concatenate([np.zeros((1, variables)), np.clip(drawn, -WIDEST_START, WIDEST_START)])[
+        :count
+    ]
+
+
+def optima(
+    forward: Forward,
+    record: Record,
+    starts: Float[np.ndarray, "starts variables"],
+    scale: Float[np.ndarray, " n"],
+    windows: int = 1,
+) -> list[Optimum]:
+    """Where the searches end that are finite, the nearest to the record first, each place once.
+    `scale`: standard deviation of each sample of the record, in its unit; `windows`: how often the
+    window doubles until it holds the whole record."""
+    measured, normals = record.row, np.asarray(starts)
+    ended = np.zeros(len(normals), bool)
+    for window in range(windows):
+        seen = _window(record, 0.5 ** (windows - 1 - window))
+        found, ended = _solved(forward, *map(jnp.asarray, (normals, measured, scale, seen)))
+        normals = np.where(np.isfinite(found), found, normals)
+    residuals, slopes = map(
+        np.asarray, _seen_at(forward, jnp.asarray(normals), jnp.asarray(measured))
+    )
+    every = [
+        _optimum(*each, scale)
+        for each in zip(normals, residuals, slopes, np.asarray(ended), strict=True)
+    ]
+    good = [own for own in every if np.isfinite(own.cost) and np.isfinite(own.slopes).all()]
+    kept: list[Optimum] = []
+    for own in sorted(good, key=lambda own: own.cost):
+        alike = lambda other, own=own: (
+            own.cost - other.cost <= SAME_COST * max(other.cost, 1.0)
+            and np.abs(own.normal - other.normal).max() <= SAME_PLACE
+        )
+        if not any(map(alike, kept)):
+            kept.append(own)
+    return kept
+
+
+def _optimum(normal, residual, slopes, ended, scale) -> Optimum:
+    cost = 0.5 * (np.sum((residual / scale) ** 2) + normal @ normal)
+    own = Optimum(normal, float(cost), residual, slopes, bool(ended))
+    if not np.isfinite(cost) or not np.isfinite(slopes).all():
+        return own._replace(converged=False)
+    gradient = slopes.T @ (residual / scale**2) + normal
+    step = np.sqrt(gradient @ np.linalg.solve(own.information(scale), gradient))
+    return own._replace(converged=bool(ended or step <= LARGEST_STEP))
+
+
+def _window(record: Record, share: float) -> np.ndarray:
+    """1 for the samples (n,) in the first `share` [1] of each signal, 0 for the others."""
+    own = [np.arange(len(s)) < np.ceil(share * len(s)) for s in record.signals.values()]
+    return np.concatenate(own).astype(float)

@@ -1,0 +1,167 @@
+"""What is compared with what: each model of a machine, as it ran in each record, and the record.
+
+A model is a problem, or a function that makes it for a record, where what drives the machine was
+measured with it.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.wording import described, listed
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.function_problem import Dimension, FunctionProblem
+from jaxclear.studies.identification.by_signal import Compared
+from jaxclear.studies.identification.forward import Forward, Record, Shown
+from jaxclear.studies.identification.laws import Ensemble
+from jaxclear.studies.identification.measurement import Measurement
+from jaxclear.studies.identification.sample import check_identifiable, watched
+from jaxclear.studies.mechanism_problem import responses_of
+from jaxclear.studies.problem import Problem
+from jaxclear.studies.sensor import AbstractSensor, Series
+
+Model: TypeAlias = AbstractProblem | Callable[[Measurement], AbstractProblem]
+# The model that is asked about where there is only one.
+ALONE = "the model"
+
+
+def models_of(
+    given: Model | Mapping[str, Model], records: Sequence[Measurement]
+) -> dict[str, list[AbstractProblem]]:
+    """By name of each model its problem for each record. Raises `ValueError` with a sentence for
+    what is none."""
+    every = given if isinstance(given, Mapping) else {ALONE: given}
+    if not every:
+        raise ValueError("identify is given no model; it must have a problem at least.")
+    return {name: [_made(name, own, record) for record in records] for name, own in every.items()}
+
+
+def only_one(models: Mapping[str, list[AbstractProblem]]) -> list[Any]:
+    """The problems of the one model that statistics take. Raises `ValueError` for several."""
+    if len(models) > 1:
+        raise ValueError(
+            f'how="statistics" takes one problem and is given {listed(models)}: which laws may '
+            'act, laws says; several models by name are for how="signal".'
+        )
+    return next(iter(models.values()))
+
+
+def check_only_signals(**given: Any) -> None:
+    """Raises `ValueError` with a sentence for an argument that signals have no use for."""
+    for name, value in given.items():
+        if value is not None:
+            raise ValueError(
+                f'how="signal" takes no {name}, which are for how="statistics". For several laws '
+                'give several problems by name: {"Flores": ..., "Hunt-Crossley": ...}.'
+            )
+
+
+def same_sensing(one: Measurement, other: Measurement) -> bool:
+    """Whether the same sample serves two records."""
+    alike = one.sensors.keys() == other.sensors.keys() and one.rate == other.rate
+    alike = alike and len(one.time) == len(other.time) and one.turn == other.turn
+    return alike and all(
+        bool(eqx.tree_equal(own, other.sensors[name])) for name, own in one.sensors.items()
+    )
+
+
+def _made(name: str, given: Any, record: Measurement) -> AbstractProblem:
+    found = given
+    if callable(given) and not isinstance(given, AbstractProblem):
+        found = given(record)
+    if not isinstance(found, (Problem, FunctionProblem)):
+        raise ValueError(
+            f"what is identified, {name}, is {described(found)}; it must be a jaxclear.Problem or "
+            "a jaxclear.FunctionProblem, or a function that makes one for a Measurement."
+        )
+    return found
+
+
+def compared(problem: AbstractProblem, record: Measurement) -> Compared:
+    """A problem as a function that gives a record's signals. Raises `ValueError` with a sentence
+    where it cannot."""
+    for name, sensor in record.sensors.items():
+        for number in ("noise", "gain", "bandwidth", "delay"):
+            if isinstance(getattr(sensor, number), Dimension):
+                raise ValueError(
+                    f'the {number} of signal "{name}" varies; how="signal" takes instruments whose '
+                    'numbers are known: give one number, or ask how="statistics".'
+                )
+        if sensor.sampling is not None:
+            raise ValueError(
+                f'signal "{name}" has a sampling of its own; how="signal" takes signals as the '
+                'record has them: leave sampling out, or ask how="statistics".'
+            )
+    noise = {name: float(own.noise) or None for name, own in record.sensors.items()}
+    row = Record(record.signals, noise)
+    return Compared(_forward(problem, record), row)
+
+
+def _forward(problem: AbstractProblem, record: Measurement) -> Forward:
+    names, sensors = tuple(record.signals), dict(record.sensors)
+    rate = jnp.asarray(record.rate)
+    if isinstance(problem, FunctionProblem):
+        for name, sensor in sensors.items():
+            expect(sensor, Series, f'the sensor of signal "{name}"', "a jaxclear.sensor.Series")
+            check_known(
+                "series",
+                getattr(sensor, "name", ""),
+                problem.series_names,
+                " in what the function gives",
+            )
+        return Forward(problem, _OfFunction(sensors, rate), names)
+    check_identifiable(problem, record)
+    assert isinstance(problem, Problem)
+    asked = watched(problem, record, Ensemble(problem.mechanism, {}, {}))
+    return Forward(asked, _OfRun(sensors, rate, problem, len(record.time)), names)
+
+
+class _OfFunction(eqx.Module):
+    """Signals and responses of a function."""
+
+    sensors: dict[str, Any]
+    rate: Array
+
+    def __call__(self, asked: FunctionProblem, values: Array) -> Shown:
+        """Those of one set of values."""
+        found = asked.answers(values)
+        signals = {name: _sensed(own, own(found), self.rate) for name, own in self.sensors.items()}
+        return Shown(signals, {name: found[name] for name in asked.response_names})
+
+
+class _OfRun(eqx.Module):
+    """Signals and responses of a run, of which a record saw the last so many samples."""
+
+    sensors: dict[str, AbstractSensor]
+    rate: Array
+    problem: Problem
+    count: int = eqx.field(static=True)
+
+    def __call__(self, asked: Problem, values: Array) -> Shown:
+        """Those of one set of values; nan where the run did not reach its end."""
+        run = asked.started(values)[2]
+        last = lambda signal: jnp.where(run.succeeded, signal, jnp.nan)[-self.count :]
+        signals = {
+            name: last(_sensed(own, own(run), self.rate)) for name, own in self.sensors.items()
+        }
+        return Shown(signals, responses_of(self.problem, run))
+
+
+def _sensed(sensor: Any, signal: Array, rate: Array) -> Array:
+    """What an instrument shows of a signal (n,), without its noise."""
+    if sensor.bandwidth is not None:
+        kept = jnp.exp(-2 * jnp.pi * sensor.bandwidth / rate)
+
+        def passed(before, now):
+            after = kept * before + (1 - kept) * now
+            return after, after
+
+        signal = jax.lax.scan(passed, signal[0], signal)[1]
+    at = jnp.arange(len(signal))
+    signal = jnp.interp(at - sensor.delay * rate, at, signal)
+    return sensor.gain * signal

@@ -1,0 +1,243 @@
+"""Unknowns from signals themselves, where the answer is known: straight lines, bounds, models that
+are wrong, records that differ, a servo's printed numbers, and a spring from how its mass swings."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy
+
+import jaxclear as jc
+from jaxclear.studies.identification.autocorrelation import correlation_time
+from jaxclear.studies.identification.posterior import importance_sampled, shortest_interval
+from jaxclear.studies.identification.several_records import next_record
+from jaxclear.studies.identification.signal_fit import Interval
+
+TIME = np.linspace(0.0, 1.0, 100)
+NOISE = 0.1
+Uniform = jc.distribution.Uniform
+
+
+def line(offset, slope):
+    return {"y": offset + slope * jnp.asarray(TIME), "at one": offset + slope}
+
+
+def lines(**priors):
+    wide = {"offset": (0.0, 5.0), "slope": (0.0, 5.0)} | priors
+    variables = {n: jc.Dimension(x, Uniform(half), unit="1") for n, (x, half) in wide.items()}
+    return jc.FunctionProblem(line, variables)
+
+
+def measured(values, noise=NOISE, time=TIME):
+    return jc.Measurement(time, {"y": values}, {"y": jc.sensor.Series("y", noise=noise)})
+
+
+def noisy(offset, slope, seed=0):
+    return offset + slope * TIME + NOISE * np.random.default_rng(seed).standard_normal(len(TIME))
+
+
+@pytest.fixture(scope="module")
+def straight():
+    return jc.identify(lines(), measured(noisy(1.0, 2.0)), how="signal")
+
+
+def test_intervals_of_a_straight_line_are_those_of_linear_least_squares(straight):
+    """Normal equations with a known noise; the priors are wide."""
+    design = np.stack([np.ones_like(TIME), TIME], axis=1)
+    inverse = np.linalg.inv(design.T @ design)
+    best = inverse @ design.T @ noisy(1.0, 2.0)
+    for i, name in enumerate(("offset", "slope")):
+        half = 1.96 * NOISE * np.sqrt(inverse[i, i])
+        own = straight[name]
+        # 400 draws of equal weight tell the end of an interval to a fifth of a deviation; what is
+        # left may be alike over 1.2 samples by chance.
+        assert own.estimate == pytest.approx(best[i], abs=0.2 * half)
+        assert own.high - own.low == pytest.approx(2 * half, rel=0.25)
+        assert own.verdict == "identified"
+    assert straight["at one"].estimate == pytest.approx(best.sum(), abs=0.02)
+    assert straight.explains is None and not straight.warned
+
+
+def test_the_posterior_is_a_problem_for_other_studies(straight):
+    found = jc.monte_carlo(straight.posterior(), 256).summary()
+    row = found[found["response"] == "at one"].iloc[0]
+    own = straight["at one"]
+    assert row["mean"] == pytest.approx(own.estimate, abs=0.02)
+    assert 3.92 * row["standard deviation"] == pytest.approx(own.high - own.low, rel=0.35)
+
+
+def test_a_wrong_model_is_refused_where_the_noise_is_known():
+    found = jc.identify(lines(), measured(noisy(1.0, 2.0) + 2.0 * TIME**2), how="signal")
+    assert found.explains is False
+    assert "times what its noise makes" in found.warned[0] and "statistics" in found.warned[0]
+    assert {own.verdict for own in found.unknowns} == {"not identified"}
+
+
+def test_a_wrong_model_with_noise_unknown_counts_what_is_alike_once():
+    bent = noisy(1.0, 2.0) + 2.0 * TIME**2
+    found = jc.identify(lines(), measured(bent, noise=0.0), how="signal")
+    assert "which count as one" in found.sentence()
+    # Ten times as wide as independent residuals of the same size would be.
+    design = np.stack([np.ones_like(TIME), TIME], axis=1)
+    left = bent - design @ np.linalg.lstsq(design, bent, rcond=None)[0]
+    naive = 3.92 * left.std() * np.sqrt(np.linalg.inv(design.T @ design)[1, 1])
+    assert found["slope"].high - found["slope"].low > 1.5 * naive
+
+
+def test_an_active_bound_is_no_interval_of_nothing():
+    """The true slope is beyond the prior: the interval ends at the bound and has a width."""
+    found = jc.identify(lines(slope=(0.0, 1.9)), measured(noisy(1.0, 2.0)), how="signal")["slope"]
+    assert found.high == pytest.approx(1.9) and found.low < 1.89
+
+
+def test_what_no_signal_shows_keeps_its_prior():
+    unseen = lambda offset, slope: {"y": offset + 0 * slope * jnp.asarray(TIME)}
+    both = {"offset": jc.Dimension(0.0, Uniform(5.0)), "slope": jc.Dimension(0.0, Uniform(5.0))}
+    problem = jc.FunctionProblem(unseen, both)
+    found = jc.identify(problem, measured(noisy(1.0, 0.0)), how="signal")
+    assert found["offset"].verdict == "identified"
+    assert found["slope"].verdict == "not identified"
+    assert (found["slope"].low, found["slope"].high) == pytest.approx((-4.75, 4.75))
+
+
+def test_several_records_tell_the_next_one_by_their_differences():
+    """Offsets differ by far more than each record tells of itself."""
+    offsets = [0.6, 1.4, 1.1, 0.9]
+    records = [measured(noisy(own, 2.0, seed)) for seed, own in enumerate(offsets)]
+    found = jc.identify(lines(), records, how="signal")
+    factor = scipy.stats.t.ppf(0.975, 3) * np.sqrt(1.25)
+    half = factor * np.std(offsets, ddof=1)
+    own = found["offset"]
+    assert 0.5 * (own.high - own.low) == pytest.approx(half, rel=0.15)
+    assert '"offset"' in found.sentence() and "next record" in found.sentence()
+
+
+def test_the_next_record_is_a_students_t():
+    told = [Interval(x, 0.0, 0.0, 0.01, -9.0, 9.0) for x in (1.0, 2.0, 4.0)]
+    own = next_record(told)
+    values = np.array([1.0, 2.0, 4.0])
+    half = scipy.stats.t.ppf(0.975, 2) * values.std(ddof=1) * np.sqrt(4 / 3)
+    assert (own.low, own.high) == pytest.approx((values.mean() - half, values.mean() + half))
+    # Records that agree by chance are not believed beyond what each tells.
+    alike = next_record([own._replace(value=1.0, deviation=0.3) for own in told])
+    assert alike.high - alike.low > 2 * 0.3 * 1.96
+
+
+def test_samples_alike_over_some_time_count_as_one():
+    """Of a first-order process with coefficient a one independent sample is (1 + a)/(1 - a)."""
+    noise = np.random.default_rng(0).standard_normal(40_000)
+    process = scipy.signal.lfilter([1.0], [1.0, -0.8], noise)
+    assert correlation_time(process) == pytest.approx(9.0, rel=0.15)
+    assert correlation_time(noise) == pytest.approx(1.0, abs=0.1)
+    assert correlation_time(np.zeros(5)) == 1.0
+
+
+def test_draws_follow_a_bent_posterior():
+    """A ridge that no normal distribution fits, whose first number has a known law."""
+
+    def target(x):
+        # x1 is normal about 1 with deviation 0.5; x2 about its square.
+        density = -0.5 * ((x[:, 0] - 1.0) / 0.5) ** 2 - 0.5 * ((x[:, 1] - x[:, 0] ** 2) / 0.1) ** 2
+        return density, np.zeros((len(x), 0))
+
+    found = importance_sampled(target, [np.ones(2)], [0.06 * np.eye(2)], 1024, 0)
+    mean = found.weights @ found.normal
+    assert found.effective > 200
+    assert mean == pytest.approx([1.0, 1.25], abs=0.15)
+
+
+def test_the_shortest_interval_reaches_an_end_that_nothing_speaks_against():
+    shares = np.linspace(0.0, 1.0, 2001) ** 2
+    weights = np.full(2001, 1 / 2001)
+    low, high = shortest_interval(shares, weights)
+    assert low == 0.0 and high == pytest.approx(0.95**2, abs=2e-3)
+    assert shortest_interval(1 - shares, weights)[1] == 1.0
+
+
+# Lost motion of a STS3215 servo [counts of 360/4096 deg], without load and with one on a lever of
+# 100 mm. Source: Kotov, "A low-cost platform for measuring backlash in popular UART servos", GitHub
+# roboninecom/Measuring-Backlash-in-Popular-UART-Servos, table; CC BY 4.0. The text says 0.3 kgf,
+# the caption of the table 1.5 and 3.0.
+SERVO, COUNT, LEVER, KGF = (7.03, 14.78), 360 / 4096, 0.1, 9.80665
+
+
+class Servo(eqx.Module):
+    """Readings of play [deg] and stiffness [N m/rad] under a `load` [kgf] that is known, or given
+    as a variable."""
+
+    load: float | None
+
+    def __call__(self, play, stiffness, load=None):
+        torque = (self.load if load is None else load) * KGF * LEVER
+        bent = jnp.rad2deg(2 * torque / stiffness)
+        return {"y": jnp.stack([play, play + bent]) / COUNT}
+
+
+def servo(load):
+    unknowns = {
+        "play": jc.Dimension(1.0, Uniform(1.0), unit="deg"),
+        "stiffness": jc.Dimension(
+            100.0, jc.distribution.Lognormal(100.0, spread=1.0), unit="N m/rad"
+        ),
+    }
+    if load is None:
+        unknowns["load"] = jc.Dimension(1.65, Uniform(1.35), unit="kgf")
+    return jc.FunctionProblem(Servo(load), unknowns)
+
+
+def test_of_a_servo_the_play_is_told_and_the_stiffness_by_the_load_that_is_meant():
+    # A reading in whole counts is off by 1/sqrt(12) of one.
+    record = measured(np.array(SERVO), noise=12**-0.5, time=np.array([0.0, 1.0]))
+    for load, stiffness in ((0.3, 49.5), (1.5, 247.0), (3.0, 495.0)):
+        found = jc.identify(servo(load), record, how="signal")
+        assert found["play"].estimate == pytest.approx(0.618, abs=0.01)
+        assert found["play"].verdict == "identified"
+        assert found["stiffness"].estimate == pytest.approx(stiffness, rel=0.05)
+    found = jc.identify(servo(None), record, how="signal")
+    assert found["play"].verdict == "identified"
+    assert found["load"].verdict != "identified"
+    assert found["stiffness"].high > 4 * found["stiffness"].low
+    assert "told together better than each alone" in found.sentence()
+
+
+def swinging(stiffness=400.0, damping=1.0):
+    """A mass on a slide that springs back from 10 mm."""
+    return jc.Mechanism(
+        {"mass": jc.Body(1.0, (1.0, 1.0, 1.0))},
+        {
+            "slide": jc.Connection(
+                jc.joint.Prismatic(),
+                jc.Marker("ground", (0.0, 0.0, 0.0), axis="x"),
+                jc.Marker("mass", (0.0, 0.0, 0.0), axis="x"),
+            )
+        },
+        {"spring": jc.load.JointSpring("slide", stiffness, damping=damping)},
+        start={"slide": 0.01},
+    )
+
+
+@pytest.mark.slow
+def test_a_spring_is_told_by_how_its_mass_swings():
+    """Against the closed form of a damped oscillation."""
+    time = np.linspace(0.0, 1.0, 101)
+    decay, speed = 0.5 * 1.3, np.sqrt(420.0 - 0.25 * 1.3**2)
+    wave = np.cos(speed * time) + decay / speed * np.sin(speed * time)
+    noise = 1e-4
+    shown = 0.01 * np.exp(-decay * time) * wave
+    shown = shown + noise * np.random.default_rng(3).standard_normal(len(time))
+    problem = jc.Problem(
+        swinging(),
+        {"place": lambda run: run.coordinate("slide")[-1]},
+        {
+            "stiffness": jc.Variable(lambda m: m.loads["spring"].stiffness, Uniform(100.0)),
+            "damping": jc.Variable(lambda m: m.loads["spring"].damping, Uniform(0.9)),
+        },
+        duration=1.0,
+        integrator=jc.integrator.Adaptive(),
+    )
+    sensors = {"x": jc.sensor.Displacement("mass", noise=noise)}
+    found = jc.identify(problem, jc.Measurement(time, {"x": shown}, sensors), 64, how="signal")
+    for name, true in (("stiffness", 420.0), ("damping", 1.3)):
+        own = found[name]
+        assert own.verdict == "identified" and own.low < true < own.high
+    assert found["stiffness"].width < 0.05
