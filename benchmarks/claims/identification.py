@@ -9,9 +9,9 @@ friction law and another integrator than its own.
 2 % of the signal, gain known to 3 %), 16 turns of which the record has the last 12. `four-bar`:
 three loose bearings, one accelerometer on the follower, 12 turns, the last 9. `ball`: the
 slider-crank with a ball in a socket. `guide`: a quick-return mechanism with a loose guide, 7 turns,
-the last 5. `outside`: slider-cranks with a linear elastic law, which is in no prior; `outside, wide`: where
-the modulus may be far below steel's. `untold`:
-unknowns that their records cannot tell.
+the last 5. `outside`: slider-cranks with a linear elastic law, which is in no prior; `outside,
+wide`: where the modulus may be far below steel's. `untold`: unknowns that their records cannot
+tell.
 
 Hidden: a dissipation factor of Gonthier, CarvalhoMartins or HerbertMcWhannell, friction of
 CoulombTanh (0.01 m/s) or Threlfall, integrator.Adaptive. The fit: LankaraniNikravesh, Flores and
