@@ -50,7 +50,7 @@ from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.datasets import installed
 from jaxclear.ground.outcome import why_unknown
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
-from jaxclear.laws import contact, friction, material, stiffness, wear
+from jaxclear.laws import contact, flank, friction, material, stiffness, wear
 from jaxclear.laws.material import Material
 from jaxclear.multibody.assemblies import assemblies
 from jaxclear.multibody.assembly import assemble
@@ -77,7 +77,6 @@ from jaxclear.studies.fidelity.multi_fidelity import multi_fidelity
 from jaxclear.studies.function_problem import Dimension, FunctionProblem
 from jaxclear.studies.identification.identify import identify
 from jaxclear.studies.identification.measurement import Measurement
-from jaxclear.studies.identification.result import Identified
 from jaxclear.studies.life.derivative import wear_life_derivatives
 from jaxclear.studies.life.life_problem import AbstractLifeResponse, LifeEnd, LifeProblem, LifeUntil
 from jaxclear.studies.life.settled import settled
@@ -124,7 +123,6 @@ __all__ = [
     "Dimension",
     "FunctionProblem",
     "Heating",
-    "Identified",
     "ImportedSoft",
     "LifeEnd",
     "LifeProblem",
@@ -163,6 +161,7 @@ __all__ = [
     "design_front",
     "distribution",
     "drive",
+    "flank",
     "formulation",
     "friction",
     "heated",

@@ -17,6 +17,8 @@ from jaxclear.errors import verification
 
 # XLA reads them when it starts, which no import does.
 LITTLE_OPTIMISED = "--xla_backend_optimization_level=1 --xla_llvm_disable_expensive_passes=true"
+# Machine code is kept where a test is about that.
+os.environ["JAXCLEAR_CACHE"] = "0"
 os.environ["XLA_FLAGS"] = f"{LITTLE_OPTIMISED} {os.environ.get('XLA_FLAGS', '')}".strip()
 gc.set_threshold(300_000, 20, 1000)
 

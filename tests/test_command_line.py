@@ -31,6 +31,12 @@ STUDIES = {
         "",
     ),
     "3rsr": ("--cycles 4 --quiet", {"deviations": 6, "clearance": None, "volume": None}, 5, ""),
+    "arm": (
+        "--samples 16 --quiet",
+        {"rests": 4, "lost_motion": 7, "slopes": 7, "choices": 128, "samples": 16, "design": 7},
+        5,
+        "All limits hold",
+    ),
     "design": (
         "--accuracy 0.02 --quiet",
         dict.fromkeys(("antenna_design", "antenna_limits", "antenna_history")),

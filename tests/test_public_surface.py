@@ -112,6 +112,7 @@ INNER = {
     "AsNeeded",
     "CylinderMap",
     "ImpactMemory",
+    "MotorServo",
     "PeriodicTorque",
     "SphereMap",
     "StepTorque",
@@ -121,6 +122,8 @@ INNER = {
 INNER |= {"RecordedProblem", "StateGroup"}
 # What problems of a mechanism have in common.
 INNER |= {"AbstractMechanismProblem"}
+# Laws of which a number says which acts, in the sample of an identification; what sensors are.
+INNER |= {"ChosenDissipation", "ChosenFriction", "AbstractSignal"}
 
 
 def family_classes():

@@ -16,7 +16,7 @@ import numpy as np
 import jaxclear as jc
 from benchmarks.measure import about, arguments, report, side_by_side
 from jaxclear.errors.verification import Verified
-from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
+from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.simulation import loop
 from jaxclear.simulation.saving import saving_times
 

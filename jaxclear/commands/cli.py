@@ -14,7 +14,7 @@ import click
 import jax
 
 import jaxclear as jc
-from jaxclear.commands import antenna, design, flap, four_bar, guide, parallel_3rsr, wear_life
+from jaxclear.commands import antenna, arm, design, flap, four_bar, guide, parallel_3rsr, wear_life
 from jaxclear.commands.own_scene import example, monte_carlo, parameters, run
 from jaxclear.commands.report import report
 from jaxclear.studies.ledger.ledger import OtherStudy
@@ -26,6 +26,7 @@ STUDIES = {
     "guide": guide,
     "flap": flap,
     "3rsr": parallel_3rsr,
+    "arm": arm,
     "wear-life": wear_life,
     "design": design,
 }

@@ -39,11 +39,18 @@ class Opposed(NamedTuple):
     share: Callable
 
 
+class Between(NamedTuple):
+    """A force between two bounds [N], of which one or both may be infinite."""
+
+    low: Any
+    high: Any
+
+
 class JointFriction(AbstractProblem):
     """z = T, w = s = W T + s_0: `delassus` rows of W [m/s per N], `free_velocity` s_0 [m/s].
 
     `ratios`: (a_k, b_k) of each joint [1], `None` for one without friction, `Caught` or `Opposed`
-    of a ball. `carried(k, T, ratio)`:
+    of a ball, `Between` of a force whose bounds hang on no reaction. `carried(k, T, ratio)`:
     the forces that joint k carries at friction T, vectors [N], where `ratio` [1] is T_k over the
     sum of their sizes as last known. `softest` [m/s per N]: a diagonal entry of W below this is
     rounding: a drive moves that joint whatever friction does.
@@ -85,8 +92,13 @@ class JointFriction(AbstractProblem):
         rule, place = self.ratios[k], self.place(k)
         if isinstance(rule, (Caught, Opposed)):
             return self._on_ball(k, friction, rule)
-        low, high = (share * load for share in rule)
         i = place.start
+        if isinstance(rule, Between):
+            stiff = jnp.maximum(self.delassus[i][i], self.softest[i])
+            wanted = friction[i] - self.slip(i, friction) / stiff
+            found = jnp.clip(wanted, rule.low, rule.high)
+            return [found], jnp.abs(found)
+        low, high = (share * load for share in rule)
         stiff = jnp.maximum(self.delassus[i][i], self.softest[i])
         wanted = friction[i] - self.slip(i, friction) / stiff
         return [_within(wanted, low, high, relaxation)], jnp.maximum(low, high)

@@ -14,9 +14,17 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.components.acting import (
+    AbstractCoordinateLoad,
+    AbstractLoad,
+    AbstractStateLoad,
+    CoordinateEffect,
+    LoadState,
+    MotorEnd,
+    Side,
+)
 from jaxclear.components.body import Marker
 from jaxclear.components.function_of_time import (
     check_function_of_time,
@@ -25,17 +33,21 @@ from jaxclear.components.function_of_time import (
     value_at,
     vector_or_function,
 )
+from jaxclear.components.servo import Servo
+from jaxclear.components.stops_and_friction import JointFriction, JointStop
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import nothing_else
-from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt, smooth_sign, smooth_step
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.pose import Pose
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity, vector
+from jaxclear.ground.quantity import Scalar, quantity, vector
 
 __all__ = [
     "AbstractBodyLoad",
     "AbstractCoordinateLoad",
     "AbstractLoad",
+    "AbstractStateLoad",
     "Action",
+    "CoordinateEffect",
     "Effect",
     "Force",
     "Gravity",
@@ -43,20 +55,16 @@ __all__ = [
     "JointSpring",
     "JointStop",
     "JointTorque",
+    "LoadState",
     "MarkerMotion",
+    "MotorEnd",
     "MotorTorque",
     "RotorInertia",
+    "Servo",
+    "Side",
     "Spring",
     "Torque",
 ]
-
-
-class AbstractLoad(AbstractQuantified):
-    """A load on bodies, or on the coordinate of a joint."""
-
-    def springs_back(self) -> bool:
-        """Whether what it acts on may swing by it, as by a spring; it may unless overridden."""
-        return True
 
 
 def check_acts(spring: Any) -> None:
@@ -255,33 +263,6 @@ class Spring(AbstractBodyLoad):
         return Effect(actions, stored, dissipated, 0)
 
 
-class AbstractCoordinateLoad(AbstractLoad):
-    """Acts on the single coordinate of a joint, child against parent: an angle or a displacement.
-
-    The joint may also close a loop or have clearance; then its coordinate is that of the ideal
-    joint that it would be, read between its two markers. An angle is followed over whole turns,
-    from where `start` or `guess` of the mechanism gives it, else from within half a turn of 0.
-    """
-
-    connection: eqx.AbstractVar[str]
-
-    @abstractmethod
-    def force(self, time: Scalar, position: Scalar, speed: Scalar) -> tuple[Any, Any, Any, Any]:
-        """(generalised force, stored energy, dissipated power, external power)."""
-
-    def reads_position(self) -> bool:
-        """Whether the force depends on the coordinate; it does unless overridden."""
-        return True
-
-    def springs_back(self) -> bool:
-        return self.reads_position()
-
-    def inertia_along(self) -> Scalar | None:
-        """Inertia [kg m^2] that moves with the coordinate and with nothing else; None unless
-        overridden. Only a joint that the tree carries can have some."""
-        return None
-
-
 class JointSpring(AbstractCoordinateLoad):
     """Spring and damper on the coordinate of a joint that turns or slides, ideal or with clearance
     (N m/rad, N m s/rad; N/m, N s/m if sliding). Angles count over whole turns, as
@@ -331,93 +312,6 @@ class JointTorque(AbstractCoordinateLoad):
     def force(self, time, position, speed):
         force = value_at(self.value, time)
         return force, 0, 0, force * speed
-
-    def reads_position(self):
-        return False
-
-
-class JointStop(AbstractCoordinateLoad):
-    r"""Stops of a joint that turns or slides, ideal or with clearance: where the coordinate is by
-    :math:`\delta` beyond `lower` or `upper`, a spring and a damper push it back,
-
-    .. math:: F = \max(0,\ k\,\delta + d\,s(\delta)\,\dot\delta),
-
-    and never pull. :math:`s` grows as a cubic step from 0 to 1 over `depth`, so that the force
-    begins at 0 however fast the stop is met, and derivatives of a run pass through it (the law of
-    Adams' IMPACT with exponent 1). A stiff stop needs short steps.
-    """
-
-    connection: str = eqx.field(static=True)
-    lower: Scalar | None = quantity(None, "rad", "least coordinate (m for a sliding joint)")
-    upper: Scalar | None = quantity(None, "rad", "largest coordinate (m for a sliding joint)")
-    stiffness: Scalar = quantity(
-        unit="N m/rad", meaning="stiffness k (N/m for a sliding joint)", above=0, kw_only=True
-    )
-    damping: Scalar | None = quantity(
-        None, "N m s/rad", "damping d (N s/m for a sliding joint)", at_least=0, kw_only=True
-    )
-    depth: Scalar = quantity(
-        1e-3, "rad", "way over which damping sets in (m for a sliding joint)", above=0, kw_only=True
-    )
-
-    def __check_init__(self):
-        if self.lower is None and self.upper is None:
-            raise ValueError("load.JointStop needs lower or upper, or both; it has neither.")
-        low, high = concrete(self.lower), concrete(self.upper)
-        if low is not None and high is not None and not low < high:
-            raise ValueError(
-                f"load.JointStop has lower {low:g} and upper {high:g}; lower must be below upper."
-            )
-
-    def force(self, time, position, speed):
-        force, stored, dissipated = 0, 0, 0
-        if self.upper is not None:
-            force, stored, dissipated = self._push(position - self.upper, speed)
-            force = -force
-        if self.lower is not None:
-            push, spring, loss = self._push(self.lower - position, -speed)
-            force, stored = sp.add(force, push), sp.add(stored, spring)
-            dissipated = sp.add(dissipated, loss)
-        return force, stored, dissipated, 0
-
-    def _push(self, beyond, rate):
-        """Force of one stop, its stored energy and dissipated power."""
-        depth = positive_part(beyond)
-        spring = self.stiffness * depth
-        stored = 0.5 * spring * depth
-        if self.damping is None:
-            return spring, stored, 0
-        damper = self.damping * smooth_step(depth, 0.0, self.depth) * rate
-        push = positive_part(spring + damper)
-        # Where the damper would pull the spring goes back without the body, and its energy is lost.
-        return push, stored, (push - spring) * rate
-
-
-class JointFriction(AbstractCoordinateLoad):
-    r"""Dry friction of a joint that turns or slides, ideal or with clearance, as a torque [N m]
-    whatever the joint carries: :math:`F = -\tau \tanh(\dot q / v_0)`, of a gear or a seal.
-
-    Creeps under a steady load, at a speed below :math:`v_0`. Friction by what the joint carries,
-    and friction that sticks, is that of `joint.PlainBearing` and `joint.Slideway`.
-
-    Source: Andersson, Söderberg & Björklund 2007, Tribol. Int. 40, 580,
-    doi:10.1016/j.triboint.2005.11.014.
-    """
-
-    connection: str = eqx.field(static=True)
-    torque: Scalar = quantity(
-        unit="N m", meaning="friction when it slides (N for a sliding joint)", at_least=0
-    )
-    transition_speed: Scalar = quantity(
-        1e-2,
-        "rad/s",
-        "speed v_0 at which three quarters of the friction act (m/s for a sliding joint)",
-        above=0,
-    )
-
-    def force(self, time, position, speed):
-        force = -self.torque * smooth_sign(jnp.asarray(speed, float), self.transition_speed)
-        return force, 0, -force * speed, 0
 
     def reads_position(self):
         return False

@@ -14,12 +14,12 @@ from jaxtyping import Array, Float, Int
 
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.pose import REST
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.reach import is_gap, rooms
 from jaxclear.multibody.system import longest_arm, wear_maps
+from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.results import histories
 from jaxclear.results.response import PeakContactForce
 from jaxclear.results.state_history import columns, over_time

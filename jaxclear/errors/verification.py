@@ -27,6 +27,7 @@ from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.events import Events
 from jaxclear.multibody.reach import narrowest
 from jaxclear.native import stoppable
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.results.verification import AbstractVerification, Unverified
 
@@ -154,9 +155,7 @@ def _verification(
 ) -> AbstractVerification:
     own, counting = asked.seen(run), integrator
     if own.standard.rooms is not None:
-        counting = integrator.counting_in(
-            narrowest(own.standard.rooms, own.standard.arm), own.standard.arm
-        )
+        counting = _counting(integrator, own.standard.rooms, own.standard.arm)
     found = [replica(counting, run.time, share) for share in (HALF, QUARTER)]
     plans = [plan for plan in found if plan is not None]
     if len(plans) < len(found):
@@ -188,8 +187,13 @@ def _verification(
         dataclasses.replace(each, verification=Unverified(OF_A_REPLICA)) for each in replicas
     )
     answers = tuple((row[0].answer, row[0].part, row[0].place, row[0].unit) for row in rows)
-    ends = np.asarray(run.time[0]), asked.promise, answers, integrator.remedy, asked.why
+    ends = np.asarray(run.time)[0], asked.promise, answers, integrator.remedy, asked.why
     return Verified(known, numbers, lost, path, *ends)
+
+
+@compiled_quickly
+def _counting(integrator: AbstractIntegrator, rooms: Any, arm: Any) -> AbstractIntegrator:
+    return integrator.counting_in(narrowest(rooms, arm), arm)
 
 
 def _number(promised: float | None) -> float:

@@ -18,7 +18,7 @@ from jaxclear.files.model_loads import STOPS, gives_way, loads_of
 from jaxclear.files.model_tree import HERE, Tree, equalities_of, rotation_of
 from jaxclear.files.mujoco_model import Compiled, compiled, names_of, not_taken_over
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_flags, check_known
+from jaxclear.ground.arguments import check_known
 from jaxclear.ground.warning import warn
 from jaxclear.multibody.exchange import without_loads_on
 from jaxclear.multibody.mechanism import Mechanism
@@ -36,17 +36,13 @@ class ImportedSoft(UserWarning):
 
 
 @answering
-def read_urdf(
-    path: Any, *, floating: bool = False, stops: str = "steady", sticking: bool = False
-) -> Mechanism:
+def read_urdf(path: Any, *, floating: bool = False, stops: str = "steady") -> Mechanism:
     """The mechanism in a URDF file, root fixed in the ground, or `floating`; as `read_mjcf`."""
-    return _mechanism(compiled(path, floating=floating), stops, sticking)
+    return _mechanism(compiled(path, floating=floating), stops)
 
 
 @answering
-def read_mjcf(
-    path: Any, *, floating: bool = False, stops: str = "steady", sticking: bool = False
-) -> Mechanism:
+def read_mjcf(path: Any, *, floating: bool = False, stops: str = "steady") -> Mechanism:
     """The mechanism in a file of MJCF (or URDF), with the names of the file.
 
     Bodies have the frames, inertias and joints of the model: hinges are `Revolute`, slides
@@ -65,28 +61,26 @@ def read_mjcf(
       weight and springs of the model's tree they give way as far. "impact": they stop what runs
       into them over the same way and time, and give way 1 / (1 - d) times as far under a steady
       load, for MuJoCo's impedance d (20 times by default).
-    - `sticking`: dry friction sticks, as a `PlainBearing` or `Slideway` with `Coulomb`, for
-      `MoreauJean` and `NonColliding`; otherwise it creeps, as fast as in MuJoCo.
 
-    A `NotImported` warning names what is not taken over: contacts, actuators, tendons, other
-    equalities, a reference configuration that is not kept, and what a ball or a free joint has of
-    the above. An `ImportedSoft` warning says what gives way under weight and springs, and by how
-    much. Raises `ValueError` with a sentence.
+    Dry friction holds what is driven by less; in MuJoCo it creeps. A `NotImported` warning names
+    what is not taken over: contacts, actuators, tendons, other equalities, a reference
+    configuration that is not kept, and what a ball or a free joint has of the above. An
+    `ImportedSoft` warning says what gives way under weight and springs, and by how much. Raises
+    `ValueError` with a sentence.
     """
-    return _mechanism(compiled(path, floating=floating), stops, sticking)
+    return _mechanism(compiled(path, floating=floating), stops)
 
 
-def _mechanism(read: Compiled, stops: str = "steady", sticking: bool = False) -> Mechanism:
+def _mechanism(read: Compiled, stops: str = "steady") -> Mechanism:
     check_known("stops", stops, STOPS)
-    check_flags("the import", sticking=sticking)
     model = read.model
     bodies, joints = names_of(model)
-    tree = Tree(model, bodies, joints, sticking)
+    tree = Tree(model, bodies, joints)
     held = equalities_of(model, tree)
     _warn(read, "not taken over", [*not_taken_over(read, joints), *held.missing], NotImported)
     if not tree.bodies:
         raise ValueError(f"{read.name} has no body with mass.")
-    loads = without_loads_on(dict(loads_of(model, joints, stops, sticking)), tuple(held.held))
+    loads = without_loads_on(dict(loads_of(model, joints, stops)), tuple(held.held))
     _warn(read, "gives way at rest", gives_way(model, joints, loads), ImportedSoft)
     if np.any(model.opt.gravity):
         loads["gravity"] = Gravity(tuple(map(float, model.opt.gravity)))

@@ -13,11 +13,9 @@ they are right in one of two cases:
 - "impact": it stops what runs into it as in MuJoCo, :math:`m d^2 k` and :math:`m d b`, right for
   :math:`a_0 = 0`; under a steady load it gives way 1 / (1 - d) times as far.
 
-Friction has the speed :math:`v_0 = \tau (1 - d) / (m d b)` at which a small steady load creeps as
-fast.
+Dry friction holds; in MuJoCo it creeps, which is an effect of its solver.
 
-How far MuJoCo's soft constraints on hinges and slides give way: limits under what presses into
-them at rest, dry friction under what it holds.
+How far MuJoCo's soft limits of hinges and slides give way under what presses into them at rest:
 
 MuJoCo has :math:`a = (1 - d) a_0 - d (b v + k d r)` for the acceleration :math:`a_0` without the
 constraint, the way r beyond the limit and the speed v; :math:`k, b` come from `solref`, the
@@ -126,18 +124,17 @@ def steady_force(model: Any, k: int, at: float) -> float:
 
 # A way [rad, m] over which a limit's damping sets in, where the model has it set in at once.
 AT_ONCE = 1e-6
-# What gives way is said from this share on: of a limit's width, of what friction holds; whether a
-# limit does so as in MuJoCo, to this share of how far.
+# What gives way is said from this share of a limit's width on; whether it does so as in MuJoCo, to
+# this share of how far.
 SAID, ALIKE = 0.01, 0.05
 # What a limit is right for, as the module says.
 STOPS = ("steady", "impact")
 
 
 def loads_of(
-    model: Any, joints: list[str], stops: str = "steady", sticking: bool = False
+    model: Any, joints: list[str], stops: str = "steady"
 ) -> Iterator[tuple[str, AbstractLoad]]:
-    """Loads on the coordinates of a model's hinges and slides, by name. `sticking`: their joints
-    have the friction themselves."""
+    """Loads on the coordinates of a model's hinges and slides, by name."""
     stopped = has_stop(model)
     for k, name in enumerate(joints):
         if model.jnt_type[k] <= SPHERICAL:
@@ -149,22 +146,10 @@ def loads_of(
             yield f"{name} spring", JointSpring(name, stiffness or None, rest, damping or None)
         if model.dof_armature[dof] > 0:
             yield f"{name} armature", RotorInertia(name, float(model.dof_armature[dof]))
-        if model.dof_frictionloss[dof] > 0 and not sticking:
-            yield f"{name} friction", _friction(model, dof, name)
+        if model.dof_frictionloss[dof] > 0:
+            yield f"{name} friction", JointFriction(name, float(model.dof_frictionloss[dof]))
         if stopped[k]:
             yield f"{name} limits", _stop(model, k, name, stops)
-
-
-def _friction(model: Any, dof: int, name: str) -> JointFriction:
-    soft = soft_of(model, model.dof_solref[dof], model.dof_solimp[dof])
-    if soft.damping <= 0:
-        raise ValueError(
-            f'solreffriction of joint "{name}" has damping 0; dry friction brings a joint to rest '
-            'by it, so it must not be 0, as in the usual solreffriction="0.02 1".'
-        )
-    torque = float(model.dof_frictionloss[dof])
-    creep = (1 - soft.first) / (soft.first * soft.damping)
-    return JointFriction(name, torque, torque * creep * float(model.dof_invweight0[dof]))
 
 
 def _stop(model: Any, k: int, name: str, stops: str) -> JointStop:
@@ -202,15 +187,13 @@ class Given(NamedTuple):
 
 
 def gives_way(model: Any, joints: list[str], loads: dict[str, Any]) -> Iterator[str]:
-    """What gives way under weight and springs, in words: limits by more than a share of their
-    width, friction that creeps under more than a share of what it holds."""
+    """Limits that give way under weight and springs by more than a share of their width, in
+    words."""
     for k, name in enumerate(joints):
-        unit = "m" if model.jnt_type[k] == SLIDE else "rad"
-        stop, friction = loads.get(f"{name} limits"), loads.get(f"{name} friction")
+        stop = loads.get(f"{name} limits")
         if stop is not None:
+            unit = "m" if model.jnt_type[k] == SLIDE else "rad"
             yield from _stop_gives_way(model, k, name, stop, unit)
-        if friction is not None:
-            yield from _friction_creeps(model, k, name, friction, unit)
 
 
 def _stop_gives_way(model: Any, k: int, name: str, stop: JointStop, unit: str) -> Iterator[str]:
@@ -229,19 +212,6 @@ def _stop_gives_way(model: Any, k: int, name: str, stop: JointStop, unit: str) -
                 f'limits of "{name}" by {own.here:.3g} {unit} ({own.here / width:.2g} of their '
                 f"width) under {_force(own.force, unit)}, {there}"
             )
-
-
-def _friction_creeps(
-    model: Any, k: int, name: str, friction: JointFriction, unit: str
-) -> Iterator[str]:
-    force = abs(steady_force(model, k, float(model.qpos0[model.jnt_qposadr[k]])))
-    share = force / float(friction.torque)
-    if SAID < share < 1:
-        speed = float(friction.transition_speed) * np.arctanh(share)
-        yield (
-            f'friction of "{name}" by creeping at {speed:.3g} {unit}/s under '
-            f"{_force(force, unit)}, {share:.2g} of what it holds (sticking=True holds it)"
-        )
 
 
 def _force(force: float, unit: str) -> str:

@@ -18,17 +18,13 @@ import numpy as np
 from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.coupling import Ratio
 from jaxclear.components.joint import (
-    AbstractJoint,
     Fixed,
     Free,
-    PlainBearing,
     Prismatic,
     Revolute,
-    Slideway,
     Spherical,
 )
 from jaxclear.files.mujoco_model import FREE, SLIDE, SPHERICAL, free_name
-from jaxclear.laws.friction import Coulomb
 
 # Of mjtJoint, in its order.
 JOINTS = (Free, Spherical, Prismatic, Revolute)
@@ -92,12 +88,10 @@ class Inertia(NamedTuple):
 
 
 class Tree:
-    """Bodies and connections of a model, and where free bodies start. `sticking`: dry friction of
-    hinges and slides is that of `PlainBearing` and `Slideway`."""
+    """Bodies and connections of a model, and where free bodies start."""
 
-    def __init__(self, model: Any, bodies: list[str], joints: list[str], sticking: bool = False):
+    def __init__(self, model: Any, bodies: list[str], joints: list[str]):
         self.model, self.names, self.joints = model, bodies, joints
-        self.sticking = sticking
         self.bodies: dict[str, Body] = {}
         self.connections: dict[str, Connection] = {}
         self.start: dict[str, tuple[float, ...]] = {}
@@ -152,7 +146,7 @@ class Tree:
     def _connect(self, k: int, parent: str, place: Place, child: str) -> None:
         """A joint between a parent, in which the child stands at `place` by reference, and a
         child."""
-        model, joint = self.model, self._joint(k)
+        model, joint = self.model, JOINTS[self.model.jnt_type[k]]()
         name, at = self.joints[k], model.jnt_pos[k]
         if model.jnt_type[k] == FREE:
             self.connections[name] = Connection(joint, parent, child)
@@ -163,18 +157,6 @@ class Tree:
         own = Place(turn, at)
         outer = place.after(own)
         self.connections[name] = Connection(joint, marker_at(parent, outer), marker_at(child, own))
-
-    def _joint(self, k: int) -> AbstractJoint:
-        """A joint of its kind. Friction that sticks is that of a given normal force, which makes
-        the file's torque (a slide's force) with a coefficient of 1."""
-        kind, bound = self.model.jnt_type[k], self.model.dof_frictionloss[self.model.jnt_dofadr[k]]
-        if not self.sticking or kind <= SPHERICAL or not bound > 0:
-            return JOINTS[kind]()
-        dry = Coulomb(mu_kinetic=1.0)
-        if kind == SLIDE:
-            return Slideway(dry, load=float(bound))
-        bearing = PlainBearing(dry)
-        return PlainBearing(dry, load=float(bound / bearing.radius))
 
     def stands(self, index: int, place: Place) -> tuple[str, Place]:
         """The body that has a body of the model, and where a place in that stands in it."""

@@ -368,6 +368,9 @@ def form_of(declared: Any, metadata: Mapping[str, Any]) -> AbstractForm | None:
         forms.append(Numbers(metadata, metadata.get("counts", ())) if several else Number(metadata))
     if Callable in kinds:
         families = (*families, AbstractFunctionOfTime)
+    if families and str in kinds:
+        # A text alone is the name.
+        return Choice((Text(), Part(families, spelled_out=True)))
     if families:
         forms.append(Part(families))
     if "unit" not in metadata:

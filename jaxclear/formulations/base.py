@@ -13,6 +13,7 @@ import equinox as eqx
 from jaxclear.components.clearance import CarryingEnd
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.quantity import concrete
 from jaxclear.multibody.contact_point import JointReport
 from jaxclear.multibody.forces import Forces
 from jaxclear.multibody.mechanism import Mechanism
@@ -65,6 +66,10 @@ class AbstractFormulation(eqx.Module):
     def seen(self, mechanism: Mechanism) -> Mechanism:
         """The mechanism as it is in this formulation (with other joints, say)."""
 
+    def prepared(self, system: System) -> System:
+        """The system as its steps take it (with other loads, say); as it is unless overridden."""
+        return system
+
     @abstractmethod
     def impulses(self, system: System) -> tuple[tuple[str, int], ...]:
         """Joints whose impulses since the start the state holds [N s, N m s], each with how many
@@ -105,11 +110,38 @@ def clearance_contact(instant: Instant, report: JointReport, name: str) -> Conta
     )
 
 
+def check_play(mechanism: Mechanism, integrator: str, rigid: bool) -> None:
+    """Raises `ValueError` with a sentence for a coupling whose play the formulation cannot serve:
+    where flanks are `rigid` none does."""
+    for name, coupling in mechanism.couplings.items():
+        if coupling.play is None:
+            continue
+        kind = f'coupling "{name}" is a {type(coupling).__name__} with play'
+        if rigid:
+            raise ValueError(
+                f"{kind}, and integrator.{integrator.removeprefix('integrator.')} knows no flanks: "
+                "take Adaptive, FixedStep or ImplicitStep, or leave the play out."
+            )
+        law = type(coupling.play.law).__name__
+        if coupling.stiffness is None:
+            raise ValueError(
+                f"{kind} and without stiffness; for {integrator} give that of its shaft or teeth, "
+                "from which its flanks press."
+            )
+        if coupling.play.law.needs_damping and (
+            coupling.damping is None or concrete(coupling.damping) == 0
+        ):
+            raise ValueError(
+                f"{kind} by flank.{law}, whose shaft relaxes by its damping, and has none; give "
+                "damping, or take flank.Stop."
+            )
+
+
 def model_of(
     mechanism: Mechanism, formulation: AbstractFormulation, balance: bool = False
 ) -> Model:
     """The model of a mechanism whose surfaces are new, in a formulation; `balance`: with the
     energies of its balance in the state."""
-    system = prepare(mechanism)
+    system = formulation.prepared(prepare(mechanism))
     layout = lay_out(system, balance, formulation.impulses(system))
     return Model(system, {}, mechanism.baumgarte, layout, mechanism.projects)

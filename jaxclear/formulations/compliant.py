@@ -13,8 +13,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.components.clearance import ContactLaws
+from jaxclear.components.load import AbstractStateLoad
 from jaxclear.formulations import contacts_over_step, joint_friction, midpoint_step, state_rate
-from jaxclear.formulations.base import AbstractFormulation, ContactReport, clearance_contact
+from jaxclear.formulations.base import (
+    AbstractFormulation,
+    ContactReport,
+    check_play,
+    clearance_contact,
+)
 from jaxclear.formulations.contact_rows import TimeStep, contact_points, split
 from jaxclear.formulations.impact_speed import ContactMotion, remembered
 from jaxclear.formulations.joint_friction import friction_losses, rubbing
@@ -25,17 +31,18 @@ from jaxclear.formulations.permanent_reactions import REACTION, Reaction, slips_
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_alike
 from jaxclear.multibody import contact_point, kinematics
-from jaxclear.multibody.forces import Forces, applied_forces, contact_reports
+from jaxclear.multibody.forces import Forces, applied_forces, contact_reports, pressing_of
 from jaxclear.multibody.state import (
     components,
     impact_speed_places,
     pack_memories,
-    unpack_angles,
+    unpack_followed,
     unpack_memories,
     unpack_motion,
 )
 from jaxclear.multibody.system import rubbing_joints
 from jaxclear.multibody.topology import rubbing_in
+from jaxclear.multibody.transmissions import Pressing, torque_on_flanks, within_gaps
 
 
 def _work_rates(model: Model, time: Any, entries: list, mean: list) -> list:
@@ -43,13 +50,13 @@ def _work_rates(model: Model, time: Any, entries: list, mean: list) -> list:
     the forces at a state's `entries`, over the `mean` speeds of the step that begins there."""
     system, layout = model.system, model.layout
     memories = unpack_memories(layout, entries)
-    coordinates, angles = entries[: layout.coordinates], unpack_angles(layout, entries)
+    coordinates, followed = entries[: layout.coordinates], unpack_followed(layout, entries)
 
     def at(speeds):
         q, v = unpack_motion(system, [*coordinates, *speeds])
         motions = kinematics.link_motions(system, q, v, time)
         reports = contact_reports(system, motions, memories, model.worn)
-        return applied_forces(system, motions, reports, q, v, time, angles)
+        return applied_forces(system, motions, reports, q, v, time, followed)
 
     start = at(entries[layout.coordinates : layout.memory_start])
     middle = at(mean)
@@ -96,6 +103,16 @@ class CompliantContact(AbstractFormulation):
 
     def check(self, mechanism, integrator):
         joint_friction.check_rubbing(mechanism, integrator)
+        for name, load in mechanism.loads.items():
+            if isinstance(load, AbstractStateLoad) and not all(
+                side.stop.stiffness is not None for side in load.sides()
+            ):
+                raise ValueError(
+                    f'load "{name}" is a JointStop without stiffness, which is rigid: for '
+                    f"{integrator} give it one, by which what strikes it with speed v goes "
+                    "v sqrt(m / k) deep, or take integrator.MoreauJean or NonColliding."
+                )
+        check_play(mechanism, integrator, rigid=False)
         for name in mechanism.topology.clearances:
             for laws in mechanism.connections[name].joint.contact_laws():
                 _check_laws(name, laws)
@@ -132,13 +149,15 @@ class CompliantContact(AbstractFormulation):
         return instant.forces(reports)
 
     def rate(
-        self, model: Model, time: Any, state: State, shares: Any = None
+        self, model: Model, time: Any, state: State, shares: Any = None, flanks: Any = None
     ) -> tuple[State, ContactMotion]:
         """Rate of the state, and the motion of every possible contact, from one evaluation.
         `shares`: of every possible contact that which acts, 1 where it counts as closed, 0 where as
-        apart (None: as its indentation has it)."""
+        apart (None: as its indentation has it); `flanks`: the same of the flanks of play alone."""
         system, layout, entries = model.system, model.layout, model.entries(state)
-        forces, q, v, speeds = _acting(model, time, entries, shares)
+        if shares is not None:
+            flanks = shares[layout.joint_contacts :]
+        forces, q, v, speeds = _acting(model, time, entries, shares, flanks)
         forces, solution, rubbing = joint_friction.solved(model, forces, q, speeds)
         reports = forces.reports
         normal = ([point.normal_force for point in own.points] for own in reports.values())
@@ -150,10 +169,13 @@ class CompliantContact(AbstractFormulation):
             *state_rate.passive_rates(system, layout, forces, solution, rubbing, pressing),
         ]
         points = [point for report in reports.values() for point in report.points]
-        return sp.stack(rates), _stacked([(point.indentation, point.rate) for point in points])
+        moving = [(point.indentation, point.rate) for point in points]
+        return sp.stack(rates), _stacked([*moving, *_flanks_of(forces.pressing)])
 
-    def contacts(self, model: Model, time: Any, state: State) -> ContactMotion:
-        """Indentation and its rate of every possible contact, from the geometry alone."""
+    def contacts(self, model: Model, time: Any, state: State, flanks: Any = None) -> ContactMotion:
+        """Indentation and its rate of every possible contact, from the geometry alone; of the
+        flanks of play behind them depth and rate [rad, m], by the torque where a shaft's far end
+        presses. `flanks`: which count as touching (None: as their places have it)."""
         motion = unpack_motion(model.system, model.entries(state))
         motions = kinematics.link_motions(model.system, *motion, time)
         calls = []
@@ -161,15 +183,38 @@ class CompliantContact(AbstractFormulation):
             relative = kinematics.relative_motion(bearing.closure, motions)[2]
             calls.append((bearing.joint, relative, model.worn.get(name, {})))
         found = map_alike(contact_point.indentation_rates, calls)
-        return _stacked([point for joint in found for point in joint])
+        points = [point for joint in found for point in joint]
+        if not model.layout.plays:
+            return _stacked(points)
+        depths = lambda time, state: _flank_motion(model, time, state, flanks)
+        own = depths(time, state)
+        if any(one.left_by_torque for one in model.system.transmissions.values()):
+            flow = self.rate(model, time, state, None, flanks)[0]
+            rates = jax.jvp(lambda *now: depths(*now).depths, (time, state), (1.0, flow))[1]
+            own = own._replace(rates=rates)
+        if not points:
+            return own
+        joints = _stacked(points)
+        return ContactMotion(*map(jnp.concatenate, zip(joints, own, strict=True)))
 
     def damped(self, model: Model) -> bool:
         """True where some contact damps, so that its depth does not tell how hard it is
-        pressed."""
-        return contacts_over_step.damped(model.system)
+        pressed; flanks of play may."""
+        return bool(model.layout.plays) or contacts_over_step.damped(model.system)
 
-    # Of every possible contact that damps.
-    normal_forces = staticmethod(contacts_over_step.normal_forces)
+    def normal_forces(self, model: Model, state: State, motion: ContactMotion) -> Any:
+        """Normal force [N] of every possible contact that damps; of flanks of play the torque."""
+        if not model.layout.plays:
+            return contacts_over_step.normal_forces(model, state, motion)
+        count, found = model.layout.joint_contacts, []
+        if count:
+            joints = ContactMotion(*(each[:count] for each in motion))
+            found.append(contacts_over_step.normal_forces(model, state, joints))
+        for i, name in enumerate(model.layout.plays):
+            own = slice(count + 2 * i, count + 2 * i + 2)
+            flanks = motion.depths[own], motion.rates[own]
+            found.append(torque_on_flanks(model.system.transmissions[name], *flanks))
+        return jnp.concatenate(found)
 
     def slips(self, model: Model, time: Any, state: State) -> Float[Array, "contacts 3"]:
         """Sliding velocity [m/s] of every possible contact along its sliding directions, from the
@@ -184,6 +229,7 @@ class CompliantContact(AbstractFormulation):
                 slip = contact_point.contact_speeds(bearing.joint, pose, contact, *speeds)[1]
                 rubbing = () if laws.friction is None else slip
                 found.append(sp.stack([*rubbing, *sp.ZERO][:3]))
+        found += [jnp.zeros(3)] * (2 * len(model.layout.plays))
         return jnp.stack(found)
 
     def coordinate_rates(self, model: Model, state: State) -> Float[Array, " q"]:
@@ -198,8 +244,9 @@ class CompliantContact(AbstractFormulation):
         return sp.stack(_work_rates(model, time, model.entries(state), speeds))
 
     def remembers(self, model: Model) -> bool:
-        """True where some contact remembers its impact speed."""
-        return any(place is not None for place in impact_speed_places(model.layout))
+        """True where some contact remembers its impact speed, or a shaft the end of its gap."""
+        speeds = any(place is not None for place in impact_speed_places(model.layout))
+        return speeds or any(own.has_twist for own in model.system.transmissions.values())
 
     def remember(
         self,
@@ -212,6 +259,12 @@ class CompliantContact(AbstractFormulation):
         """The state at the end of a step of `length` [s] with the impact speeds of contacts that
         have closed or parted in it."""
         entries, places = model.entries(state), impact_speed_places(model.layout)
+        # Of shafts: their far ends do not leave the gap. Derivatives know where they have been met.
+        entries = within_gaps(model.system, model.layout, entries)
+        if all(place is None for place in places):
+            return sp.stack(entries)
+        count = model.layout.joint_contacts
+        before, after = (ContactMotion(*(x[:count] for x in own)) for own in (before, after))
         held = sp.stack([0 if place is None else entries[place] for place in places])
         speeds = remembered(held, before, after, length)
         for i, place in enumerate(places):
@@ -290,8 +343,22 @@ class CompliantContact(AbstractFormulation):
         return sp.stack(after), sp.stack(handed_on)
 
 
+def _flank_motion(model: Model, time: Any, state: State, flanks: Any) -> ContactMotion:
+    """Depth and rate of the flanks of all plays."""
+    entries = model.entries(state)
+    motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
+    followed = unpack_followed(model.layout, entries, flanks)
+    pressing = {n: pressing_of(model.system, motions, n, followed) for n in model.layout.plays}
+    return _stacked(_flanks_of(pressing))
+
+
+def _flanks_of(pressing: dict[str, Pressing]) -> list:
+    """(depth, rate) of every flank."""
+    return [x for own in pressing.values() for x in zip(own.depths, own.rates, strict=True)]
+
+
 def _acting(
-    model: Model, time: Any, entries: list, shares: Any = None
+    model: Model, time: Any, entries: list, shares: Any = None, flanks: Any = None
 ) -> tuple[Forces, tuple, tuple, list]:
     """(what acts but friction in ideal joints, coordinates and speeds by link, flat speeds)."""
     system, layout = model.system, model.layout
@@ -299,8 +366,8 @@ def _acting(
     motions = kinematics.link_motions(system, q, v, time)
     memories = _with_shares(unpack_memories(layout, entries), shares)
     reports = contact_reports(system, motions, memories, model.worn)
-    angles = unpack_angles(layout, entries)
-    forces = applied_forces(system, motions, reports, q, v, time, angles)
+    followed = unpack_followed(layout, entries, flanks)
+    forces = applied_forces(system, motions, reports, q, v, time, followed)
     return forces, q, v, entries[layout.coordinates : layout.memory_start]
 
 

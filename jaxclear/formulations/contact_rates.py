@@ -20,15 +20,15 @@ from jaxclear.formulations.base import model_of
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.contact_rows import free_motion, split
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.assembly import Start, ready
 from jaxclear.multibody.closure_coordinates import angles_at_start
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.state import unpack_motion
+from jaxclear.multibody.state import Followed, unpack_motion
 from jaxclear.multibody.system import prepare
+from jaxclear.native.compiled import compiled_quickly
 
 # Instants of a run at which its loads are looked at.
 INSTANTS = 9
@@ -125,7 +125,7 @@ def _pressed(mechanism: Mechanism, start: Start, times: Any) -> dict[str, _Press
     def at(time):
         motions = kinematics.link_motions(model.system, q, v, time)
         angles = angles_at_start(mechanism, model.system, model.layout.angles, motions)
-        now = free_motion(model, time, q, v, angles)
+        now = free_motion(model, time, q, v, Followed(angles))
         free = delassus.delassus_operator(now, []).free
         return {
             name: _of_joint(bearing, model.system, motions, now, free)

@@ -25,7 +25,7 @@ from jaxclear.multibody.constraints import ClosureEquations
 from jaxclear.multibody.contact_point import GapFunction, JointReport, PointState, Response
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.kinematics import JacobianRow, along
-from jaxclear.multibody.state import component_count, unpack_angles, unpack_motion
+from jaxclear.multibody.state import Followed, component_count, unpack_followed, unpack_motion
 from jaxclear.multibody.system import System
 
 ContactJacobianRow = JacobianRow
@@ -135,17 +135,18 @@ def middle_of_step(
     predicted = [x + 0.5 * h * a for x, a in zip(v, accelerations, strict=True)]
     halfway = drift(model.system, q, q, v, 0.5 * h)
     motion = unpack_motion(model.system, [*halfway, *predicted])
-    angles = unpack_angles(layout, entries)
-    now = free_motion(model, time_step.middle, *motion, angles)
+    followed = unpack_followed(layout, entries)
+    now = free_motion(model, time_step.middle, *motion, followed)
     return MiddleOfStep(q, v, halfway, predicted, now)
 
 
-def free_motion(model: Model, time: Any, q: tuple, v: tuple, angles: dict[str, Any]) -> FreeMotion:
-    """The equations of motion at an instant, contacts apart; `angles` that the state follows."""
+def free_motion(model: Model, time: Any, q: tuple, v: tuple, followed: Followed) -> FreeMotion:
+    """The equations of motion at an instant, contacts apart; `followed`: what the state follows
+    beside the motion."""
     system = model.system
     motions = kinematics.link_motions(system, q, v, time)
     poses, contacts = contact_points(model, motions)
-    forces = applied_forces(system, motions, {}, q, v, time, angles)
+    forces = applied_forces(system, motions, {}, q, v, time, followed)
     masses, by_subtree = dynamics.equations_of_motion(system, forces)
     closures = ClosureEquations([], [], (), None)
     if system.closures:

@@ -22,11 +22,15 @@ from jaxclear.formulations.laws_over_step import Averaging, SlipAtStart
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.permanent_reactions import Reaction
 from jaxclear.formulations.rubbing_over_step import JointOverStep, friction, rubbed
-from jaxclear.formulations.state_rate import Passive, link_accelerations, passive_rates
+from jaxclear.formulations.state_rate import (
+    Passive,
+    followed_rates,
+    link_accelerations,
+    passive_rates,
+)
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar
-from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.contact_point import PointState, impact_speed_now
 from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.kinematics import along
@@ -104,15 +108,15 @@ def passive_rates_over(
     normal = [-own[0] for own in whole.per_contact(solution.forces)]
     pressing = [sp.total(own) for own in by_joint(system, normal)]
     if not layout.wear and not layout.energies and not whole.joints:
-        return [*angle_rates(system, layout, free_motion.forces.motions), *pressing], ()
+        return [*followed_rates(system, layout, free_motion.forces), *pressing], ()
     acting = _acting_contacts(whole, solution, ends, whole.middle.change_to(mean))
     reports = joint_reports(system, free_motion.poses, acting)
     forces = free_motion.forces._replace(reports=reports)
     if layout.energies or whole.joints:
         motion = unpack_motion(system, [*whole.middle.halfway, *whole.middle.predicted])
         motions = free_motion.forces.motions
-        time, angles = whole.time_step.middle, forces.angles
-        forces = applied_forces(system, motions, reports, *motion, time, angles)
+        time, followed = whole.time_step.middle, forces.followed
+        forces = applied_forces(system, motions, reports, *motion, time, followed)
     accelerations, multipliers = (
         [sp.add(a, b) for a, b in zip(free, caused, strict=True)]
         for free, caused in (

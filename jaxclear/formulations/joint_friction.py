@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from jaxclear.complementarity import BoxedGaussSeidel, JointFriction
-from jaxclear.complementarity.joint_friction import Caught, Opposed
+from jaxclear.complementarity.joint_friction import Between, Caught, Opposed
 from jaxclear.formulations.base import ContactReport
+from jaxclear.formulations.loads_over_step import LoadsInStep
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.permanent_reactions import (
     Answer,
@@ -100,6 +101,81 @@ def set_valued_friction(held, slips, v, h, mass, response: FrictionResponse) -> 
     return JointFriction(delassus, free, tuple(ratios), carried, softest, placed(held))
 
 
+def with_rows_of_loads(
+    problem: JointFriction, loads: LoadsInStep, response: FrictionResponse, ahead: list, h: Any
+) -> JointFriction:
+    """The problem with loads whose force the step finds behind the joints; `ahead`: by how much the
+    speeds at the end of a step of length h [s], without friction and these loads, differ from those
+    at which the loads were read. Rigid stops stop: what runs into one in the step has no speed
+    along it at the end."""
+    rows, speeds = loads.rows, [one.opening for one in loads.stops]
+    speeds += [one.speed for one in loads.rubs]
+    free = [sp.add(x, along(row, ahead)) for x, row in zip(speeds, rows, strict=True)]
+    moves = [[h * along(row, unit.accelerations) for unit in response.units] for row in rows]
+    first, rules = problem.components(), list[Any]()
+    for k, stop in enumerate(loads.stops):
+        closed = stop.beyond - 0.5 * h * free[k] >= 0
+        low, high = jnp.zeros(()), jnp.where(closed, jnp.inf, 0.0)
+        if stop.side.stop.restitution is None:
+            followed, spring = stop.followed(moves[k][first + k] / h, h), stop.spring()
+            low, high = jnp.where(followed, spring, low), jnp.where(followed, spring, high)
+        rules.append(Between(low, high))
+    rules += [(rub.bound, rub.bound) for rub in loads.rubs]
+    joints = len(problem.ratios)
+    alone = [(1.0, 0.0, 0.0)]
+    carried = lambda k, *given: problem.carried(k, *given) if k < joints else alone
+    places = [problem.place(k) for k in range(joints)]
+    places += [slice(first + k, first + k + 1) for k in range(len(rows))]
+    softest = [problem.softest[i] for i in range(first)] + [0.0] * len(rows)
+    return JointFriction(
+        [*problem.delassus, *moves],
+        [*(problem.free_velocity[i] for i in range(first)), *free],
+        (*problem.ratios, *rules),
+        carried,
+        softest,
+        tuple(places),
+    )
+
+
+def own_rows(loads: LoadsInStep, friction: Any) -> list:
+    """The forces along the rows of loads, which are the last of all."""
+    first = len(friction) - len(loads.rows)
+    return [friction[first + k] for k in range(len(loads.rows))]
+
+
+class Moved(NamedTuple):
+    """Coordinates moved, in terms of speeds, and the energy [J] that this took out."""
+
+    way: list
+    lost: Any
+
+
+def moved_to_stops(
+    loads: LoadsInStep, end: LoadsInStep, response: FrictionResponse, forces: list, h: Any
+) -> Moved:
+    """Where coordinates at the `end` of a step of length h [s] are moved, in the metric of the
+    masses, so that those that rigid stops have pressed with these `forces` [N m, N] touch them."""
+    first = len(response.units) - len(loads.rows)
+    units, rows = response.units[first:], loads.rows[: len(loads.stops)]
+    free = response.without.accelerations
+    matrix, rules = [], []
+    for k, stop in enumerate(loads.stops):
+        matrix.append([h * along(rows[k], unit.accelerations) for unit in units[: len(rows)]])
+        held = forces[k] > 0
+        if stop.side.stop.restitution is None:
+            held = held & ~stop.followed(matrix[k][k] / h, h)
+        most = jnp.where(held, jnp.inf, 0.0)
+        rules.append(Between(-most, most))
+    alone = lambda *_: [(1.0, 0.0, 0.0)]
+    gaps = [-stop.beyond for stop in end.stops]
+    problem = JointFriction(matrix, gaps, tuple(rules), alone, [0.0] * len(rows))
+    found = SETTINGS.solver().iterate(problem).z
+    each = list(zip([h * found[k] for k in range(len(rows))], units, strict=False))
+    way = [sp.total(x * unit.accelerations[j] for x, unit in each) for j in range(len(free))]
+    lost = sp.total(x * along(row, free) for (x, _), row in zip(each, rows, strict=True))
+    return Moved(way, lost)
+
+
 def regularised_friction(held, speeds, response: FrictionResponse) -> JointFriction:
     """Laws that are functions of the sliding speed, here at the middle of the step: friction's
     share of the load is known, and a box without width holds it there.
@@ -125,7 +201,7 @@ def regularised_friction(held, speeds, response: FrictionResponse) -> JointFrict
         ratios.append((-against, against))
     places = placed(held)
     count = sum(one.joint.components for one in held)
-    none, joints = jnp.zeros(count), [one.joint for one in held]
+    none, joints = jnp.zeros(len(response.units)), [one.joint for one in held]
     carried = _carried(joints, response)
     free = [none] * count
     return JointFriction(free, none, tuple(ratios), carried, jnp.ones(count), places)

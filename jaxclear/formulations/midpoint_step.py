@@ -41,6 +41,7 @@ from jaxclear.ground.compiling import map_alike
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.state import unpack_memories, unpack_motion
+from jaxclear.multibody.transmissions import within_gaps
 
 # Weight of the depth of closed contacts against staying put, where coordinates are corrected.
 STIFFNESS = 100.0
@@ -101,6 +102,7 @@ def step(
     after = [*q, *v, *memories_after(whole, solution)]
     passive, reactions = passive_rates_over(whole, solution, slid, mean)
     after += [x + h * rate for x, rate in zip(entries[len(after) :], passive, strict=True)]
+    after = within_gaps(model.system, model.layout, after)
     past = [
         laws_over_step.handed_on(contact.slips, end, forces[1:])
         for contact, end, forces in zip(

@@ -14,7 +14,7 @@ from jaxclear.multibody import kinematics
 from jaxclear.multibody.contact_point import JointReport
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.loops import Baumgarte
-from jaxclear.multibody.state import Layout, unpack_angles
+from jaxclear.multibody.state import Followed, Layout, unpack_followed
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import Motion
 
@@ -59,9 +59,9 @@ class Instant(NamedTuple):
     means: list
 
     @property
-    def angles(self) -> dict[str, Any]:
-        """The angles that the state follows, by joint."""
-        return unpack_angles(self.model.layout, self.entries)
+    def followed(self) -> Followed:
+        """What the state follows beside the motion."""
+        return unpack_followed(self.model.layout, self.entries)
 
     def means_of(self, name: str) -> list:
         """Those of the means that belong to a joint."""
@@ -70,7 +70,7 @@ class Instant(NamedTuple):
     def forces(self, reports: dict[str, JointReport]) -> Forces:
         """Everything that acts, the clearance joints as reported."""
         motion = (self.motions, reports, self.q, self.v, self.time)
-        return applied_forces(self.model.system, *motion, self.angles)
+        return applied_forces(self.model.system, *motion, self.followed)
 
     @property
     def speeds(self) -> list:

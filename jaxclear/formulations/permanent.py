@@ -8,6 +8,7 @@ the carried forces are known (a guide); a journal's turn with $T$ and are iterat
 Coordinates move by exponentials of the mean speeds, so rotations stay on their group.
 """
 
+import dataclasses
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -17,13 +18,25 @@ from jaxtyping import Array, Float
 from jaxclear.components.body import Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint
-from jaxclear.formulations.base import AbstractFormulation
+from jaxclear.formulations.base import AbstractFormulation, check_play
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.joint_friction import (
     NonCollidingSettings,
     friction_losses,
+    moved_to_stops,
+    own_rows,
     regularised_friction,
     set_valued_friction,
+    with_rows_of_loads,
+)
+from jaxclear.formulations.loads_over_step import (
+    coordinates_at,
+    coordinates_of,
+    forces_of_means,
+    found_over_steps,
+    load_components,
+    loads_in_step,
+    with_loads,
 )
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.permanent_reactions import (
@@ -50,23 +63,23 @@ from jaxclear.formulations.permanent_wear import (
     wear_rates,
 )
 from jaxclear.formulations.rigid import check_friction
-from jaxclear.formulations.state_rate import link_accelerations
+from jaxclear.formulations.state_rate import followed_rates, link_accelerations
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import dynamics, kinematics
-from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
-from jaxclear.multibody.state import unpack_angles, unpack_motion
+from jaxclear.multibody.state import unpack_followed, unpack_motion
 from jaxclear.multibody.system import System, prepare
 
 
 def fit(mechanism: Mechanism) -> Mechanism:
     """The mechanism with every clearance joint replaced by the joint that it is while it always
-    touches.
+    touches, and every play of couplings seated.
 
     Starts and speeds are kept: they may name joints and bodies whatever holds them. Raises
     `ValueError` where a joint has no such form.
     """
+    mechanism = _with_seated_plays(mechanism)
     if not mechanism.topology.clearances:
         return mechanism
     connections = {}
@@ -76,6 +89,19 @@ def fit(mechanism: Mechanism) -> Mechanism:
             joint = permanent_joint(name, joint)
         connections[name] = Connection(joint, connection.parent, connection.child)
     return rebuilt(mechanism, connections=connections)
+
+
+def _with_seated_plays(mechanism: Mechanism) -> Mechanism:
+    couplings: dict[str, Any] = {}
+    for name, own in mechanism.couplings.items():
+        play: Any = own.play
+        if play is not None and not play.seated:
+            coupling: Any = own
+            play = dataclasses.replace(play, seated=True)
+            couplings[name] = dataclasses.replace(coupling, play=play)
+    if not couplings:
+        return mechanism
+    return rebuilt(mechanism, couplings=mechanism.couplings | couplings)
 
 
 def permanent_joint(name: str, joint: AbstractClearance) -> AbstractJoint:
@@ -109,12 +135,16 @@ class PermanentContact(AbstractFormulation):
 
     def check(self, mechanism, integrator):
         check_friction(mechanism, integrator)
+        check_play(mechanism, integrator, rigid=True)
 
     def seen(self, mechanism):
         return fit(mechanism)
 
+    def prepared(self, system):
+        return found_over_steps(system)
+
     def impulses(self, system):
-        return joint_components(system)
+        return joint_components(system) + load_components(system)
 
     def normal_impulses(self, system, name):
         (count,) = (count for joint, count in self.impulses(system) if joint == name)
@@ -126,7 +156,8 @@ class PermanentContact(AbstractFormulation):
     def forces(self, instant):
         held = touching(instant.model.system)
         friction = [x for one in held for x in friction_of(instant, one.name)]
-        return with_friction(instant.model.system, instant.forces({}), friction)
+        forces = with_friction(instant.model.system, instant.forces({}), friction)
+        return with_loads(instant.model.system, forces, forces_of_means(instant))
 
     def contact(self, instant, name):
         return report_of_means(instant, name)
@@ -154,17 +185,22 @@ class PermanentContact(AbstractFormulation):
         halfway = displace(system, q, v, 0.5 * h)
         motion = unpack_motion(system, [*halfway, *middle])
         motions = kinematics.link_motions(system, *motion, time_step.middle)
-        angles = unpack_angles(layout, entries)
-        forces = applied_forces(system, motions, {}, *motion, time_step.middle, angles)
+        followed = unpack_followed(layout, entries)
+        forces = applied_forces(system, motions, {}, *motion, time_step.middle, followed)
         held = touching(system)
         slips = [slips_of(system, motions, one, middle) for one in held]
-        response = friction_response(model, forces, motion[0])
+        loads = loads_in_step(system, coordinates_of(system, motions, followed))
+        response = friction_response(model, forces, motion[0], loads)
         if self.regularised:
             speeds = [[slip.at(middle) for slip in own] for own in slips]
             problem = regularised_friction(held, speeds, response)
         else:
             mass = sp.total(link.mass for link in system.links)
             problem = set_valued_friction(held, slips, v, h, mass, response)
+        if loads.rows:
+            free = response.without.accelerations
+            ahead = [x + h * free[j] - m for j, (x, m) in enumerate(zip(v, middle, strict=True))]
+            problem = with_rows_of_loads(problem, loads, response, ahead, h)
         friction, left, _ = settings.solver().iterate(problem)
         found = response.at(friction)
         after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
@@ -175,15 +211,27 @@ class PermanentContact(AbstractFormulation):
         centres = centres_of(system, ends)
         goes = _rates_of(centres, last[len(v) : -1], h)
         worn = wear_rates(model, motions, motion[0], ends, sliding, goes)
-        gained = [h * rate for rate in (*angle_rates(system, layout, motions), *worn)]
+        gained = [h * rate for rate in (*followed_rates(system, layout, forces), *worn)]
         for one, reaction, place in zip(held, found.reactions, placed(held), strict=True):
             pressed = pressing(one, reaction, own_part(friction, place))
             acting = [*reaction.force, *reaction.torque, *friction[place], pressed]
             gained += [h * x for x in acting]
+        end, given = displace(system, q, mean, h), None
+        if loads.rows:
+            own = own_rows(loads, friction)
+            given = loads.by_load(system, own)
+            gained += [h * force for force in given.values()]
+            at_end = coordinates_at(model, time_step.end, [*end, *after], followed)
+            moved = moved_to_stops(loads, loads_in_step(system, at_end), response, own, h)
+            end = displace(system, end, moved.way, 1.0)
         if layout.energies:
-            rates = _powers(model, forces, found, friction, sliding)
+            rates = _powers(model, forces, found, friction, sliding, given)
             gained += [h * rate for rate in rates]
-        end = [*displace(system, q, mean, h), *after]
+        if loads.rows and layout.energies:
+            change = [x - m for x, m in zip(mean, middle, strict=True)]
+            lost = moved.lost + h * loads.lost(own, change)
+            gained[layout.energies.index("damping_loss") - len(layout.energies)] += lost
+        end = [*end, *after]
         end += [x + g for x, g in zip(entries[len(end) :], gained, strict=True)]
         residual = jnp.maximum(last[-1], left)
         handed = [found.accelerations[j] for j in range(len(v))]
@@ -215,10 +263,14 @@ def _rates_of(centres: Centres, before: Any, h: Any) -> Centres:
     return rates
 
 
-def _powers(model: Model, forces: Forces, found: Answer, friction: Any, slips: list) -> list:
-    """Powers of the energy balance; friction's at the sliding speeds `slips` [m/s]."""
+def _powers(
+    model: Model, forces: Forces, found: Answer, friction: Any, slips: list, given: Any
+) -> list:
+    """Powers of the energy balance; friction's at the sliding speeds `slips` [m/s]; `given`: forces
+    of loads that the step has found."""
     solution = link_accelerations(model.system, found.accelerations, found.multipliers)
     acting = with_friction(model.system, forces, friction)
+    acting = acting if given is None else with_loads(model.system, acting, given)
     rates = dynamics.powers(model.system, acting, solution)
     lost, driven = friction_losses(touching(model.system), friction, slips)
     places = model.layout.energies.index

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxclear.components.joint import AbstractRubbingJoint
 from jaxclear.components.joint.base import drive_of
 from jaxclear.formulations.contact_rows import ContactJacobianRow
+from jaxclear.formulations.loads_over_step import NO_LOADS, LoadsInStep, with_loads
 from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
@@ -209,13 +210,19 @@ class FrictionResponse(NamedTuple):
         )
 
 
-def friction_response(model: Model, forces: Forces, q: tuple) -> FrictionResponse:
-    """How the mechanism answers friction [N] in its touching joints, at coordinates `q`."""
+def friction_response(
+    model: Model, forces: Forces, q: tuple, loads: LoadsInStep = NO_LOADS
+) -> FrictionResponse:
+    """How the mechanism answers friction [N] in its touching joints, then forces of `loads` along
+    their rows, at coordinates `q`."""
     held = touching(model.system)
-    rest = jnp.zeros(sum(one.joint.components for one in held))
+    count = sum(one.joint.components for one in held)
+    rest = jnp.zeros(count + len(loads.rows))
 
     def answer(friction):
         acting = with_friction(model.system, forces, friction)
+        given = loads.by_load(model.system, [friction[count + i] for i in range(len(loads.rows))])
+        acting = with_loads(model.system, acting, given)
         solution = dynamics.forward_dynamics(model.system, acting, model.stabilisation)
         return sp.dense(answer_to(model.system, acting, q, held, solution))
 

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.formulations.base import AbstractFormulation, clearance_contact
+from jaxclear.formulations.base import AbstractFormulation, check_play, clearance_contact
 from jaxclear.formulations.contact_rows import (
     MiddleOfStep,
     TimeStep,
@@ -23,6 +23,18 @@ from jaxclear.formulations.contact_rows import (
     rigid_reports,
 )
 from jaxclear.formulations.delassus import DelassusOperator, delassus_operator
+from jaxclear.formulations.loads_over_step import (
+    LoadsInStep,
+    coordinates_of,
+    counts_of_rows,
+    forces_of_means,
+    found_over_steps,
+    held,
+    load_components,
+    loads_in_step,
+    with_loads,
+    with_rigid_flanks,
+)
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.permanent_reactions import (
     check_unique,
@@ -35,12 +47,19 @@ from jaxclear.formulations.permanent_report import (
     report_of_means,
 )
 from jaxclear.formulations.rubbing_percussions import (
+    Rubbed,
     RubbedOver,
     joints_in_step,
     percussions_and_friction,
     rubbed_over,
+    springs_of,
 )
-from jaxclear.formulations.state_rate import Passive, link_accelerations, passive_rates
+from jaxclear.formulations.state_rate import (
+    Passive,
+    followed_rates,
+    link_accelerations,
+    passive_rates,
+)
 from jaxclear.formulations.unilateral import (
     MoreauJeanSettings,
     Percussions,
@@ -48,11 +67,12 @@ from jaxclear.formulations.unilateral import (
     demands,
     percussions,
     project,
+    stops_as_contacts,
     unilateral_contacts,
+    with_laws_of_stops,
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import kinematics
-from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import components, contact_components, unpack_motion
@@ -81,6 +101,7 @@ class RigidContact(AbstractFormulation):
 
     def check(self, mechanism, integrator):
         check_friction(mechanism, integrator)
+        check_play(mechanism, integrator, rigid=True)
         for name in mechanism.topology.clearances:
             for laws in mechanism.connections[name].joint.contact_laws():
                 if laws.contact.restitution is None:
@@ -93,8 +114,11 @@ class RigidContact(AbstractFormulation):
     def seen(self, mechanism):
         return mechanism
 
+    def prepared(self, system):
+        return with_rigid_flanks(found_over_steps(system))
+
     def impulses(self, system):
-        return contact_components(system) + joint_components(system)
+        return contact_components(system) + joint_components(system) + load_components(system)
 
     def normal_impulses(self, system, name):
         if name not in system.bearings:
@@ -109,7 +133,8 @@ class RigidContact(AbstractFormulation):
         forces = instant.forces(reports_of_means(instant))
         held = touching(instant.model.system)
         friction = [x for one in held for x in friction_of(instant, one.name)]
-        return with_friction(instant.model.system, forces, friction)
+        forces = with_friction(instant.model.system, forces, friction)
+        return with_loads(instant.model.system, forces, forces_of_means(instant))
 
     def contact(self, instant, name):
         if name in instant.model.system.bearings:
@@ -122,6 +147,7 @@ class RigidContact(AbstractFormulation):
         check_unique(system)
         count = sum(own for _, own in contact_components(system))
         count += sum(one.joint.components for one in touching(system))
+        count += sum(counts_of_rows(system))
         return jnp.zeros(model.layout.speeds + count + 1)
 
     def strikes(
@@ -133,15 +159,14 @@ class RigidContact(AbstractFormulation):
         settings: MoreauJeanSettings,
     ) -> Strikes:
         """What strikes in a step, which begins with these numbers as `step` does."""
-        _, _, middle, contacts = _begun(model, time_step, state, last)
+        _, _, middle, contacts, _ = _begun(model, time_step, state, last)
         free = delassus_operator(middle.free_motion, []).free
         gentle = settings._replace(gentle=True)
         asked = demands(middle, contacts, free, time_step.length, gentle)
-        points = middle.free_motion.contacts
         return Strikes(
             asked.strikes,
-            sp.stack([point.gap_function.indentation for point in points]),
-            sp.stack([point.rates[0] for point in points]),
+            sp.stack([contact.depth for contact in contacts]),
+            sp.stack([sp.neg(contact.velocities[0]) for contact in contacts]),
             asked.flying,
         )
 
@@ -157,15 +182,17 @@ class RigidContact(AbstractFormulation):
         the percussions in the state's order, then the largest residual of the contact laws so
         far."""
         h, count = time_step.length, model.layout.speeds
-        entries, handed, middle, contacts = _begun(model, time_step, state, last)
+        entries, handed, middle, contacts, loads = _begun(model, time_step, state, last)
         joints = joints_in_step(model, middle)
         rows = [row for contact in contacts for row in contact.rows]
         rows += [row for joint in joints for row in joint.rows]
+        rows += [rub.row for rub in loads.rubs]
         delassus, known = delassus_operator(middle.free_motion, rows), handed[count:-1]
         impact, rubbed = Percussions([], [0] * count, (0,) * len(delassus.multipliers), 0.0), None
-        if joints:
+        if joints or loads.rows:
+            contacts = with_laws_of_stops(contacts, loads, delassus, h)
             impact, rubbed = percussions_and_friction(
-                model, middle, contacts, joints, delassus, known, h, settings
+                model, middle, contacts, joints, loads, delassus, known, h, settings
             )
         elif contacts:
             impact = percussions(middle, contacts, delassus, known, h, settings)
@@ -181,23 +208,64 @@ class RigidContact(AbstractFormulation):
         remembered = model.layout.memory_start + model.layout.memory_count
         after = [*end.coordinates, *v, *entries[model.layout.memory_start : remembered]]
         over = None if rubbed is None else rubbed_over(model, middle, joints, rubbed, mean)
-        passive = _passive(model, time_step, middle, delassus, impact, mean, end, over)
+        given = None
+        if loads.rows and rubbed is not None:
+            given = _given(model.system, loads, impact, rubbed, middle.change_to(mean), h)
+        passive = _passive(model, time_step, middle, delassus, impact, mean, end, over, given)
         after += [x + change for x, change in zip(entries[len(after) :], passive, strict=True)]
         flat = [part for own in impact.by_contact for part in own]
         flat += [] if over is None else [h * x for x in over.friction]
+        flat += [] if rubbed is None else [h * x for x in rubbed.loads]
         residual = jnp.maximum(handed[-1], impact.residual)
-        return sp.stack(after), sp.stack([*delassus.free, *flat, residual])
+        ahead = _with_springs(contacts, delassus, impact, h)
+        return sp.stack(after), sp.stack([*ahead, *flat, residual])
 
 
 def _begun(model: Model, time_step: TimeStep, state: State, last: Float[Array, " h"]) -> tuple:
     """(entries of the state, what the last step has handed on, the middle of the step, contacts
-    there)."""
+    there, sides of stops behind them, and the loads whose force the step finds)."""
     entries, handed = model.entries(state), [last[i] for i in range(len(last))]
     count = model.layout.speeds
     middle = middle_of_step(model, time_step, entries, handed[:count])
     names = [name for name, own in model.system.bearings.items() for _ in own.contact_laws]
     contacts = unilateral_contacts(middle.free_motion.contacts, names, handed[count:-1])
-    return entries, handed, middle, contacts
+    loads = LoadsInStep((), ())
+    if held(model.system):
+        forces = middle.free_motion.forces
+        at = coordinates_of(model.system, forces.motions, forces.followed)
+        loads = loads_in_step(model.system, at)
+        first = count + sum(own for _, own in contact_components(model.system))
+        contacts += stops_as_contacts(loads, handed[first:])
+    return entries, handed, middle, contacts, loads
+
+
+def _with_springs(contacts: list, delassus: DelassusOperator, impact: Percussions, h: Any) -> list:
+    """The accelerations by what acts all the time: without percussions, with the stops that give
+    way in the step."""
+    found = list(delassus.free)
+    for row, number, spring in springs_of(contacts):
+        force = jnp.where(spring.acts, impact.by_contact[number][0] / h, 0.0)
+        moved = delassus.responses[row][0]
+        found = [sp.add(x, sp.mul(force, a)) for x, a in zip(found, moved, strict=True)]
+    return found
+
+
+class Given(NamedTuple):
+    """What loads give whose force a step finds: forces [N m, N] by load, and the power [W] that
+    they take."""
+
+    forces: dict[str, Any]
+    lost: Any
+
+
+def _given(
+    system: Any, loads: LoadsInStep, impact: Percussions, rubbed: Rubbed, change: list, h: Any
+) -> Given:
+    """What loads give in a step of length h [s] whose mean speeds differ so from the predicted
+    ones."""
+    stops = impact.by_contact[len(impact.by_contact) - len(loads.stops) :]
+    forces = [*(sp.mul(1 / h, own[0]) for own in stops), *rubbed.loads]
+    return Given(loads.by_load(system, forces), loads.lost(forces, change))
 
 
 def check_friction(mechanism: Mechanism, integrator: str) -> None:
@@ -225,16 +293,19 @@ def _passive(
     mean: list,
     end: Projected,
     rubbed: RubbedOver | None,
+    given: Given | None,
 ) -> list:
     """Changes of what only follows the motion: angles, worn volumes, impulses, energies."""
     system, layout, h = model.system, model.layout, time_step.length
-    impulses = [part for own in impact.by_contact for part in own]
-    impulses += [] if rubbed is None else [h * force for force in rubbed.forces]
     free_motion = middle.free_motion
+    by_contact = impact.by_contact[: len(free_motion.contacts)]
+    impulses = [part for own in by_contact for part in own]
+    impulses += [] if rubbed is None else [h * force for force in rubbed.forces]
+    impulses += [] if given is None else [h * force for force in given.forces.values()]
     if not layout.wear and not layout.energies:
-        rates = angle_rates(system, layout, free_motion.forces.motions)
+        rates = followed_rates(system, layout, free_motion.forces)
         return [*(sp.mul(h, rate) for rate in rates), *impulses]
-    forces = [tuple(sp.mul(1 / h, part) for part in own) for own in impact.by_contact]
+    forces = [tuple(sp.mul(1 / h, part) for part in own) for own in by_contact]
     change = middle.change_to(mean)
     reports = rigid_reports(system, free_motion.poses, free_motion.contacts, forces, change)
     acting = free_motion.forces._replace(reports=reports)
@@ -244,10 +315,12 @@ def _passive(
         travelled = [sp.add(x, sp.mul(1 / h, m)) for x, m in zip(mean, end.moved, strict=True)]
         motion = unpack_motion(system, [*middle.halfway, *travelled])
         motions = kinematics.link_motions(system, *motion, time_step.middle)
-        angles = free_motion.forces.angles
-        acting = applied_forces(system, motions, reports, *motion, time_step.middle, angles)
+        followed = free_motion.forces.followed
+        acting = applied_forces(system, motions, reports, *motion, time_step.middle, followed)
         if rubbed is not None:
             acting = with_friction(system, acting, rubbed.friction)
+        if given is not None:
+            acting = with_loads(system, acting, given.forces)
     total = _add_rates(delassus.free, impact.changes, h)
     multipliers = tuple(_add_rates(delassus.multipliers, impact.multipliers, h))
     solution = link_accelerations(system, total, multipliers)
@@ -257,6 +330,9 @@ def _passive(
     for name in ("contact_work", "contact_loss") if layout.energies else ():
         place = worn + layout.energies.index(name)
         rates[place] = sp.sub(rates[place], end.energy)
+    if given is not None and layout.energies:
+        place = worn + layout.energies.index("damping_loss")
+        rates[place] = sp.add(rates[place], sp.mul(h, given.lost))
     return [*rates[:worn], *impulses, *rates[worn:]]
 
 

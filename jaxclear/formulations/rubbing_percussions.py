@@ -13,6 +13,7 @@ from jaxtyping import Array
 
 from jaxclear.complementarity import FrictionContact
 from jaxclear.complementarity.joint_friction import across
+from jaxclear.complementarity.kept_states import with_kept_states
 from jaxclear.components.clearance import CarryingEnd, carried_load
 from jaxclear.formulations.contact_rows import (
     ContactJacobianRow,
@@ -23,6 +24,7 @@ from jaxclear.formulations.contact_rows import (
 )
 from jaxclear.formulations.delassus import DelassusOperator
 from jaxclear.formulations.joint_friction import UNMOVED, passive_of
+from jaxclear.formulations.loads_over_step import LoadsInStep, RubInStep, with_loads
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import (
     REACTION,
@@ -41,6 +43,7 @@ from jaxclear.formulations.unilateral import (
     ContactDemands,
     MoreauJeanSettings,
     Percussions,
+    Spring,
     UnilateralContact,
     demands,
     first_guess,
@@ -49,6 +52,7 @@ from jaxclear.formulations.unilateral import (
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.multibody.forces import add_action_and_reaction
+from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.state import unpack_motion
 
 
@@ -77,7 +81,8 @@ class Search(NamedTuple):
     """What a search starts from: the joints that friction moves, with their numbers among all that
     touch; what the contacts ask (None without); Delassus' matrix by contact rows and sliding
     components, speeds of the latter at the step's end without friction; by joint the least that
-    friction is taken to move it [1/kg]; the step's length [s]."""
+    friction is taken to move it [1/kg]; the step's length [s]; loads that rub, whose rows are the
+    last; (row, number, spring) of sides of stops that may give way."""
 
     joints: list[JointInStep]
     numbers: list[int]
@@ -86,6 +91,8 @@ class Search(NamedTuple):
     free: list
     softest: list
     h: Any
+    rubs: tuple[RubInStep, ...] = ()
+    springs: tuple[tuple[int, int, Spring], ...] = ()
 
     @property
     def first(self) -> int:
@@ -105,6 +112,10 @@ def searched(
 ) -> tuple[Array, Any]:
     """(impulses along all rows [N s], residual of the laws relative to the largest velocity)."""
     h = search.h
+    if not search.joints:
+        problem, guess, back = _problem(search, as_reactions(respond(start / h)), start)
+        found = settings.solver().iterate(problem, guess)
+        return back(with_kept_states(problem, found.z)), found.residual
 
     def improve(carry):
         z, numbers, _, sweeps = carry
@@ -121,19 +132,17 @@ def searched(
         return (left > settings.tolerance) & (sweeps < settings.most_sweeps)
 
     first = (start, respond(start / h), jnp.asarray(jnp.inf), jnp.zeros((), int))
-    if not search.joints:
-        z, _, left, _ = improve(first)
-    else:
-        z, _, left, _ = jax.lax.while_loop(unfinished, improve, first)
+    z, _, left, _ = jax.lax.while_loop(unfinished, improve, first)
     return z, left
 
 
 class Loaded(NamedTuple):
-    """A joint under its load in a turn of the search: impulse of the load [N s], axes of its
-    friction among its components (of a ball two across the force), and the first of these among
-    all rows."""
+    """A joint under its load in a turn of the search: how many rows it has, friction's share of its
+    load, impulse of the load [N s], axes of its friction among its components (of a ball two across
+    the force), and the first of these among all rows."""
 
-    joint: JointInStep
+    rows: int
+    share: Any
     load: Any
     axes: tuple[tuple, ...]
     place: int
@@ -155,8 +164,10 @@ def _loaded(search: Search, met: tuple[Reaction, ...]) -> list[Loaded]:
         if len(joint.rows) > 1:
             size = sp.norm(force)
             axes = across(tuple(safe_divide(x, size) for x in force))
-        found.append(Loaded(joint, load, axes, place, softest))
+        found.append(Loaded(len(joint.rows), joint.share, load, axes, place, softest))
         place += len(joint.rows)
+    for k, rub in enumerate(search.rubs):
+        found.append(Loaded(1, 1.0, search.h * rub.bound, ((1,),), place + k, 0.0))
     return found
 
 
@@ -178,15 +189,22 @@ def _problem(
     lifted, mu, guess, k = [*lifted], [*mu], [z[i] for i in range(first)], first
     for own in joints:
         count = len(own.axes)
-        place = range(own.place, own.place + len(own.joint.rows))
+        place = range(own.place, own.place + own.rows)
         for i in range(k + 1, k + 1 + count):
             rows[i][i] = jnp.maximum(rows[i][i], own.softest)
         rows[k][k] = sp.total(rows[i][i] for i in range(k + 1, k + 1 + count))
         free = [search.free[i - first] for i in place]
         lifted += [-rows[k][k] * own.load, *(sp.dot(axis, free) for axis in own.axes)]
         guess += [own.load, *(sp.dot(axis, [z[i] for i in place]) for axis in own.axes)]
-        mu, sizes, k = [*mu, own.joint.share], (*sizes, 1 + count), k + 1 + count
+        mu, sizes, k = [*mu, own.share], (*sizes, 1 + count), k + 1 + count
     active = jnp.concatenate([jnp.asarray(closed, bool), jnp.ones(len(joints), bool)])
+    for i, contact, spring in search.springs:
+        # The row of a percussion that is known: only itself, moved to where it is 0.
+        alone = [rows[i][i] if j == i else 0.0 for j in range(len(rows))]
+        known = -rows[i][i] * search.h * spring.force
+        rows[i] = [jnp.where(spring.acts, a, b) for a, b in zip(alone, rows[i], strict=True)]
+        lifted[i] = jnp.where(spring.acts, known, lifted[i])
+        active = active.at[contact].set(active[contact] | spring.acts)
     problem = FrictionContact(
         [sp.stack(row) for row in rows], sp.stack(lifted), sp.stack(mu), sizes, active
     )
@@ -218,10 +236,11 @@ def _unsettled(
 
 class Rubbed(NamedTuple):
     """What joints that touch all the time do in a step, as means over it: friction of every
-    component [N], reactions."""
+    component [N], reactions; and loads that rub [N m, N]."""
 
     friction: list
     reactions: tuple[Reaction, ...]
+    loads: list
 
 
 class RubbedOver(NamedTuple):
@@ -254,29 +273,44 @@ def percussions_and_friction(
     middle: MiddleOfStep,
     contacts: list[UnilateralContact],
     joints: list[JointInStep],
+    loads: LoadsInStep,
     delassus: DelassusOperator,
     last: list,
     h: Any,
     settings: MoreauJeanSettings,
 ) -> tuple[Percussions, Rubbed]:
-    """Percussions of a step of length h [s], and what joints that touch all the time do; searched
-    from the `last` ones: percussions of contacts in their own directions, then friction of every
-    component of every joint."""
-    respond = _reactions(model, middle, contacts, joints, delassus)
+    """Percussions of a step of length h [s], and what joints that touch all the time do, and loads
+    that rub; searched from the `last` ones: percussions of contacts in their own directions, then
+    friction of every component of every joint, then of every load."""
+    respond = _reactions(model, middle, contacts, joints, loads, delassus)
     own = sum(1 + len(contact.shares) for contact in contacts)
-    rubs = split(last[own:], [joint.held.joint.components for joint in joints])
+    counts = [*(joint.held.joint.components for joint in joints), len(loads.rubs)]
+    *rubs, before = split(last[own:], counts)
     kept = [x for joint, part in zip(joints, rubs, strict=True) if joint.rows for x in part]
+    kept += before
     start = [*first_guess(contacts, last[:own]), *([sp.stack(kept)] if kept else [])]
     flat, residual = [], 0.0
     if start:
-        search = _search(middle, contacts, joints, delassus, h, settings)
+        search = _search(middle, contacts, joints, loads, delassus, h, settings)
         found, residual = searched(search, respond, jnp.concatenate(start), settings)
         flat = [found[i] for i in range(len(delassus.rows))]
     touching_at = sum(len(contact.rows) for contact in contacts)
     by_contact = in_own_directions(contacts, flat[:touching_at])
     met = as_reactions(respond(sp.stack([x / h for x in flat]) if flat else jnp.zeros(0)))
-    rubbed = Rubbed(_friction(joints, met, [x / h for x in flat[touching_at:]]), met)
+    moved = [x / h for x in flat[touching_at:]]
+    free = len(moved) - len(loads.rubs)
+    rubbed = Rubbed(_friction(joints, met, moved[:free]), met, moved[free:])
     return Percussions(by_contact, *_caused(delassus, flat), residual), rubbed
+
+
+def springs_of(contacts: list[UnilateralContact]) -> tuple[tuple[int, int, Spring], ...]:
+    """(row, number, spring) of the contacts that may give way."""
+    found, row = [], 0
+    for k, contact in enumerate(contacts):
+        if contact.spring is not None:
+            found.append((row, k, contact.spring))
+        row += len(contact.rows)
+    return tuple(found)
 
 
 def rubbed_over(
@@ -321,20 +355,24 @@ def _reactions(
     middle: MiddleOfStep,
     contacts: list[UnilateralContact],
     joints: list[JointInStep],
+    loads: LoadsInStep,
     delassus: DelassusOperator,
 ) -> Callable[[Array], Array]:
     """From forces along the rows [N] to the numbers of the reactions of all joints that touch:
     linear, so unit forces tell it once a step."""
+    if not joints:
+        return lambda forces: jnp.zeros(0)
     system, now, held = model.system, middle.free_motion, touching(model.system)
     q = unpack_motion(system, [*middle.halfway, *middle.predicted])[0]
     counts = [sum(len(contact.rows) for contact in contacts), *(len(j.rows) for j in joints)]
+    counts.append(len(loads.rubs))
 
     def under(forces):
         flat = [forces[i] for i in range(sum(counts))]
-        pushed, *rubs = split(flat, counts)
-        reports = rigid_reports(
-            system, now.poses, now.contacts, in_own_directions(contacts, list(pushed))
-        )
+        pushed, *rubs, further = split(flat, counts)
+        by_contact = in_own_directions(contacts, list(pushed))
+        by_contact, stops = by_contact[: len(now.contacts)], by_contact[len(now.contacts) :]
+        reports = rigid_reports(system, now.poses, now.contacts, by_contact)
         wrenches = list(now.forces.wrenches)
         for name, report in reports.items():
             place = system.bearings[name].closure, now.poses[name]
@@ -342,6 +380,8 @@ def _reactions(
         none = [(0,) * joint.held.joint.components for joint in joints]
         friction = [x for own, zero in zip(rubs, none, strict=True) for x in own or zero]
         acting = with_friction(system, now.forces._replace(wrenches=tuple(wrenches)), friction)
+        given = loads.by_load(system, [*(own[0] for own in stops), *further])
+        acting = with_loads(system, acting, given)
         total, multipliers = (
             [sp.add(x, y) for x, y in zip(free, caused, strict=True)]
             for free, caused in zip(
@@ -364,6 +404,7 @@ def _search(
     middle: MiddleOfStep,
     contacts: list[UnilateralContact],
     joints: list[JointInStep],
+    loads: LoadsInStep,
     delassus: DelassusOperator,
     h: Any,
     settings: MoreauJeanSettings,
@@ -373,6 +414,8 @@ def _search(
     asked = demands(middle, contacts, delassus.free, h, settings) if contacts else None
     end = [x + h * a for x, a in zip(middle.v, delassus.free, strict=True)]
     free = [x for k in numbers for x in joints[k].sliding(end)]
+    ahead = middle.change_to(end)
+    free += [sp.add(rub.speed, along(rub.row, ahead)) for rub in loads.rubs]
     diagonal = middle.free_motion.diagonal
     # A joint that drives move slides whatever friction does (only rounding, of either sign,
     # answers): there it is full.
@@ -380,4 +423,5 @@ def _search(
         UNMOVED * sp.total([lightness(row, diagonal) for row in joints[k].rows]) for k in numbers
     ]
     rubbing = [joints[k] for k in numbers]
-    return Search(rubbing, numbers, asked, delassus.matrix(), free, softest, h)
+    known = delassus.matrix(), free, softest, h, loads.rubs, springs_of(contacts)
+    return Search(rubbing, numbers, asked, *known)

@@ -37,6 +37,13 @@ def drift(system: System, start: list, at: list, speeds: list, h: Any) -> list:
     return [x + h * rate for x, rate in zip(start, rates, strict=True)]
 
 
+def followed_rates(system: System, layout: Layout, forces: Forces) -> list:
+    """Rates of the angles that the state follows, and of states of loads and flanks."""
+    owners = dict.fromkeys(owner for owner, _ in layout.states)
+    states = (rate for owner in owners for rate in forces.state_rates[owner])
+    return [*angle_rates(system, layout, forces.motions), *states]
+
+
 def passive_rates(
     system: System,
     layout: Layout,
@@ -45,10 +52,10 @@ def passive_rates(
     rubbing: Passive = Passive(),
     pressing: Any = (),
 ) -> list:
-    """Rates of what only follows the motion: angles over whole turns, worn volumes with their
-    locations, impulses of joints `pressing` with these forces [N], and energies; those of ideal
-    joints that rub as `rubbing` tells."""
-    out: list[Any] = angle_rates(system, layout, forces.motions)
+    """Rates of what only follows the motion: angles over whole turns and states of loads and
+    flanks, worn volumes with their locations, impulses of joints `pressing` with these forces [N],
+    and energies; those of ideal joints that rub as `rubbing` tells."""
+    out: list[Any] = followed_rates(system, layout, forces)
     for slot in layout.wear:
         if slot.bearing not in system.bearings:
             continue

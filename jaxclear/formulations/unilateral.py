@@ -33,6 +33,7 @@ from jaxclear.formulations.contact_rows import (
     split,
 )
 from jaxclear.formulations.delassus import DelassusOperator
+from jaxclear.formulations.loads_over_step import LoadsInStep, coordinates_at, loads_in_step
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
@@ -81,10 +82,18 @@ class MoreauJeanSettings(NamedTuple):
         return ProjectedGaussSeidel(self.tolerance, self.most_sweeps)
 
 
+class Spring(NamedTuple):
+    """What presses in the place of a percussion where steps follow it (`acts`): its `force` [N]."""
+
+    acts: Any
+    force: Any
+
+
 class UnilateralContact(NamedTuple):
     """A contact as percussions see it: its rows of G (opening, then two or fewer slips), the local
     velocities at the predicted speeds, for each direction of the joint's own slip its shares in
-    these slips, its laws, its joint, and its normal percussion in the step before."""
+    these slips, its laws, its joint, its normal percussion in the step before, and its indentation
+    [m] in the middle; of a side of a stop what gives way there (None: it is rigid)."""
 
     rows: list[ContactJacobianRow]
     velocities: list
@@ -93,6 +102,8 @@ class UnilateralContact(NamedTuple):
     friction: AbstractSetValuedFriction | None
     joint: str
     last: Any
+    depth: Any
+    spring: Spring | None = None
 
     def velocities_at(self, change: list) -> list:
         """Local velocities where the speeds are changed from the predicted ones."""
@@ -131,9 +142,46 @@ def unilateral_contacts(
         shares = [[weights[k] for weights in slips] for k in range(own)]
         law = point.laws.contact
         laws = law.restitution, friction
-        contacts.append(UnilateralContact(rows, velocities, shares, *laws, joint, last[first]))
+        own_last, depth = last[first], point.gap_function.indentation
+        contacts.append(UnilateralContact(rows, velocities, shares, *laws, joint, own_last, depth))
         first += 1 + own
     return contacts
+
+
+def stops_as_contacts(loads: LoadsInStep, last: list) -> list[UnilateralContact]:
+    """The sides of stops as contacts without friction, each by itself; `last`: their percussions in
+    the step before. Of their laws nothing is told yet."""
+    return [
+        UnilateralContact(
+            [one.row],
+            [one.opening],
+            [],
+            0.0 if one.side.stop.restitution is None else one.side.stop.restitution,
+            None,
+            f"{one.name} {k}",
+            last[k],
+            one.beyond,
+        )
+        for k, one in enumerate(loads.stops)
+    ]
+
+
+def with_laws_of_stops(
+    contacts: list[UnilateralContact], loads: LoadsInStep, delassus: DelassusOperator, h: Any
+) -> list[UnilateralContact]:
+    """The contacts, of which sides of stops are the last, with what these do in a step of length
+    h [s]: the inertia along their rows tells whether the step follows their spring, and what they
+    give back where it does not."""
+    found = list(contacts)
+    first = sum(len(contact.rows) for contact in contacts) - len(loads.stops)
+    for k, one in enumerate(loads.stops):
+        if one.side.stop.restitution is not None:
+            continue
+        own = len(contacts) - len(loads.stops) + k
+        light = along(delassus.rows[first + k], delassus.responses[first + k][0])
+        spring = Spring(one.followed(light, h), one.spring())
+        found[own] = found[own]._replace(restitution=one.restitution(light), spring=spring)
+    return found
 
 
 def _slip_directions(point: ContactPoint) -> list[tuple]:
@@ -187,7 +235,7 @@ def demands(
     lifted = []
     for contact, (normal, *slips), (u, *_) in zip(contacts, unhindered, before, strict=True):
         lifted += [normal + contact.restitution * u, *slips]
-    depths = sp.stack([c.gap_function.indentation for c in middle.free_motion.contacts])
+    depths = sp.stack([contact.depth for contact in contacts])
     pressed = positive_part(opening - sp.stack([normal for normal, *_ in unhindered]))
     # Closed is g_N + gamma h u_N <= 0, the gap being known half a step ahead.
     ahead_of = depths + (0.5 - settings.gamma) * h * opening
@@ -258,6 +306,19 @@ def first_guess(contacts: list[UnilateralContact], last: list) -> list:
     return out
 
 
+def _stops_beyond(
+    model: Model, time: Any, end: list, middle: MiddleOfStep, stops: list[UnilateralContact]
+) -> list:
+    """How far coordinates are beyond their stops [rad, m] at the end of a step; 0 where these give
+    way."""
+    if not stops:
+        return []
+    followed = middle.free_motion.forces.followed
+    found = loads_in_step(model.system, coordinates_at(model, time, end, followed)).stops
+    each = [(one.beyond, own.spring) for one, own in zip(found, stops, strict=True)]
+    return [x if own is None else jnp.where(own.acts, 0.0, x) for x, own in each]
+
+
 class Projected(NamedTuple):
     """After projection: coordinates, by how much they were moved (in terms of speeds), energy that
     this put in [J].
@@ -284,6 +345,7 @@ def project(
     (q, v), h = end, time_step.length
     motion = unpack_motion(model.system, [*q, *v])
     depths = contact_rows.indentations(model, time_step.end, *motion)
+    depths += _stops_beyond(model, time_step.end, [*q, *v], middle, contacts[len(depths) :])
     responses = split(delassus.responses, [len(contact.rows) for contact in contacts])
     normals = DelassusOperator(
         [contact.rows[0] for contact in contacts],

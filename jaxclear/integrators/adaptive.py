@@ -2,15 +2,25 @@
 one simulation.
 """
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.ground.quantity import Scalar, concrete, constant, count, is_traced, quantity
+from jaxclear.ground.quantity import (
+    Scalar,
+    concrete,
+    constant,
+    count,
+    is_traced,
+    on_device,
+    on_host,
+    quantity,
+)
 from jaxclear.ground.tangents import derived_once
 from jaxclear.integrators.base import LOOSE, REFERENCE, AbstractIntegrator, Advance
 from jaxclear.integrators.checks import Outcome
@@ -116,13 +126,14 @@ class Adaptive(AbstractIntegrator):
         return REFERENCE if rtol is not None and rtol <= LOOSEST else LOOSE
 
     def with_finer_steps(self, share):
-        finer = share**FINER_TOLERANCE * LOOSEST / jnp.maximum(self.rtol, LOOSEST)
-        finer = jnp.minimum(1.0, jnp.maximum(finer, ROUNDING / self.rtol))
+        rtol, atol = on_host((self.rtol, self.atol))
+        of: Any = jnp if is_traced((share, rtol, atol)) else np
+        finer = share**FINER_TOLERANCE * LOOSEST / of.maximum(rtol, LOOSEST)
+        finer = of.minimum(1.0, of.maximum(finer, ROUNDING / rtol))
         if not is_traced(finer) and finer > ROUNDED_OFF:
             return None
-        own = eqx.tree_at(
-            lambda own: (own.rtol, own.atol), self, (finer * self.rtol, finer * self.atol)
-        )
+        sizes = on_device(finer * rtol), on_device(finer * atol)
+        own = eqx.tree_at(lambda own: (own.rtol, own.atol), self, sizes)
         return own if self.largest_step is None else own.held(share * self.largest_step)
 
     def counting_in(self, gap, arm):
@@ -164,7 +175,7 @@ class Adaptive(AbstractIntegrator):
     def first_warm_start(self, model, start, state):
         """How long a step may be [s]; 0: not known. Where contacts may close, the mean of steps;
         and the growth of derivatives; without contacts, their errors."""
-        if not model.system.bearings:
+        if not model.layout.contacts:
             # Implicit solvers damp what is stiff.
             follows = self.in_kernels and model.layout.size > 0
             return jnp.zeros(()), unfollowed() if follows else None
@@ -187,8 +198,8 @@ class Adaptive(AbstractIntegrator):
         """The error control of an interval, which ends steps where contacts close and part."""
         longest = jnp.inf if self.largest_step is None else self.largest_step
         counting, system = self, model.system
-        if system.bearings:
-            counting = self.counting_in(narrowest_gap(system), longest_arm(system))
+        if model.layout.contacts:
+            counting = self.counting_in(_narrowest(system), longest_arm(system))
         control = diffrax.PIDController(
             rtol=counting.rtol,
             atol=counting.atol,
@@ -200,9 +211,9 @@ class Adaptive(AbstractIntegrator):
             dtmax=longest,
             force_dtmin=False,
         )
-        if not model.system.bearings:
+        if not model.layout.contacts:
             return control
-        beyond = jnp.minimum(LANDING * control.atol, LANDING_IN_GAP * narrowest_gap(model.system))
+        beyond = jnp.minimum(LANDING * control.atol, LANDING_IN_GAP * _narrowest(model.system))
         rounding = ROUNDING * longest_arm(model.system)
         return EndingAtTouches(control, jnp.maximum(beyond, rounding))
 
@@ -220,7 +231,7 @@ class Adaptive(AbstractIntegrator):
         rate; `so_far`: the peaks of the run."""
         formulation, through = self.formulation, self.through_contacts
         solver = stepped_by_hand(self.solver, size) or self.solver
-        if not rest.system.bearings:
+        if not rest.layout.contacts:
             ends = rest.layout.coordinates, rest.layout.memory_start
             return solver if growth is None else FollowingErrors(solver, ends, growth)
 
@@ -236,15 +247,17 @@ class Adaptive(AbstractIntegrator):
         length = stop - start
         usual = jnp.where(step > 0, jnp.minimum(step, length), length)
 
-        # Traced once, however often diffrax asks.
+        # Traced once, however often diffrax asks. Flanks of play count within a step as they were
+        # at its start (`shares`).
         @jax.jit
-        def plain(arrays, time, y):
-            return formulation.rate(eqx.combine(arrays, rest), time, y)[0]
+        def plain(arrays, time, y, shares=None):
+            own = shares if shares is None else shares[rest.layout.joint_contacts :]
+            return formulation.rate(eqx.combine(arrays, rest), time, y, None, own)[0]
 
         model = eqx.combine(arrays, rest)
         size = size_of(jax.make_jaxpr(plain)(arrays, start, state))
         own = equations(formulation, rest, plain)
-        through = rest.system.bearings and self.through_contacts
+        through = rest.layout.contacts and self.through_contacts
         rates = own.rates if through else lambda arrays, _, *now: plain(arrays, *now)
         controller = self._controller(model, interval)
         first = jnp.where(step > 0, usual, 1e-2 * length)
@@ -260,7 +273,7 @@ class Adaptive(AbstractIntegrator):
         reached = (failed == Outcome.REACHED) | (found.time >= stop)
         outcome = jnp.where(reached, Outcome.REACHED, failed)
         peaks, events, usual = None, None, found.wish
-        if rest.system.bearings:
+        if rest.layout.contacts:
             _, _, peaks, events, growth = found.kept
             # As long as a flight it may go through a wall: rounding then decides what follows.
             usual = (found.time - start) / jnp.maximum(found.accepted, 1)
@@ -317,7 +330,12 @@ def _most_growth(model, controller):
     place is then a share of the gap by which they change, of the longest arm where none is."""
     arm = longest_arm(model.system)
     place = controller.rtol * arm + controller.atol
-    return TRUSTED * jnp.minimum(narrowest_gap(model.system), arm) / place
+    return TRUSTED * jnp.minimum(_narrowest(model.system), arm) / place
+
+
+def _narrowest(system):
+    """The narrowest gap [m] of joints; infinite where only couplings have play."""
+    return narrowest_gap(system) if system.bearings else jnp.inf
 
 
 def _largest(weights, error):

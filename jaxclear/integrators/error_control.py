@@ -26,8 +26,9 @@ import numpy as np
 
 from jaxclear.formulations.impact_speed import ContactMotion, Passage, end_at_passage
 from jaxclear.ground.quantity import Scalar, constant
+from jaxclear.ground.tangents import where_wanted
 from jaxclear.integrators.events import noted, nothing, nothing_met, peaks, risen, since
-from jaxclear.integrators.saltation import Equations, Step
+from jaxclear.integrators.saltation import Equations, Step, closed
 from jaxclear.native import while_loop
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
@@ -359,15 +360,22 @@ class TakingImpactSpeeds(
         times, y, own, shift, given = self._begun(step, (t0, t1), y0, own, args)
         y1, error, dense, own, result = self.solver.step(terms, *times, y, given, own, made_jump)
         after: Any = constant(self.motion.contacts(args[0], t1, y1))
+        # Flanks of play by how they count since the step began.
+        seen = after
+        if self.motion.sided:
+            seen = constant(self.motion.seen(args[0], t1, y1, step.shares))
         length, half = t1 - t0, 0.5 * (t0 + t1)
         path = self.interpolation_cls(t0=t0, t1=t1, **constant(dense))
-        middle = self.motion.contacts(args[0], half, path.evaluate(half))
-        passed = Passage(*constant((before, middle, after)))
+        middle = self.motion.seen(args[0], half, path.evaluate(half), step.shares)
+        passed = Passage(*constant((before, middle, seen)))
         remembering = self.remember(y1, before, after, length, args)
         if events is not None:
-            events = noted(events, *constant((t0, length, before, after)))
+            events = noted(events, *constant((t0, length, before, seen)))
         told = remembering, growth, events, error
         y1, own, growth, events = self._ended(step, (t1, y1), own, shift, told)
+        if self.derived is not None and self.motion.layout.plays:
+            slope = lambda: terms.vf(t1, y1, (args[0], closed(after)))
+            own = _renewed(own, step.shares != closed(after), slope)
         known = self._peaks((t0, y0), (t1, y1), args, (step.contacts, after), known)
         kept = own, after, known, events, growth
         return y1, Judged(error, passed), dense, kept, result
@@ -402,3 +410,11 @@ class TakingImpactSpeeds(
         slopes, others = eqx.partition(own, eqx.is_inexact_array)
         y, slopes, *rest = self.derived.jumped(step, end, slopes, shift, *known)
         return y, eqx.combine(slopes, others), *rest
+
+
+def _renewed(own: Any, changed: Any, slope: Callable) -> Any:
+    """What a solver keeps between steps, where flanks have `changed`: with the slope as they count
+    from there on."""
+    slopes, others = eqx.partition(own, eqx.is_inexact_array)
+    fresh = lambda slopes: jax.tree.map(lambda _: slope(), slopes)
+    return eqx.combine(where_wanted(jnp.any(changed), fresh, slopes), others)

@@ -4,10 +4,11 @@ from collections.abc import Iterable
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxclear.formulations import contact_rows
+from jaxclear.formulations import contact_rows, contacts_over_step
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.contact_rows import TimeStep
@@ -17,7 +18,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, constant, count, quantity
 from jaxclear.integrators.base import AbstractIntegrator, arrived, counted, divide, march
-from jaxclear.integrators.events import among, nothing_met, risen, since, watch_from, watched
+from jaxclear.integrators.events import Peaks, among, nothing_met, risen, since, watch_from, watched
 from jaxclear.integrators.variational import (
     beside_steps,
     nothing_beside,
@@ -126,8 +127,8 @@ class ImplicitStep(AbstractIntegrator):
         last = self._held(model, start, state, last)
         if not self._derived(model):
             return last, None
-        damped = self.formulation.damped(model)
-        return last, nothing_beside(model.layout.size, model.layout.contacts, damped)
+        known = nothing_beside(model.layout.size, model.layout.joint_contacts, _damped(model))
+        return last, known
 
     def _derived(self, model):
         return self.through_contacts and model.system.bearings and not model.discrete
@@ -139,7 +140,7 @@ class ImplicitStep(AbstractIntegrator):
     def _stepped(self, model):
         """A step, as a function of (its start and length [s], state, last, met)."""
         arrays, rest = eqx.partition((model, self), eqx.is_array)
-        depths, damped = _depths(model), self.formulation.damped(model)
+        depths, damped = _depths(model), _damped(model)
 
         def plain(arrays, clock, y, last, met):
             model, own = eqx.combine(arrays, rest)
@@ -148,7 +149,7 @@ class ImplicitStep(AbstractIntegrator):
             end = closed(model, sum(clock), end, clock[1])
             if met is None:
                 return end, now, None
-            forces = now[-model.layout.contacts :] if damped else None
+            forces = now[-model.layout.joint_contacts :] if damped else None
             return end, now, risen(met, now[depths], forces)
 
         if not self._derived(model):
@@ -173,7 +174,7 @@ class ImplicitStep(AbstractIntegrator):
 
     def _held(self, model, start, state, last):
         """A warm start that knows what contacts hold where a run begins."""
-        if not model.layout.contacts:
+        if not model.layout.joint_contacts:
             return last
         free, caused = self.formulation.caused_by_contact(model, start, state)
         return last.at[self._surplus(model, last)].set(
@@ -182,14 +183,14 @@ class ImplicitStep(AbstractIntegrator):
 
     def _surplus(self, model, last):
         """Where a warm start holds its surplus."""
-        end = len(last) - (model.layout.contacts if self.formulation.damped(model) else 0)
+        end = len(last) - (model.layout.joint_contacts if _damped(model) else 0)
         return slice(end - model.layout.speeds, end)
 
     def _sped_up(self, model, state, last, length):
         """A state whose speeds are, at saving times, those with which places change: within steps
         of this length [s] they lack what contacts have of numerical dissipation
         (`midpoint_step`)."""
-        if not model.layout.contacts:
+        if not model.layout.joint_contacts:
             return state
         speeds = slice(model.layout.coordinates, model.layout.memory_start)
         return state.at[speeds].add(length * constant(last[self._surplus(model, last)]))
@@ -208,16 +209,16 @@ class ImplicitStep(AbstractIntegrator):
 
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)
-        step, contacts = self._stepped(model), model.layout.contacts
+        step, contacts = self._stepped(model), model.layout.joint_contacts
         last, known = warm_start
         state = self._sped_up(model, state, last, -h)
         met = None
         if contacts:
             last = last.at[_depths(model)].set(_worn_deeper(model, interval.start, state, last))
             begun = positive_part(last[_depths(model)])
-            peaks = nothing_met(begun, self.formulation.damped(model))._replace(depths=begun)
+            peaks = nothing_met(begun, _damped(model))._replace(depths=begun)
             derived = self._derived(model)
-            met = since(interval.peaks, peaks) if derived else peaks
+            met = since(_of_joints(model, interval.peaks), peaks) if derived else peaks
 
         def one(index, state, carried):
             last, met, watch = carried
@@ -233,10 +234,10 @@ class ImplicitStep(AbstractIntegrator):
             turn = lambda index, carry: one(index, *carry)
             end, (last, met, watch) = counted(turn, self.steps_per_save, (state, carried))
         if contacts and not self._derived(model):
-            met = among(interval.peaks, met)
+            met = among(_of_joints(model, interval.peaks), met)
         end = self._sped_up(model, end, last[0], h)
         end, met, watch = self._trusted(model, end, met, watch, last)
-        return arrived(end, steps, last, met, watch)
+        return arrived(end, steps, last, _with_flanks(model, met), watch)
 
 
 def _worn_deeper(model: Model, time: Any, state: State, last: Array) -> Array:
@@ -253,4 +254,24 @@ def _worn_deeper(model: Model, time: Any, state: State, last: Array) -> Array:
 def _depths(model: Model) -> slice:
     """Where a warm start holds the indentations: behind the accelerations."""
     first = 2 * model.layout.speeds
-    return slice(first, first + model.layout.contacts)
+    return slice(first, first + model.layout.joint_contacts)
+
+
+def _damped(model: Model) -> bool:
+    """Whether some contact of a joint damps."""
+    return contacts_over_step.damped(model.system)
+
+
+def _of_joints(model: Model, peaks: Peaks | None) -> Peaks | None:
+    """Of the peaks those of joints: steps do not look at the flanks of play."""
+    if peaks is None or not model.layout.plays:
+        return peaks
+    return jax.tree.map(lambda each: each[: model.layout.joint_contacts], peaks)
+
+
+def _with_flanks(model: Model, met: Peaks | None) -> Peaks | None:
+    """The peaks with zeros for the flanks of play."""
+    if met is None or not model.layout.plays:
+        return met
+    none = jnp.zeros(2 * len(model.layout.plays))
+    return jax.tree.map(lambda each: jnp.concatenate([each, none]), met)

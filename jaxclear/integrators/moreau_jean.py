@@ -36,6 +36,7 @@ from jaxtyping import Array
 
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.contact_rows import TimeStep
+from jaxclear.formulations.loads_over_step import may_strike
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.rigid import RigidContact, Strikes
 from jaxclear.formulations.unilateral import MoreauJeanSettings
@@ -356,7 +357,7 @@ class MoreauJean(AbstractIntegrator):
 
     def first_warm_start(self, model, start, state):
         warm_start = self.formulation.warm_start(model)
-        moves = nothing_moved(state, warm_start) if model.system.bearings else None
+        moves = nothing_moved(state, warm_start) if may_strike(model.system) else None
         return warm_start, moves
 
     @property
@@ -366,7 +367,7 @@ class MoreauJean(AbstractIntegrator):
         )
 
     def known_states(self, model, times, states, end, warm_start):
-        if not model.system.bearings:
+        if not may_strike(model.system):
             return states
         last, moves = warm_start
         _, h = divide(Interval(times[-2], times[-1], end, True), self.step)
@@ -393,7 +394,7 @@ class MoreauJean(AbstractIntegrator):
             return end, (last, moves)
 
         found = searching_steps(interval, self.step, followed, (state, warm_start), LOOSE)
-        if not model.system.bearings:
+        if not may_strike(model.system):
             return found
         state = trusted_impacts(found.state, found.warm_start[1].figures)
         return found._replace(state=derived_once(NO_SECOND, state))

@@ -92,13 +92,17 @@ class Equations(NamedTuple):
 
 class Motion(NamedTuple):
     """Rates as a function of (arrays, shares, time, state), the motion of contacts as one of
-    (arrays, time, state), normal forces of contacts that damp as one of (arrays, state, motion)."""
+    (arrays, time, state), normal forces of contacts that damp as one of (arrays, state, motion).
+    `seen`: contacts as functions of (arrays, time, state, shares), of flanks of play by whether
+    they count as pressing; `sided`: whether that makes a difference."""
 
     rates: Callable
     contacts: Callable
     slips: Callable
     pressing: Callable
     layout: Layout
+    seen: Callable
+    sided: bool
 
 
 def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
@@ -120,20 +124,30 @@ def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
     def pressing(arrays, y, motion):
         return formulation.normal_forces(eqx.combine(arrays, rest), y, motion)
 
-    return Motion(counted, contacts, slips, pressing, rest.layout)
+    @jax.jit
+    def by_shares(arrays, time, y, shares):
+        flanks = shares[rest.layout.joint_contacts :]
+        return formulation.contacts(eqx.combine(arrays, rest), time, y, flanks)
+
+    sided = any(own.left_by_torque for own in rest.system.transmissions.values())
+    seen = by_shares if sided else lambda arrays, time, y, _: contacts(arrays, time, y)
+    return Motion(counted, contacts, slips, pressing, rest.layout, seen, sided)
 
 
 def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equations:
     """Of a model, of which this is the `rest` beside its arrays; `plain`: its rates as a function
-    of (arrays, time, state)."""
+    of (arrays, time, state), and of shares where couplings have play."""
 
     model = motion_of(formulation, rest)
+
+    def rates(arrays, shares, *now):
+        return plain(arrays, *now, shares) if rest.layout.plays else plain(arrays, *now)
 
     def as_counted(numbers, tangents):
         return pushed(model.rates, numbers, tangents)[1]
 
     return Equations(
-        derived(lambda arrays, _, *now: plain(arrays, *now), as_counted),
+        derived(rates, as_counted),
         derived(
             lambda step, now, slopes: (now[1], slopes, jnp.zeros(())),
             functools.partial(_at_moving_time, model),
@@ -235,12 +249,13 @@ def passed(model: Motion, here: tuple, ways: tuple, acting: tuple) -> Passed:
     """Behind an instant at which contacts that act by these shares, (before, after), touch and
     part; `here`: (arrays, time, state), `ways`: their derivatives before it."""
     (arrays, time, y), (before, after), state = here, acting, ways[2]
-    flow, now = model.rates(arrays, before, time, y), model.contacts(*here)
-    ahead = pushed(model.contacts, here, ways)[1]
+    seen = lambda *here: model.seen(*here, before)
+    flow, now = model.rates(arrays, before, time, y), seen(*here)
+    ahead = pushed(seen, here, ways)[1]
     late = jnp.where(before != after, -safe_divide(ahead.depths, now.rates), 0.0)
     rate = lambda shares: model.rates(arrays, shares, time, y)
     state = state + jax.jvp(rate, (before,), ((before - after) * late,))[1]
-    along = lambda time, y: model.contacts(arrays, time, y).rates
+    along = lambda time, y: seen(arrays, time, y).rates
     gain = jax.jvp(along, (time, y), (jnp.ones_like(time), flow))[1]
     speeds = ahead.rates + gain * late
     state = with_impact_speeds(model.layout, state, after > before, speeds)

@@ -18,9 +18,8 @@ from jaxtyping import Array, Bool
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, expect
-from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import is_traced, is_tracing
 from jaxclear.ground.warning import warn
 from jaxclear.multibody import (
     assembly_modes,
@@ -54,6 +53,7 @@ from jaxclear.multibody.start_equations import (
 )
 from jaxclear.multibody.system import readings
 from jaxclear.multibody.topology import Redundancy
+from jaxclear.native.compiled import compiled_quickly
 
 ITERATIONS = 30
 # The last of them.
@@ -333,7 +333,7 @@ def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = N
     """The start nearest to what is guessed, of surfaces `worn` so deep [m] (None: new ones): other
     beginnings are tried where the first has not landed on it. Warns where another mode is about as
     near. What is being traced is taken as it comes."""
-    if is_traced((mechanism, worn, jnp.zeros(()))):
+    if is_traced((mechanism, worn)) or is_tracing():
         return Nearest(mechanism, *_judged(mechanism, concentric, worn)[:2])
     first = first_found(mechanism, concentric, worn)
     found = [] if first.is_taken else first.modes(assembly_modes.SEARCHES)

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground import factorisation
+from jaxclear.ground.quantity import on_device
 from jaxclear.ground.wording import listed
 from jaxclear.multibody import start_check
 from jaxclear.multibody.mechanism import Mechanism
@@ -99,13 +100,13 @@ Search = Callable[[Beginning], tuple[Start, Any]]
 
 def at(coordinates: Any) -> Beginning:
     """A beginning at coordinates, led nowhere else."""
-    return Beginning(jnp.array(True), jnp.array(False), jnp.asarray(coordinates))
+    return Beginning(on_device(True), on_device(False), jnp.asarray(coordinates))
 
 
 def at_guess(mechanism: Mechanism) -> Beginning:
     """The mechanism's own beginning."""
-    own, led = jnp.array(False), jnp.array(True)
-    return Beginning(own, led, jnp.zeros(mechanism.topology.coordinate_count))
+    own, led = on_device(False), on_device(True)
+    return Beginning(own, led, on_device(np.zeros(mechanism.topology.coordinate_count)))
 
 
 def has_landed(tree: "Coordinates", start: Start) -> bool:

@@ -15,10 +15,10 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import Pose
-from jaxclear.multibody import kinematics
+from jaxclear.multibody import kinematics, transmissions
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.state import Layout, unpack_angles, unpack_motion
-from jaxclear.multibody.system import ClosureCoordinate, System
+from jaxclear.multibody.state import Layout, unpack_followed, unpack_motion
+from jaxclear.multibody.system import ClosureCoordinate, System, coordinate_loads
 from jaxclear.multibody.topology import coordinate_joint
 from jaxclear.multibody.tree import Motion, Wrench
 
@@ -73,14 +73,31 @@ def angles_at_start(
     return angles
 
 
+def states_at_start(system: System, layout: Layout, motions: tuple[Motion, ...]) -> list[Any]:
+    """The states of loads and of flanks with which a run begins: shafts are relaxed."""
+    loads = [x.start for _, load in coordinate_loads(system) for x in load.states()]
+    for own in system.transmissions.values():
+        if own.has_twist:
+            twist = transmissions.twist_of(system, motions, own)
+            loads.append(transmissions.end_at_start(own, twist))
+        loads += [0.0] * (len(own.states()) - own.has_twist)
+    return loads
+
+
 def started(
     mechanism: Mechanism, system: System, layout: Layout, time: Any, state: Float[Array, " n"]
 ) -> Float[Array, " n"]:
-    """The state at the start of a run, with the angles that it follows."""
-    if not layout.angles:
+    """The state at the start of a run, with what it follows beside the motion."""
+    if not layout.angles and not layout.states:
         return state
     motions = kinematics.link_motions(system, *unpack_motion(system, _entries(state)), time)
-    return _with_angles(layout, state, angles_at_start(mechanism, system, layout.angles, motions))
+    if layout.angles:
+        angles = angles_at_start(mechanism, system, layout.angles, motions)
+        state = _with_angles(layout, state, angles)
+    if layout.states:
+        first, found = layout.state_start, states_at_start(system, layout, motions)
+        state = state.at[first : first + len(found)].set(sp.stack(found))
+    return state
 
 
 def anchored(
@@ -92,7 +109,7 @@ def anchored(
         return state
     entries = _entries(state)
     motions = kinematics.link_motions(system, *unpack_motion(system, entries), time)
-    followed = unpack_angles(layout, entries)
+    followed = unpack_followed(layout, entries).angles
     angles = {n: read(system.measured[n], motions, x).position for n, x in followed.items()}
     return _with_angles(layout, state, angles)
 

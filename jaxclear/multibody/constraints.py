@@ -5,65 +5,21 @@ For residuals :math:`\Phi(q, t) = 0` the accelerations satisfy :math:`\Phi_q \do
 :math:`\gamma = -(\ddot\Phi \text{ at } \dot v = 0) - 2\alpha\dot\Phi - \beta^2\Phi`, the last two
 Baumgarte's (Nikravesh 1988, Computer-Aided Analysis of Mechanical Systems, section 3.2; see
 `loops`). Reactions are :math:`\Phi_q^T \lambda`.
-
-Rows of couplings between coordinates, $\sum_i r_i q_i = c$: residual, rate, Jacobian, second
-derivative, and what the multiplier does to joints outside the tree.
-
-A coordinate that the tree carries is read, whole turns and all, and its entry of the Jacobian is
-its factor; one outside the tree is read between its two markers, as loads read it
-(`closure_coordinates`), its whole turns so that the sum is least.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import STILL, Pose, Twist
 from jaxclear.multibody import kinematics, loops, pose_rows, tree
+from jaxclear.multibody.coordinate_sums import outer_wrenches, sum_equation
 from jaxclear.multibody.forces import add_action_and_reaction
 from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.loops import Baumgarte, Closure, CoordinateSum, SummedCoordinate
 from jaxclear.multibody.meshes import Mesh
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
-
-
-def sum_equation(
-    system: Any, motions: tuple[Motion, ...], row: CoordinateSum
-) -> tuple[Any, Any, JacobianRow]:
-    """(residual, rate, Jacobian by speed index) of the row."""
-    residual, rate, turn = 0 if row.total is None else sp.neg(row.total), 0, None
-    jacobian: JacobianRow = {}
-    for term in row.terms:
-        if term.link is not None:
-            motion = motions[term.link]
-            position, speed = motion.coordinates[0], motion.speeds[0]
-            own: JacobianRow = {}
-            if motion.columns:
-                own = {system.topology.branches[term.link].speeds.start: 1}
-        else:
-            position, speed, own = _outside(system, motions, term)
-            turn = 2 * jnp.pi * term.factor if term.turn else turn
-        residual = sp.add(residual, sp.mul(term.factor, position))
-        rate = sp.add(rate, sp.mul(term.factor, speed))
-        for j, entry in own.items():
-            jacobian[j] = sp.add(jacobian.get(j, 0), sp.mul(term.factor, entry))
-    if turn is not None:
-        residual = residual - turn * jnp.round(residual / turn)
-    return residual, rate, jacobian
-
-
-def _outside(
-    system: Any, motions: tuple[Motion, ...], term: SummedCoordinate
-) -> tuple[Any, Any, JacobianRow]:
-    """(coordinate, speed, Jacobian) of a joint outside the tree."""
-    _, pose, relative = kinematics.relative_motion(term.closure, motions)
-    (position,), (slope,) = pose_rows.gradients(term.reading, pose)
-    rates = lambda *own: (pose_rows.rate(slope, *own),)
-    jacobian = kinematics.relative_jacobian(system, motions, term.closure, pose, rates)
-    return position, rates(pose, relative.velocity, relative.spin)[0], jacobian[0]
 
 
 def sum_acceleration(motions: tuple[Motion, ...], row: CoordinateSum, second: Any) -> Any:
@@ -80,19 +36,6 @@ def sum_acceleration(motions: tuple[Motion, ...], row: CoordinateSum, second: An
             own = pose_rows.accelerations(term.reading, pose, slopes, *second(term.closure))[0]
         out = sp.add(out, sp.mul(term.factor, own))
     return out
-
-
-def outer_wrenches(
-    motions: tuple[Motion, ...], row: CoordinateSum, multiplier: Any
-) -> Iterator[tuple[SummedCoordinate, Pose, Wrench]]:
-    """What a multiplier does to joints outside the tree: (coordinate, pose of the joint, wrench on
-    its child about its marker, in the parent marker's axes)."""
-    for term in row.terms:
-        if term.closure is not None:
-            pose = kinematics.relative_motion(term.closure, motions)[1]
-            (slope,) = pose_rows.gradients(term.reading, pose)[1]
-            force = sp.mul(multiplier, term.factor)
-            yield term, pose, Wrench(*(sp.scale(force, x) for x in slope.wrench(pose)))
 
 
 def driven_power(motions: tuple[Motion, ...], row: CoordinateSum, multiplier: Any) -> Any:

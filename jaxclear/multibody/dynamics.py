@@ -161,6 +161,18 @@ def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[
     return tuple(out)
 
 
+def coupled_on_drives(system: System, forces: Forces, solution: Solution) -> list[tuple[int, Any]]:
+    """(link, force) of couplings on coordinates that drives prescribe."""
+    found = list(forces.on_drives.items())
+    for closure, own in constraints.coupled(system, forces.motions, solution.multipliers):
+        found += [
+            (term.link, sp.mul(own[0], term.factor))
+            for term in closure.reading.terms
+            if own and term.link is not None and forces.motions[term.link].prescribed
+        ]
+    return found
+
+
 def powers(system: System, forces: Forces, solution: Solution) -> list:
     """Rates [W] of the energies of the balance, in the order of `state.ENERGIES`."""
     driven = 0

@@ -15,7 +15,7 @@ from jaxclear.components.body import Body, Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.joint import AbstractDrivenJoint, AbstractJoint
 from jaxclear.components.joint.base import drive_of
-from jaxclear.components.load import AbstractCoordinateLoad
+from jaxclear.components.load import AbstractStateLoad
 from jaxclear.ground.arguments import check_known, expect
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.pose_rows import closing_rows
@@ -115,12 +115,12 @@ def told_for_start(
 
 def without_loads_on(loads: Mapping[str, Any], joints: tuple[str, ...]) -> dict[str, Any]:
     """The loads but for those on the coordinates of some joints."""
-    acts = lambda load: isinstance(load, AbstractCoordinateLoad) and load.connection in joints
+    acts = lambda load: isinstance(load, AbstractStateLoad) and {*load.coordinates()} & {*joints}
     return {name: load for name, load in loads.items() if not acts(load)}
 
 
 def at_rest_under(loads: Mapping[str, Any], held: tuple[str, ...]) -> dict[str, Any]:
     """The loads that say where a mechanism stands of which some joints are held: neither those on
     the coordinates of these nor inertias."""
-    idle = lambda x: isinstance(x, AbstractCoordinateLoad) and x.inertia_along() is not None
+    idle = lambda x: isinstance(x, AbstractStateLoad) and x.inertia_along() is not None
     return {n: load for n, load in without_loads_on(loads, held).items() if not idle(load)}

@@ -5,26 +5,47 @@ Alike clearance joints are traced once. Constraint reactions are not forces here
 the accelerations (`dynamics`).
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
-from jaxclear.components.load import AbstractBodyLoad, Action, Effect, MarkerMotion
+from jaxclear.components.load import (
+    AbstractBodyLoad,
+    AbstractStateLoad,
+    Action,
+    Effect,
+    MarkerMotion,
+)
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_alike
 from jaxclear.ground.pose import Pose
-from jaxclear.multibody import closure_coordinates, contact_point, kinematics, tree
+from jaxclear.laws.transmission import holding
+from jaxclear.multibody import (
+    closure_coordinates,
+    contact_point,
+    kinematics,
+    transmissions,
+    tree,
+)
 from jaxclear.multibody.contact_point import JointReport
 from jaxclear.multibody.loops import Closure
+from jaxclear.multibody.state import Followed
 from jaxclear.multibody.system import System, body_loads, coordinate_loads
+from jaxclear.multibody.transmissions import Pressing
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
+
+AXIS: sp.Vec = (0, 0, 1)
 
 
 class Forces(NamedTuple):
     """Everything that acts, at one instant: wrenches by link, in its axes, and forces on its
     coordinates; `stored` energy [J] of the loads, their `damping_loss` and `external_power` [W].
     `on_joints`: wrenches of loads on coordinates outside the tree, by joint, on its child about its
-    marker in the parent marker's axes; `angles` [rad]: those near which such coordinates were read.
+    marker in the parent marker's axes; `followed`: what of the state such coordinates were read by;
+    `state_rates` of loads and flanks, by load or coupling; `pressing`: what couplings with play or
+    stiffness do; `on_drives`: forces of couplings on coordinates that drives prescribe, by link.
     """
 
     motions: tuple[Motion, ...]
@@ -35,7 +56,10 @@ class Forces(NamedTuple):
     damping_loss: Any
     external_power: Any
     on_joints: dict[str, Wrench]
-    angles: dict[str, Any]
+    followed: Followed
+    state_rates: dict[str, tuple]
+    pressing: dict[str, Pressing]
+    on_drives: dict[int, Any]
 
 
 def contact_reports(
@@ -53,6 +77,9 @@ def contact_reports(
     return dict(zip(system.bearings, reports, strict=True))
 
 
+NOTHING_FOLLOWED = Followed()
+
+
 def applied_forces(
     system: System,
     motions: tuple[Motion, ...],
@@ -60,15 +87,18 @@ def applied_forces(
     q: tuple,
     v: tuple,
     time: Any,
-    angles: dict[str, Any],
+    followed: Followed = NOTHING_FOLLOWED,
 ) -> Forces:
-    """Wrench of contacts and loads on every link, and forces on coordinates; `angles` that the
-    state follows, by joint."""
+    """Wrench of contacts, loads and couplings that give on every link, and forces on coordinates;
+    `followed`: what the state follows beside the motion."""
     wrenches = [NOTHING] * len(system.links)
     for name, report in reports.items():
         closure = system.bearings[name].closure
         pose = kinematics.relative_motion(closure, motions)[1]
         add_action_and_reaction(wrenches, closure, pose, report.force, report.torque)
+    stored: Any
+    damping: Any
+    external: Any
     stored, damping, external = 0, 0, 0
     with jax.named_scope("loads"):
         for name, load in body_loads(system):
@@ -81,25 +111,176 @@ def applied_forces(
                     _add(wrenches, link, _in_link(action, motions[link], marker))
             stored, damping = sp.add(stored, effect.stored), sp.add(damping, effect.dissipated)
             external = sp.add(external, effect.external)
-    forces = [(0,) * len(motion.columns) for motion in motions]
-    on_joints: dict[str, Wrench] = {}
-    for _, held in coordinate_loads(system):
-        name, branch = held.connection, system.topology.branch_of(held.connection)
-        if branch is not None:
-            index = system.topology.branches.index(branch)
-            force, energy, loss, power = held.force(time, q[index][0], v[index][0])
-            forces[index] = (sp.add(forces[index][0], force),)
+    acting = Acting(wrenches, [(0,) * len(motion.columns) for motion in motions], {}, {})
+    rates: dict[str, tuple] = {}
+    for label, held in coordinate_loads(system):
+        seen = [seen_at(system, motions, name, followed) for name in held.coordinates()]
+        states = states_of(label, held, followed)
+        found = held.effect(
+            time, tuple(one.position for one in seen), tuple(one.speed for one in seen), states
+        )
+        for one, force in zip(seen, found.forces, strict=True):
+            one.push(acting, force)
+        rates |= {label: found.rates} if found.rates else {}
+        stored, damping = sp.add(stored, found.stored), sp.add(damping, found.dissipated)
+        external = sp.add(external, found.external)
+    pressed: dict[str, Pressing] = {}
+    for name, giving in system.transmissions.items():
+        pressed[name] = pressing_of(system, motions, name, followed)
+        give(system, motions, giving, pressed[name].torque, acting)
+        moved = (pressed[name].end_rate,) if giving.has_twist else ()
+        rubbed = _rubbed(system, motions, name, pressed[name].torque, followed, acting)
+        if moved or rubbed is not None:
+            rates[name] = moved if rubbed is None else (*moved, rubbed.rate)
+        damping = damping if rubbed is None else sp.add(damping, rubbed.lost)
+        stored, damping = (
+            sp.add(stored, pressed[name].stored),
+            sp.add(damping, pressed[name].dissipated),
+        )
+    for link, force in acting.on_drives.items():
+        external = sp.sub(external, sp.mul(force, motions[link].speeds[0]))
+    links = (tuple(acting.wrenches), tuple(acting.forces))
+    return Forces(
+        motions,
+        reports,
+        *links,
+        stored,
+        damping,
+        external,
+        acting.on_joints,
+        followed,
+        rates,
+        pressed,
+        acting.on_drives,
+    )
+
+
+class _Rubbed(NamedTuple):
+    """Rate of a deflection that holds, and what is lost [W]."""
+
+    rate: Any
+    lost: Any
+
+
+def _rubbed(
+    system: System,
+    motions: tuple[Motion, ...],
+    name: str,
+    torque: Any,
+    followed: Followed,
+    acting: "Acting",
+) -> _Rubbed | None:
+    """Adds the friction of a coupling that transmits a torque against its twist; None of one
+    without."""
+    own = system.transmissions[name]
+    end, thread = own.driving, own.coupling.thread
+    if end is None and thread is None:
+        return None
+    known = followed.states.get(name)
+    deflection = jnp.zeros(()) if known is None else known[-1]
+    if end is not None:
+        seen = seen_at(system, motions, end.coordinate, followed)
+        held = holding(deflection, seen.speed, end.loses.presliding, end.loses.settling_time)
+        friction = end.loses.loss(torque * end.slope, held.share)
+        seen.push(acting, -friction)
+        return _Rubbed(held.rate, friction * seen.speed)
+    assert thread is not None
+    _, pose, relative = kinematics.relative_motion(own.closure, motions)
+    helix = thread.helix
+    slip = sp.add(sp.mul(helix.axial, relative.velocity[2]), sp.mul(helix.lever, relative.spin[2]))
+    slip = jnp.asarray(slip, float)
+    held = holding(deflection, slip, thread.presliding, thread.settling_time)
+    friction = -thread.coefficient * helix.normal * jnp.abs(torque) * held.share
+    force, turned = sp.scale(friction * helix.axial, AXIS), sp.scale(friction * helix.lever, AXIS)
+    add_action_and_reaction(acting.wrenches, own.closure, pose, force, turned)
+    return _Rubbed(held.rate, -friction * slip)
+
+
+def pressing_of(
+    system: System, motions: tuple[Motion, ...], name: str, followed: Followed
+) -> Pressing:
+    """What a coupling with play or stiffness does."""
+    own = system.transmissions[name]
+    twist, end = transmissions.twist_of(system, motions, own), None
+    if own.has_twist:
+        known = followed.states.get(name)
+        end = transmissions.end_at_start(own, twist) if known is None else known[0]
+    return transmissions.pressing(own, twist, end, followed.shares.get(name))
+
+
+def states_of(name: str, load: AbstractStateLoad, followed: Followed) -> tuple:
+    """The states of a load; those with which it starts where none are followed."""
+    known = followed.states.get(name)
+    return tuple(jnp.asarray(x.start, float) for x in load.states()) if known is None else known
+
+
+class Acting(NamedTuple):
+    """What acts so far: wrenches on links, forces on their coordinates, wrenches of loads on
+    coordinates outside the tree, by joint, and forces on coordinates that drives prescribe, by
+    link."""
+
+    wrenches: list[Wrench]
+    forces: list[tuple]
+    on_joints: dict[str, Wrench]
+    on_drives: dict[int, Any]
+
+    def along(self, link: int, force: Any) -> None:
+        """Adds a force on the single coordinate of a link."""
+        if self.forces[link]:
+            self.forces[link] = (sp.add(self.forces[link][0], force),)
         else:
-            coordinate = system.measured[name]
-            now = closure_coordinates.read(coordinate, motions, angles.get(name))
-            force, energy, loss, power = held.force(time, now.position, now.speed)
-            own = Wrench(*(sp.scale(force, part) for part in now.wrench))
-            add_action_and_reaction(wrenches, coordinate.closure, now.pose, *own)
-            on_joints[name] = _sum(on_joints.get(name, NOTHING), own)
-        stored, damping = sp.add(stored, energy), sp.add(damping, loss)
-        external = sp.add(external, power)
-    links = (tuple(wrenches), tuple(forces))
-    return Forces(motions, reports, *links, stored, damping, external, on_joints, angles)
+            self.on_drives[link] = sp.add(self.on_drives.get(link, 0), force)
+
+
+class _Seen(NamedTuple):
+    """A coordinate as a load reads it, and what `push`es it: (what acts so far, force)."""
+
+    position: Any
+    speed: Any
+    push: Callable[[Acting, Any], None]
+
+
+def seen_coordinates(
+    system: System, motions: tuple[Motion, ...], load: AbstractStateLoad, followed: Followed
+) -> tuple[tuple, tuple]:
+    """Positions and speeds of the coordinates that a load reads."""
+    seen = [seen_at(system, motions, name, followed) for name in load.coordinates()]
+    return tuple(own.position for own in seen), tuple(own.speed for own in seen)
+
+
+def seen_at(system: System, motions: tuple[Motion, ...], name: str, followed: Followed) -> _Seen:
+    """The coordinate of a joint, or of a motor."""
+    if name in system.geared:
+        own = system.geared[name]
+        joint = seen_at(system, motions, own.joint, followed)
+        position = sp.mul(own.ratio, joint.position)
+        position = position if own.offset is None else position + own.offset
+        turned = lambda acting, force: joint.push(acting, sp.mul(own.ratio, force))
+        return _Seen(position, sp.mul(own.ratio, joint.speed), turned)
+    branch = system.topology.branch_of(name)
+    if branch is not None:
+        index = system.topology.branches.index(branch)
+        along = lambda acting, force: acting.along(index, force)
+        return _Seen(motions[index].coordinates[0], motions[index].speeds[0], along)
+    coordinate = system.measured[name]
+    now = closure_coordinates.read(coordinate, motions, followed.angles.get(name))
+
+    def between(acting, force):
+        own = Wrench(*(sp.scale(force, part) for part in now.wrench))
+        add_action_and_reaction(acting.wrenches, coordinate.closure, now.pose, *own)
+        acting.on_joints[name] = _sum(acting.on_joints.get(name, NOTHING), own)
+
+    return _Seen(now.position, now.speed, between)
+
+
+def give(system, motions, own, torque, acting) -> None:
+    """Adds the torque of a coupling."""
+    for link, force in transmissions.on_coordinates(own, torque):
+        acting.along(link, force)
+    for closure, pose, wrench, joint in transmissions.on_closures(motions, own, torque):
+        add_action_and_reaction(acting.wrenches, closure, pose, *wrench)
+        if joint is not None:
+            acting.on_joints[joint] = _sum(acting.on_joints.get(joint, NOTHING), wrench)
 
 
 def effect_of(

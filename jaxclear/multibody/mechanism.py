@@ -12,7 +12,6 @@ from typing import Any, NoReturn
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.components.body import Body, Connection
@@ -29,7 +28,7 @@ from jaxclear.ground.printing import (
     number_in_words,
     numbers_in_words,
 )
-from jaxclear.ground.quantity import IF_ANY, AbstractQuantified, as_number
+from jaxclear.ground.quantity import IF_ANY, AbstractQuantified, as_number, on_device
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described, public_name
 from jaxclear.multibody import validation
@@ -39,9 +38,9 @@ from jaxclear.multibody.magnitudes import check_plane, warn_of_magnitudes
 from jaxclear.multibody.topology import (
     Redundancy,
     Topology,
-    acted_on,
     coordinate_units,
     grow,
+    moves_along,
     own_numbers,
     slides,
     unit_along,
@@ -135,13 +134,11 @@ def _counted(part: str, names: Any) -> str:
 
 
 def _load(mechanism: Any, load: Any) -> str:
-    return f"{public_name(type(load))} {_numbers(load, slides(mechanism, acted_on(load)))}"
+    return f"{public_name(type(load))} {_numbers(load, moves_along(mechanism, load))}"
 
 
 def _coupling(mechanism: Any, coupling: Any) -> str:
-    joints = coupling.joints()
-    along = bool(joints) and slides(mechanism, joints[0])
-    return f"{public_name(type(coupling))} {_numbers(coupling, along)}"
+    return f"{public_name(type(coupling))} {_numbers(coupling, moves_along(mechanism, coupling))}"
 
 
 def _connection(mechanism: Any, name: str) -> str:
@@ -259,7 +256,7 @@ class Mechanism(AbstractQuantified):
         validation.check_parts(*parts)
         validation.check_finite("the mechanism", self.given)
         self.bodies, self.connections, self.loads, self.couplings = _unshared(parts)
-        self.topology = grow(self.bodies, self.connections, tuple(self.couplings))
+        self.topology = grow(self.bodies, self.connections, self.couplings)
         usual = isinstance(stabilisation, str) and stabilisation == "default"
         self.stabilisation = AsNeeded() if usual else stabilisation  # type: ignore[assignment]
         expect(
@@ -272,7 +269,7 @@ class Mechanism(AbstractQuantified):
         check_couplings(self.couplings, self.topology, self.bodies, self.connections)
         check_plane(self.topology, self.bodies, self.connections, self.loads)
         places = {"start": self.start, "guess": self.guess}
-        validation.check_start(self.bodies, self.connections, places, self.speeds)
+        validation.check_start(self.topology, self.bodies, self.connections, places, self.speeds)
         warn_of_magnitudes(self)
 
     @property
@@ -387,7 +384,7 @@ def _unshared(parts: tuple[dict[str, Any], ...]) -> tuple[Parts, ...]:
             return leaf
         first = id(leaf) not in seen
         seen.add(id(leaf))
-        return leaf if first else jnp.array(leaf)
+        return leaf if first else on_device(np.array(leaf))
 
     def told_apart(part):
         new = [own(leaf) for leaf in jax.tree.leaves(part)]

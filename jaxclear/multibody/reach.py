@@ -60,9 +60,12 @@ def is_gap(room: Any, arm: Any) -> Any:
 
 
 def gaps_passed(system: System, way: Float[Array, " state"]) -> Scalar:
-    """By how much places move at the most where a state moves so [1], beside the narrowest gap."""
-    arms = reaches(system, longest_arm(system))
-    return jnp.max(arms * abs(way[: len(arms)]), initial=0.0) / narrowest_gap(system)
+    """By how much places move at the most where a state moves so [1], beside the narrowest gap,
+    beside the longest arm where there are none."""
+    arm = longest_arm(system)
+    arms = reaches(system, arm)
+    gap = narrowest_gap(system) if system.bearings else arm
+    return jnp.max(arms * abs(way[: len(arms)]), initial=0.0) / gap
 
 
 def shortest_part(system: System, closure: Closure) -> Scalar:

@@ -19,7 +19,6 @@ from jaxtyping import Array
 
 from jaxclear.components.joint import AbstractRubbingJoint
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.multibody import constraints, kinematics
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.newton import blocks_of, closed
@@ -34,6 +33,7 @@ from jaxclear.multibody.start_equations import (
     stacked,
 )
 from jaxclear.multibody.topology import Redundancy
+from jaxclear.native.compiled import compiled_quickly
 
 # A singular value this share of the largest, or less, is zero. Near a position where rows are
 # dependent they are so to first order in the distance (`MOVED`); where they always are, to what

@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.newton import independent
 from jaxclear.multibody.start_equations import Start, ask, retract
 from jaxclear.multibody.system import System
 from jaxclear.multibody.topology import coordinate_joint
+from jaxclear.native.compiled import compiled_quickly
 
 # What may be left of a closure [m, 1].
 CLOSED = 1e-8
@@ -29,6 +29,8 @@ def check_flat_bodies(mechanism: Mechanism, system: System, motions: tuple) -> N
     known while tracing.
     """
     for branch, link, motion in zip(system.topology.branches, system.links, motions, strict=True):
+        if branch.motor:
+            continue
         spin = sp.apply_transposed(link.frame.rotation, motion.twist.angular)
         if len(mechanism.bodies[branch.body].inertia) == 1 and not (
             sp.is_zero(spin[0]) and sp.is_zero(spin[1])

@@ -20,7 +20,7 @@ from jaxclear.multibody.given import at_start
 from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
-from jaxclear.multibody.system import System, longest_arm, prepare
+from jaxclear.multibody.system import System, longest_arm, motor_ends, prepare
 from jaxclear.multibody.tree import Motion
 
 LOOP, GIVEN, JOURNAL, GUESS = "loop", "given", "journal", "guess"
@@ -99,16 +99,26 @@ def ask(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> Ask
 
 
 def guess(mechanism: Mechanism) -> tuple[Array, Array]:
-    """Coordinates and speeds from the mechanism's own rough start."""
+    """Coordinates and speeds from the mechanism's own rough start. A motor of which nothing is told
+    stands and turns as its joint wants it, where that is of the tree."""
     q: list[Any] = []
     v: list[Any] = []
     system = prepare(mechanism)
-    rough = mechanism.guess | mechanism.start
+    rough, speeds = mechanism.guess | mechanism.start, mechanism.speeds
+    ends: dict[Any, Any] = {
+        end.coordinate: (joint, end) for joint, end in motor_ends(mechanism).items()
+    }
     for branch, link in zip(system.topology.branches, system.links, strict=True):
         if branch.coordinate_count:
-            known = rough.get(branch.name)
+            known, fast = rough.get(branch.name), speeds.get(branch.name)
+            joint, end = ends.get(branch.name, (None, None))
+            if known is None and joint in rough:
+                (place,) = rough[joint]
+                known = (end.ratio * place + (0 if end.offset is None else end.offset),)
+            if fast is None and joint in speeds:
+                fast = (end.ratio * speeds[joint][0],)
             own = link.joint.home if known is None else link.joint.start(known)
-            fast = mechanism.speeds.get(branch.name, (0.0,) * branch.speed_count)
+            fast = (0.0,) * branch.speed_count if fast is None else fast
             own, fast = at_start(branch, link.joint, own, fast)
             q.extend(own)
             v.extend(fast)

@@ -1,14 +1,16 @@
 """The state of a simulation as one flat array, and where everything sits in it.
 
 Sections in order: coordinates, speeds, memories of contact laws, angles that are followed over
-whole turns (of joints outside the tree with torsion springs), worn volumes with their
-volume-weighted locations, impulses (of joints whose forces are no functions of the state),
-energies. One array, because a compiled loop pays for every leaf it carries. What a scene lacks has
-no entries.
+whole turns (of joints outside the tree with torsion springs), states of loads and of the flanks of
+play, worn volumes with their volume-weighted locations, impulses (of joints whose forces are no
+functions of the state), energies. One array, because a compiled loop pays for every leaf it
+carries. What a scene lacks has no entries.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
@@ -16,7 +18,7 @@ from jaxclear.components.clearance import ContactCandidate, ContactLaws
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import by_form
 from jaxclear.multibody.contact_point import PointState, memory_template
-from jaxclear.multibody.system import Bearing, System, rubbing_joints
+from jaxclear.multibody.system import Bearing, System, coordinate_loads, rubbing_joints
 
 # An offset [m] at which nothing is structurally zero but by the scene.
 PROBE = (0.3e-3, 0.1e-3, 0.2e-3)
@@ -43,7 +45,8 @@ class WearSlot:
 
 @dataclass(frozen=True)
 class Layout:
-    """Static description of the state array."""
+    """Static description of the state array. `states`: (load or coupling, state); `plays`:
+    couplings whose play has flanks, two possible contacts each, behind those of the joints."""
 
     coordinates: int
     speeds: int
@@ -53,10 +56,17 @@ class Layout:
     impulses: tuple[tuple[str, int], ...]
     energies: tuple[str, ...]
     size: int
+    states: tuple[tuple[str, str], ...] = field(default=())
+    plays: tuple[str, ...] = field(default=())
 
     @property
     def contacts(self) -> int:
         """How many contacts are possible."""
+        return self.joint_contacts + 2 * len(self.plays)
+
+    @property
+    def joint_contacts(self) -> int:
+        """How many of them are contacts of joints."""
         return sum(len(kinds) for _, kinds in self.memories)
 
     @property
@@ -66,7 +76,7 @@ class Layout:
     @property
     def remembered(self) -> slice:
         """What a motion goes on with beside coordinates and speeds."""
-        return slice(self.memory_start, self.angle_start + len(self.angles))
+        return slice(self.memory_start, self.state_start + len(self.states))
 
     @property
     def memory_count(self) -> int:
@@ -77,6 +87,10 @@ class Layout:
     @property
     def angle_start(self) -> int:
         return self.memory_start + self.memory_count
+
+    @property
+    def state_start(self) -> int:
+        return self.angle_start + len(self.angles)
 
     @property
     def energy_start(self) -> int:
@@ -116,7 +130,12 @@ def lay_out(
         position += sum(remembers + bristles for remembers, bristles in kinds)
         samples[name] = (bearing, offset, axes, overlaps)
     angles = tuple(name for name, own in system.measured.items() if own.followed)
-    position += len(angles)
+    states = tuple(
+        (name, state.name) for name, load in coordinate_loads(system) for state in load.states()
+    )
+    states += tuple((name, x) for name, own in system.transmissions.items() for x in own.states())
+    plays = tuple(name for name, own in system.transmissions.items() if own.coupling.play)
+    position += len(angles) + len(states)
     for name, surface, k, features in _wearing(system, samples):
         constants = {i: f for i, f in enumerate(features) if isinstance(f, (int, float))}
         averaged = tuple(i for i in range(len(features)) if i not in constants)
@@ -134,6 +153,8 @@ def lay_out(
         impulses,
         energies,
         size,
+        states,
+        plays,
     )
 
 
@@ -245,9 +266,29 @@ def pack_memories(layout: Layout, memories: dict[str, tuple[PointState, ...]]) -
     return entries
 
 
-def unpack_angles(layout: Layout, entries: Any) -> dict[str, Any]:
-    """The angles [rad] that the state follows, by joint."""
-    return {name: entries[layout.angle_start + i] for i, name in enumerate(layout.angles)}
+NONE: Mapping[str, Any] = MappingProxyType({})
+
+
+class Followed(NamedTuple):
+    """What the state follows beside the motion: `angles` [rad] over whole turns, by joint; `states`
+    of loads and of flanks, by load or coupling; and how the flanks of every play count, 1 as
+    touching, 0 as apart (`shares`, by coupling; none: as their places have it)."""
+
+    angles: Mapping[str, Any] = NONE
+    states: Mapping[str, tuple] = NONE
+    shares: Mapping[str, tuple] = NONE
+
+
+def unpack_followed(layout: Layout, entries: Any, shares: Any = None) -> Followed:
+    """What the state follows; `shares` of the flanks of all plays, in their order."""
+    angles = {name: entries[layout.angle_start + i] for i, name in enumerate(layout.angles)}
+    states: dict[str, tuple] = {}
+    for i, (owner, _) in enumerate(layout.states):
+        states[owner] = (*states.get(owner, ()), entries[layout.state_start + i])
+    told = {}
+    if shares is not None:
+        told = {n: (shares[2 * i], shares[2 * i + 1]) for i, n in enumerate(layout.plays)}
+    return Followed(angles, states, told)
 
 
 def impact_speed_places(layout: Layout) -> tuple[int | None, ...]:
@@ -287,6 +328,7 @@ def names(system: System, layout: Layout) -> list[str]:
                 f"{name}.bristle{k}_{i}" for i in range(bristles)
             ]
     out += [f"{name}.angle" for name in layout.angles]
+    out += [f"{owner}.{name}" for owner, name in layout.states]
     for slot in layout.wear:
         label = f"{slot.bearing}.{slot.surface}.volume{slot.contact}"
         out += [label] + [f"{label}.location{i}" for i in slot.averaged]

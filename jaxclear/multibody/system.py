@@ -14,17 +14,22 @@ import jax.numpy as jnp
 
 from jaxclear.components.body import GROUND
 from jaxclear.components.clearance import AbstractClearance, ContactLaws
-from jaxclear.components.coupling import AbstractCoordinateCoupling
-from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint
-from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, Gravity
+from jaxclear.components.coupling import (
+    AbstractCoordinateCoupling,
+    AbstractForceCoupling,
+    CoordinateTerm,
+    Efficiency,
+)
+from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Revolute
+from jaxclear.components.load import AbstractBodyLoad, AbstractStateLoad, Gravity, MotorEnd
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST, Pose
 from jaxclear.multibody.contact_point import fitted_laws
 from jaxclear.multibody.loops import TURN, WAY, Closure, CoordinateSum, SummedCoordinate
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.meshes import markers, mesh
+from jaxclear.multibody.meshes import carried, drawn_pose, markers, mesh
 from jaxclear.multibody.pose_rows import CoordinateOf, closing_rows, reading_of
-from jaxclear.multibody.topology import Topology, coordinate_joint, joint_of
+from jaxclear.multibody.topology import Branch, Topology, coordinate_joint, joint_of, motor_name
 from jaxclear.multibody.tree import Link
 
 
@@ -53,10 +58,61 @@ class ClosureCoordinate(eqx.Module):
     followed: bool = eqx.field(static=True)
 
 
+# The states of a shaft's far end in its gap, and of friction that holds.
+TWIST, SLIP = "twist", "slip"
+
+
+class DrivingEnd(eqx.Module):
+    """The end of a coupling at which it loses power: its coordinate, by how much the twist changes
+    with it, and what it loses."""
+
+    coordinate: str = eqx.field(static=True)
+    slope: Any
+    loses: Efficiency
+
+
+class Transmission(eqx.Module):
+    """A coupling that gives: its row, as a closure, and the `scale` by which the residual is
+    divided so that it is the twist [rad, m] along which play and stiffness are."""
+
+    closure: Closure
+    scale: Any
+    coupling: Any  # an AbstractCoupling
+    driving: "DrivingEnd | None" = None
+
+    def states(self) -> tuple[str, ...]:
+        """Its states."""
+        rubs = self.driving is not None or self.coupling.thread is not None
+        return (TWIST,) * self.has_twist + (SLIP,) * rubs
+
+    @property
+    def has_twist(self) -> bool:
+        """Whether its law has a state of the flank."""
+        play = self.coupling.play
+        return play is not None and bool(play.law.has_twist)
+
+    @property
+    def left_by_torque(self) -> bool:
+        """Whether its flanks are left where the torque would pull."""
+        play = self.coupling.play
+        return play is not None and bool(play.law.left_by_torque)
+
+
+class Geared(eqx.Module):
+    """A motor that turns with the coordinate of a `joint`: `ratio` of its angle to that coordinate,
+    and the angle at which this is 0 (None: 0)."""
+
+    joint: str = eqx.field(static=True)
+    ratio: Any
+    offset: Any
+
+
 class System(eqx.Module):
-    """Links in the topology's order, loop closures and the joints that make them, clearance joints
-    and loads; `measured`: joints outside the tree on whose coordinate loads act. `arm` [m]: the
-    longest, where rows of loops depend on each other; None elsewhere.
+    """Links in the topology's order, loop closures and the joints that make them, clearance joints,
+    couplings that give, and loads; `measured`: joints outside the tree on whose coordinate loads
+    act; `geared`: motors that turn with a joint; `flanks`: couplings whose play is between rigid
+    ones. `arm` [m]: the longest, where rows of loops depend
+    on each other; None elsewhere.
     """
 
     links: tuple[Link, ...]
@@ -69,6 +125,9 @@ class System(eqx.Module):
     gravity: sp.Vec
     arm: Any
     topology: Topology = eqx.field(static=True)
+    transmissions: dict[str, Transmission] = eqx.field(default_factory=dict)
+    geared: dict[str, Geared] = eqx.field(default_factory=dict)
+    flanks: dict[str, Transmission] = eqx.field(default_factory=dict)
 
 
 def _turned(pose: Pose, turn: sp.Mat) -> Pose:
@@ -104,7 +163,7 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
         joint = mechanism.connections[name].joint
         bearings[name] = Bearing(closure(name, joint.ideal_rows), joint, fitted_laws(joint))
     loads, load_markers, gravity = {}, {}, sp.ZERO
-    for name, load in mechanism.loads.items():
+    for name, load in acting_in(mechanism).items():
         if isinstance(load, Gravity):
             gravity = sp.vec3(load.acceleration)
         else:
@@ -116,18 +175,102 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     closing = tuple(mechanism.connections[name].joint for name in topology.closing)
     places = dict(zip(topology.closing, closures, strict=True))
     places |= {name: bearing.closure for name, bearing in bearings.items()}
-    closures += tuple(
-        _summed(mechanism, coupling, places)
-        if isinstance(coupling, AbstractCoordinateCoupling)
-        else _meshing(mechanism, coupling, frames)
-        for coupling in mechanism.couplings.values()
-    )
+    closures += tuple(_row(mechanism, name, places, frames) for name in topology.couplings)
+    transmissions = {}
+    for name, coupling in mechanism.couplings.items():
+        if coupling.gives:
+            own = _row(mechanism, name, places, frames)
+            scale = scale_of(mechanism, coupling)
+            end = _driving_end(mechanism, name, scale)
+            transmissions[name] = Transmission(own, scale, coupling, end)
     measured = _measured(mechanism, places)
     loaded = (loads, measured, load_markers, gravity)
-    system = System(tuple(links), closures, closing, bearings, *loaded, None, topology)
+    behind = (transmissions, geared_motors(mechanism))
+    system = System(tuple(links), closures, closing, bearings, *loaded, None, topology, *behind)
     if not topology.depend:
         return system
     return dataclasses.replace(system, arm=longest_arm(system))
+
+
+def acting_in(mechanism: Mechanism) -> dict[str, Any]:
+    """Loads and the couplings that are forces between coordinates, by name; each knows the motors
+    behind its joints."""
+    ends, found = motor_ends(mechanism), {}
+    for name, load in mechanism.loads.items():
+        found[name] = load.behind(ends) if isinstance(load, AbstractStateLoad) else load
+    own = mechanism.couplings.items()
+    return found | {n: c for n, c in own if isinstance(c, AbstractForceCoupling)}
+
+
+def motor_ends(mechanism: Mechanism) -> dict[str, MotorEnd]:
+    """The motors behind couplings that give, by the joint that each turns."""
+    ends: dict[str, MotorEnd] = {}
+    for name, coupling in mechanism.couplings.items():
+        joints = coupling.joints()
+        if coupling.motor is not None and coupling.gives and len(joints) == 1:
+            ends[joints[0]] = _motor_end(mechanism, name)
+    return ends
+
+
+def _motor_end(mechanism: Mechanism, name: str) -> MotorEnd:
+    """The motor of a coupling as its joint sees it."""
+    motor, terms = motor_name(name), dict(_terms(mechanism, name))
+    coupling: Any = mechanism.couplings[name]
+    own, total = terms.pop(motor), coupling.total()
+    (factor,) = terms.values()
+    return MotorEnd(motor, -factor / own, None if total is None else total / own)
+
+
+def _row(mechanism: Mechanism, name: str, places: dict, frames: dict) -> Closure:
+    """The row of a coupling; `places`: closures of the joints outside the tree, `frames` of all
+    bodies in their links."""
+    coupling = mechanism.couplings[name]
+    if isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None:
+        return _summed(mechanism, name, places)
+    return _meshing(mechanism, coupling, frames)
+
+
+def scale_of(mechanism: Mechanism, coupling: Any) -> Any:
+    """What the residual of a coupling is divided by, so that it is its twist."""
+    if isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None:
+        return coupling.terms()[0].factor
+    return coupling.seen_radius(drawn_pose(coupling, mechanism.bodies, mechanism.connections))
+
+
+def _driving_end(mechanism: Mechanism, name: str, scale: Any) -> DrivingEnd | None:
+    """Where a coupling loses power; None for one that loses none."""
+    coupling: Any = mechanism.couplings[name]
+    if coupling.efficiency is None:
+        return None
+    if coupling.motor is not None:
+        motor = motor_name(name)
+        slope = dict(_terms(mechanism, name))[motor] / scale
+        return DrivingEnd(motor, slope, coupling.efficiency)
+    first = coupling.joints()[0]
+    drawn = drawn_pose(coupling, mechanism.bodies, mechanism.connections)
+    side = 1.0 if carried(mechanism.connections[first]).is_child else -1.0
+    slope = side * coupling.radii(drawn)[0] / scale
+    return DrivingEnd(first, slope, coupling.efficiency)
+
+
+def _terms(mechanism: Mechanism, name: str) -> list[CoordinateTerm]:
+    """The terms of a coupling, its motor by name."""
+    coupling: Any = mechanism.couplings[name]
+    own = coupling.terms()
+    called = lambda joint: joint if isinstance(joint, str) else motor_name(name)
+    return [CoordinateTerm(called(joint), factor) for joint, factor in own]
+
+
+def geared_motors(mechanism: Mechanism) -> dict[str, Geared]:
+    """The motors that turn with a joint, by name."""
+    found = {}
+    couplings: dict[str, Any] = dict(mechanism.couplings)
+    for name, coupling in couplings.items():
+        motor = motor_name(name)
+        if motor in dict(mechanism.topology.geared):
+            end = _motor_end(mechanism, name)
+            found[motor] = Geared(coupling.joints()[0], end.ratio, end.offset)
+    return found
 
 
 def _meshing(mechanism: Mechanism, coupling: Any, frames: dict[str, Pose]) -> Closure:
@@ -140,21 +283,20 @@ def _meshing(mechanism: Mechanism, coupling: Any, frames: dict[str, Pose]) -> Cl
     return Closure(parent, child, first, second, (WAY,), reading)
 
 
-def _summed(mechanism: Mechanism, coupling: Any, places: dict[str, Closure]) -> Closure:
+def _summed(mechanism: Mechanism, name: str, places: dict[str, Closure]) -> Closure:
     """The row of a coupling of coordinates; `places`: closures of the joints outside the tree."""
-    topology = mechanism.topology
-    joints = {
-        n: coordinate_joint(n, mechanism.bodies, mechanism.connections) for n in coupling.joints()
-    }
+    topology, found = mechanism.topology, _terms(mechanism, name)
+    coupling: Any = mechanism.couplings[name]
+    joints = {n: coordinate_joint(n, mechanism.bodies, mechanism.connections) for n, _ in found}
     links = {branch.connection: i for i, branch in enumerate(topology.branches)}
     terms = []
-    for joint, factor in coupling.terms():
+    for joint, factor in found:
         own, closure = joints[joint], places.get(joint)
         turn = closure is not None and own.units == ("rad",)
         terms.append(
             SummedCoordinate(joint, factor, CoordinateOf(own), closure, links.get(joint), turn)
         )
-    first = joints[coupling.joints()[0]]
+    first = joints[found[0].joint]
     row = WAY if first.units == ("m",) else TURN
     summed = CoordinateSum(tuple(terms), coupling.total())
     return Closure(REST, REST, None, None, (row,), summed)
@@ -162,11 +304,12 @@ def _summed(mechanism: Mechanism, coupling: Any, places: dict[str, Closure]) -> 
 
 def _measured(mechanism: Mechanism, places: dict[str, Closure]) -> dict[str, ClosureCoordinate]:
     """Joints outside the tree, of these closures, on whose coordinate loads act."""
-    acting = [x for x in mechanism.loads.values() if isinstance(x, AbstractCoordinateLoad)]
+    acting = [x for x in acting_in(mechanism).values() if isinstance(x, AbstractStateLoad)]
+    lossy = {c.joints()[0] for c in mechanism.couplings.values() if c.efficiency is not None}
     found = {}
     for name, closure in places.items():
-        own = [load for load in acting if load.connection == name]
-        if own:
+        own = [load for load in acting if name in load.coordinates()]
+        if own or name in lossy:
             joint = coordinate_joint(name, mechanism.bodies, mechanism.connections)
             followed = joint.units == ("rad",) and any(load.reads_position() for load in own)
             found[name] = ClosureCoordinate(joint, closure, followed)
@@ -182,6 +325,8 @@ def _link(
 ) -> Link:
     topology = mechanism.topology
     branch = topology.branches[position]
+    if branch.motor:
+        return _motor(mechanism, branch)
     body = mechanism.bodies[branch.body]
     joint = joint_of(branch, mechanism.bodies, mechanism.connections)
     base, outer = REST, REST
@@ -210,20 +355,41 @@ def _link(
     )
 
 
+def _motor(mechanism: Mechanism, branch: Branch) -> Link:
+    """The link of a motor: it has an angle and an inertia along it, and nothing else."""
+    joint, rotor = Revolute(), _rotor(mechanism, branch.name)
+    return Link(joint, REST, REST, 0, sp.ZERO, NO_INERTIA, -1, rotor)
+
+
+NO_INERTIA: sp.Mat = (sp.ZERO,) * 3
+
+
 def _rotor(mechanism: Mechanism, connection: str | None) -> Any:
-    """Inertia of loads that moves with the coordinate of a joint alone; None for none."""
-    acting = [x for x in mechanism.loads.values() if isinstance(x, AbstractCoordinateLoad)]
-    own = [load.inertia_along() for load in acting if load.connection == connection]
-    own = [inertia for inertia in own if inertia is not None]
+    """Inertia of loads and motors that moves with the coordinate of a joint, or of a motor, alone;
+    None for none."""
+    acting = [x for x in mechanism.loads.values() if isinstance(x, AbstractStateLoad)]
+    turning = {connection: None} | {
+        motor: own.ratio
+        for motor, own in geared_motors(mechanism).items()
+        if own.joint == connection
+    }
+    own = []
+    for name, ratio in turning.items():
+        found = [load.inertia_along() for load in acting if name in load.coordinates()]
+        found += [
+            coupling.motor.inertia
+            for own_name, coupling in mechanism.couplings.items()
+            if coupling.motor is not None and motor_name(own_name) == name
+        ]
+        known = [inertia for inertia in found if inertia is not None]
+        own += [x if ratio is None else ratio * ratio * x for x in known]
     return sum(own) if own else None
 
 
-def coordinate_loads(system: System) -> list[tuple[str, AbstractCoordinateLoad]]:
+def coordinate_loads(system: System) -> list[tuple[str, AbstractStateLoad]]:
     """Loads on coordinates of joints, by name."""
     return [
-        (name, load)
-        for name, load in system.loads.items()
-        if isinstance(load, AbstractCoordinateLoad)
+        (name, load) for name, load in system.loads.items() if isinstance(load, AbstractStateLoad)
     ]
 
 
@@ -268,7 +434,9 @@ def longest_arm(system: System) -> Any:
     from its inboard joint to another joint, or its radius of gyration about that joint, if that is
     longer."""
     squares = [
-        sp.total(link.inertia[i][i] for i in range(3)) / (2.0 * link.mass) for link in system.links
+        sp.total(link.inertia[i][i] for i in range(3)) / (2.0 * link.mass)
+        for link in system.links
+        if not sp.is_zero(link.mass)
     ]
     squares += [sp.dot(x, x) for x in (link.base.translation for link in system.links)]
     closures = [*system.closures, *(bearing.closure for bearing in system.bearings.values())]

@@ -17,9 +17,14 @@ from typing import Any
 
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance
-from jaxclear.components.coupling import AbstractCoordinateCoupling
-from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Free, Planar
+from jaxclear.components.coupling import (
+    AbstractCoordinateCoupling,
+    AbstractCoupling,
+    AbstractForceCoupling,
+)
+from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Free, Planar, Revolute
 from jaxclear.components.joint.base import drive_of
+from jaxclear.components.load import AbstractStateLoad
 from jaxclear.ground.quantity import IF_ANY, numbers
 from jaxclear.ground.wording import listed
 
@@ -27,7 +32,7 @@ from jaxclear.ground.wording import listed
 @dataclass(frozen=True)
 class Branch:
     """One body of the tree: held by `connection` (None: floating), turned round if the connection
-    starts at this body.
+    starts at this body; or a `motor`, which has no body: both names are then its own.
     """
 
     body: str
@@ -36,6 +41,7 @@ class Branch:
     reversed: bool
     coordinates: slice
     speeds: slice
+    motor: bool = False
 
     @property
     def name(self) -> str:
@@ -94,7 +100,8 @@ def listed_rows(rows: tuple[tuple[str, str], ...]) -> str:
 @dataclass(frozen=True)
 class Topology:
     """Static structure of a mechanism. `subtrees`: what hangs together without the ground, as
-    tuples of indices of branches; `loops`: what closes loops, joints and then `couplings`.
+    tuples of indices of branches; `loops`: what closes loops, joints and then `couplings`, those
+    that are rows. `geared`: motors that turn with a joint (name, joint), and have no coordinate.
     `redundancy` is known once the mechanism has been assembled
     (`redundancy.py`); None where no row is redundant.
     """
@@ -107,11 +114,18 @@ class Topology:
     speed_count: int
     redundancy: Redundancy | None = None
     couplings: tuple[str, ...] = field(default=(), metadata={IF_ANY: True})
+    geared: tuple[tuple[str, str], ...] = field(default=(), metadata={IF_ANY: True})
 
     @property
     def closing(self) -> tuple[str, ...]:
         """Joints that close loops."""
         return self.loops[: len(self.loops) - len(self.couplings)]
+
+    @property
+    def motors(self) -> tuple[str, ...]:
+        """Coordinates of motors, their own and those that turn with a joint."""
+        own = (branch.name for branch in self.branches if branch.motor)
+        return (*own, *dict(self.geared))
 
     @property
     def depend(self) -> bool:
@@ -141,6 +155,19 @@ class Topology:
         )
 
 
+MOTOR = ".motor"
+
+
+def motor_name(coupling: str) -> str:
+    """What the coordinate of a coupling's motor goes by."""
+    return f"{coupling}{MOTOR}"
+
+
+def motors(couplings: Mapping[str, AbstractCoupling]) -> dict[str, str]:
+    """The couplings that have a motor, by the motor's name."""
+    return {motor_name(name): name for name, own in couplings.items() if own.motor is not None}
+
+
 def free_joint(body: Body) -> AbstractJoint:
     """The joint of a body that only contacts hold: in the plane if its inertia is planar, in space
     otherwise.
@@ -152,6 +179,8 @@ def joint_of(
     branch: Branch, bodies: dict[str, Body], connections: dict[str, Connection]
 ) -> AbstractJoint:
     """The joint of a branch."""
+    if branch.motor:
+        return Revolute()
     return (
         free_joint(bodies[branch.body])
         if branch.connection is None
@@ -168,7 +197,8 @@ def coordinate_joint(
     Raises `ValueError`, with a sentence that goes behind the name, where there is none.
     """
     if name not in connections:
-        return free_joint(bodies[name])
+        is_motor = name.endswith(MOTOR) and name not in bodies
+        return Revolute() if is_motor else free_joint(bodies[name])
     joint = connections[name].joint
     return joint.coordinate_form() if isinstance(joint, AbstractClearance) else joint
 
@@ -180,7 +210,9 @@ def rubbing_in(connections: dict[str, Connection]) -> dict[str, AbstractRubbingJ
 
 
 def grow(
-    bodies: dict[str, Body], connections: dict[str, Connection], couplings: tuple[str, ...] = ()
+    bodies: dict[str, Body],
+    connections: dict[str, Connection],
+    couplings: Mapping[str, AbstractCoupling] | None = None,
 ) -> Topology:
     """The spanning tree of a mechanism whose names have been checked."""
     ideal = {name: c for name, c in connections.items() if isinstance(c.joint, AbstractJoint)}
@@ -213,10 +245,10 @@ def grow(
             order.append((outer, None, GROUND, False))
             inner = GROUND
         depth[outer] = depth[inner] + 1
-    return _lay_out(order, unused, bodies, connections, couplings)
+    return _lay_out(order, unused, bodies, connections, couplings or {})
 
 
-def _lay_out(order, closing, bodies, connections, couplings=()):
+def _lay_out(order, closing, bodies, connections, couplings):
     children: dict[str, list] = {}
     for entry in order:
         children.setdefault(entry[2], []).append(entry)
@@ -240,7 +272,23 @@ def _lay_out(order, closing, bodies, connections, couplings=()):
         branches.append(Branch(body, name, parent, turned, slice(q, q + nq), slice(v, v + nv)))
         q, v = q + nq, v + nv
     clearances = tuple(n for n, c in connections.items() if isinstance(c.joint, AbstractClearance))
-    loops = (*closing, *couplings)
+    free = {branch.name for branch in branches if branch.coordinate_count}
+    geared = tuple(_geared(couplings, free))
+    for motor in motors(couplings):
+        if motor not in dict(geared):
+            subtrees.append([len(branches)])
+            own = slice(q, q + 1), slice(v, v + 1)
+            branches.append(Branch(motor, motor, GROUND, False, *own, True))
+            q, v = q + 1, v + 1
+    turned = {motor_name(name) for name in couplings} & {*dict(geared)}
+    rows = [
+        name
+        for name, own in couplings.items()
+        if not own.gives
+        and motor_name(name) not in turned
+        and not isinstance(own, AbstractForceCoupling)
+    ]
+    loops = (*closing, *rows)
     return Topology(
         tuple(branches),
         tuple(map(tuple, subtrees)),
@@ -248,8 +296,19 @@ def _lay_out(order, closing, bodies, connections, couplings=()):
         clearances,
         q,
         v,
-        couplings=tuple(couplings),
+        couplings=tuple(rows),
+        geared=geared,
     )
+
+
+def _geared(couplings: Mapping[str, AbstractCoupling], free: set[str]) -> Iterator[tuple[str, str]]:
+    """(motor, joint) of motors that turn with the coordinate of a joint of the tree that no drive
+    prescribes."""
+    for motor, name in motors(couplings).items():
+        own = couplings[name]
+        joints = own.joints()
+        if not own.gives and len(joints) == 1 and joints[0] in free:
+            yield motor, joints[0]
 
 
 # What the meaning of a number says of its unit where the joint slides that it is of, or acts on.
@@ -261,7 +320,8 @@ def own_numbers(mechanism: Any) -> Iterator[tuple[str, Any, Mapping[str, Any], s
     start, in definition order."""
     for part in ("bodies", "connections", "loads", "couplings"):
         for name, own in getattr(mechanism, part).items():
-            along = slides(mechanism, name if part == "connections" else acted_on(own))
+            joint = part == "connections"
+            along = slides(mechanism, name) if joint else moves_along(mechanism, own)
             for path, leaf, metadata in numbers(own, f'{part}["{name}"]'):
                 yield path, leaf, metadata, unit_along(metadata, along)
     for path, leaf, metadata in numbers(mechanism.stabilisation, "stabilisation"):
@@ -276,16 +336,30 @@ def coordinate_units(mechanism: Any, name: str) -> tuple[str, ...]:
         return ()
 
 
-def acted_on(load: Any) -> str:
-    """The joint on whose coordinate a load acts; "" for none."""
-    return getattr(load, "connection", "")
+def moves_along(mechanism: Any, part: Any) -> bool:
+    """Whether a load, or the play of a coupling, is along a coordinate that slides."""
+    if isinstance(part, AbstractForceCoupling):
+        place = part.along()
+        return place is None or slides(mechanism, place)
+    if isinstance(part, AbstractStateLoad):
+        return slides(mechanism, part.coordinates()[0])
+    if not isinstance(part, AbstractCoupling):
+        return False
+    coupling: Any = part
+    if isinstance(part, AbstractCoordinateCoupling) or part.motor is not None:
+        first = coupling.terms()[0].joint
+        return isinstance(first, str) and slides(mechanism, first)
+    return bool(coupling.seen_as_length)
 
 
 def turns(mechanism: Any, coupling: Any) -> bool:
     """Whether what a coupling transmits is a torque: its first coordinate turns."""
-    if not isinstance(coupling, AbstractCoordinateCoupling):
+    if isinstance(coupling, AbstractForceCoupling):
+        return not moves_along(mechanism, coupling)
+    bodies = not isinstance(coupling, AbstractCoordinateCoupling) and coupling.motor is None
+    if bodies and not coupling.gives:
         return False
-    return not slides(mechanism, coupling.joints()[0])
+    return not moves_along(mechanism, coupling)
 
 
 def slides(mechanism: Any, name: str) -> bool:

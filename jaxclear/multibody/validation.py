@@ -18,15 +18,21 @@ import numpy as np
 
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance
-from jaxclear.components.coupling import AbstractCoordinateCoupling, AbstractCoupling
+from jaxclear.components.coupling import (
+    AbstractCoordinateCoupling,
+    AbstractCoupling,
+    AbstractForceCoupling,
+)
 from jaxclear.components.drive import AbstractDrive
-from jaxclear.components.joint import AbstractJoint
+from jaxclear.components.joint import AbstractJoint, Revolute
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import (
     AbstractBodyLoad,
     AbstractCoordinateLoad,
     AbstractLoad,
+    AbstractStateLoad,
     Action,
+    CoordinateEffect,
     Effect,
     Gravity,
     MarkerMotion,
@@ -40,7 +46,7 @@ from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.contact_point import check_followed
 from jaxclear.multibody.meshes import drawn_pose, markers
 from jaxclear.multibody.pose_rows import check_rows
-from jaxclear.multibody.topology import Topology, coordinate_joint
+from jaxclear.multibody.topology import MOTOR, Topology, coordinate_joint, motors
 
 NUMBER = jax.ShapeDtypeStruct((), jnp.float64)
 VECTOR = (NUMBER,) * 3
@@ -81,6 +87,12 @@ def check_own_load(name: str, load: Any) -> None:
     """The same of a load and its effect, or force."""
     if not is_own(load):
         return
+    if isinstance(load, AbstractStateLoad) and not isinstance(load, AbstractCoordinateLoad):
+        what = f'load "{name}", its effect(time, positions, speeds, states),'
+        count, states = len(load.coordinates()), (NUMBER,) * len(load.states())
+        seen = (NUMBER,) * count
+        told = lambda *at: _on_coordinates(what, asked(what, load.effect, *at), load)
+        shape_of(told, NUMBER, seen, seen, states)
     if isinstance(load, AbstractCoordinateLoad):
         what = f'load "{name}", its force(time, position, speed),'
         told = lambda *at: _numbers(what, asked(what, load.force, *at), ON_COORDINATE)
@@ -89,6 +101,14 @@ def check_own_load(name: str, load: Any) -> None:
         what, markers = f'load "{name}", its effect(time, motions),', load.markers()
         told = lambda *at: _effect(what, asked(what, load.effect, *at), len(markers))
         shape_of(told, NUMBER, (SEEN,) * len(markers))
+
+
+def _on_coordinates(what: str, effect: Any, load: Any) -> None:
+    expect(effect, CoordinateEffect, f"{what} returns what", "a jaxclear.load.CoordinateEffect")
+    wanted = (("forces", load.coordinates()), ("rates", [x.name for x in load.states()]))
+    for part, names in wanted:
+        _numbers(f"{what} the {part}", tuple(getattr(effect, part)), tuple(names))
+    _numbers(what, effect[2:], CoordinateEffect._fields[2:])
 
 
 def is_own(part: Any) -> bool:
@@ -137,12 +157,20 @@ def check_parts(bodies: dict, connections: dict, loads: dict, couplings: dict) -
         check_values(f'body "{name}"', body)
     for name, connection in connections.items():
         _check_connection(name, connection, bodies)
-    for name, load in loads.items():
-        _check_load(name, load, bodies, connections)
     for name, coupling in couplings.items():
         expect(coupling, AbstractCoupling, f'coupling "{name}"', "one of jaxclear.coupling")
         _check_slots(f'coupling "{name}"', coupling)
         check_values(f'coupling "{name}"', coupling)
+    known = _motors(bodies, connections, couplings)
+    for name, load in loads.items():
+        _check_load(name, load, bodies, connections, known)
+        if isinstance(load, AbstractStateLoad):
+            _check_motors(name, load, couplings)
+        if name in couplings and isinstance(load, AbstractStateLoad):
+            raise ValueError(
+                f'"{name}" is a coupling and a load; both may have states, so give one of them '
+                "another name."
+            )
     if sum(isinstance(load, Gravity) for load in loads.values()) > 1:
         raise ValueError("a mechanism has more than one load.Gravity; give one.")
     _check_reach(bodies, connections)
@@ -182,7 +210,20 @@ def _in_numpy(tree: Any) -> Any:
     return jax.tree.map(lambda leaf: np.asarray(leaf)[()] if known(leaf) else leaf, tree)
 
 
-def _check_load(name: str, load: Any, bodies: dict, connections: dict) -> None:
+def _motors(bodies: dict, connections: dict, couplings: dict) -> list[str]:
+    """Names of motors. Raises `ValueError` where a joint or a body has such a name."""
+    found = [*motors(couplings)]
+    for name in found:
+        if name in connections or name in bodies:
+            what = "joint" if name in connections else "body"
+            raise ValueError(
+                f'"{name}" is a {what}, and what the motor of coupling '
+                f'"{name.removesuffix(MOTOR)}" goes by; give one of them another name.'
+            )
+    return found
+
+
+def _check_load(name: str, load: Any, bodies: dict, connections: dict, known: list[str]) -> None:
     expect(load, AbstractLoad, f'load "{name}"', "one of jaxclear.load")
     _check_slots(f'load "{name}"', load)
     check_values(f'load "{name}"', load)
@@ -196,20 +237,47 @@ def _check_load(name: str, load: Any, bodies: dict, connections: dict) -> None:
                 f'load "{name}" acts on "{GROUND}" alone, which nothing moves; put a marker of it '
                 f"on one of the bodies {listed(bodies)}."
             )
-    if isinstance(load, AbstractCoordinateLoad):
-        check_known("joint", load.connection, connections, f' for load "{name}" to act on')
-        joint = one_coordinate(
-            f'load "{name}" acts on',
-            load.connection,
-            bodies,
-            connections,
-            " Put the load on markers (jaxclear.load.Torque) or on another joint.",
+    if isinstance(load, AbstractStateLoad):
+        for place in load.coordinates():
+            _check_acts(name, place, bodies, connections, known)
+
+
+def _check_motors(name: str, load: AbstractStateLoad, couplings: dict) -> None:
+    """That one motor at most turns the joint on whose motor a load acts, and one where it must."""
+    joint = load.motor_of()
+    turning = [n for n, c in couplings.items() if c.motor is not None and joint in c.joints()]
+    if joint is None:
+        return
+    if load.needs_motor() and not turning:
+        raise ValueError(
+            f'load "{name}" reads the encoder of the motor of joint "{joint}", which no '
+            'coupling.Motor turns; give the joint a coupling with one, or encoder="load".'
         )
-        if drive_of(joint) is not None:
-            raise ValueError(
-                f'load "{name}" acts on joint "{load.connection}", whose coordinate is driven; put '
-                "the load on markers (jaxclear.load.Torque) or on another joint."
-            )
+    if len(turning) > 1:
+        raise ValueError(
+            f'load "{name}" acts on the motor of joint "{joint}", which the motors of '
+            f"{listed(turning)} turn; take a load of your own on one of them."
+        )
+
+
+def _check_acts(name: str, place: str, bodies: dict, connections: dict, known: list[str]) -> None:
+    """That a load may act on the coordinate of a joint, or of a motor."""
+    if place in known:
+        return
+    own = f' for load "{name}" to act on'
+    check_known("joint", place, [*connections, *known] if known else connections, own)
+    joint = one_coordinate(
+        f'load "{name}" acts on',
+        place,
+        bodies,
+        connections,
+        " Put the load on markers (jaxclear.load.Torque) or on another joint.",
+    )
+    if drive_of(joint) is not None:
+        raise ValueError(
+            f'load "{name}" acts on joint "{place}", whose coordinate is driven; leave '
+            "the drive out, or put the load on markers (jaxclear.load.Torque) or on another joint."
+        )
 
 
 def one_coordinate(what: str, name: str, bodies: dict, connections: dict, else_: str = "") -> Any:
@@ -295,36 +363,44 @@ def check_tree(topology: Topology, connections: dict, loads: dict) -> None:
                 "one of them only."
             )
     for name, load in loads.items():
-        if not isinstance(load, AbstractCoordinateLoad) or load.inertia_along() is None:
+        if not isinstance(load, AbstractStateLoad) or load.inertia_along() is None:
             continue
-        if topology.branch_of(load.connection) is None:
-            why = "has clearance" if load.connection in topology.clearances else "closes a loop"
+        (place,) = load.coordinates()
+        if topology.branch_of(place) is None and place not in dict(topology.geared):
+            why = "has clearance" if place in topology.clearances else "closes a loop"
             raise ValueError(
-                f'load "{name}" is an inertia on the coordinate of joint "{load.connection}", '
+                f'load "{name}" is an inertia on the coordinate of joint "{place}", '
                 f"which {why}; only a joint that the tree carries can have it. Take the load out "
                 "(mechanism.with_loads), and add its inertia to a body if it matters."
             )
 
 
-def check_start(bodies: dict, connections: dict, places: dict, speeds: dict) -> None:
+def check_start(
+    topology: Topology, bodies: dict, connections: dict, places: dict, speeds: dict
+) -> None:
     """Starting coordinates (`places`: "start" and "guess" of a mechanism) and speeds must be given
     for what has some, in the right number."""
+    known = tuple(branch.name for branch in topology.branches if branch.motor)
     for what, given in places.items():
         for name, values in given.items():
-            joint = _with_coordinates(what, name, bodies, connections)
+            joint = _with_coordinates(what, name, bodies, connections, known)
             try:
                 joint.start(values)
             except ValueError as error:
                 raise ValueError(f'{what} of "{name}" {error}') from None
     for name, values in speeds.items():
-        joint = _with_coordinates("speeds", name, bodies, connections)
+        joint = _with_coordinates("speeds", name, bodies, connections, known)
         width = len(joint.columns(joint.home))
         if len(values) != width:
             many = f"{width} number{'s' * (width != 1)}"
             raise ValueError(f'speeds of "{name}" need {many}, not {len(values)}.')
 
 
-def _with_coordinates(what: str, name: str, bodies: dict, connections: dict) -> AbstractJoint:
+def _with_coordinates(
+    what: str, name: str, bodies: dict, connections: dict, known: tuple[str, ...]
+) -> AbstractJoint:
+    if name in known:
+        return Revolute()
     if name not in connections and name not in bodies:
         raise ValueError(
             f'{what} names "{name}", which carries no coordinates; it may name the joints '
@@ -350,7 +426,7 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
     """Raises `ValueError` for a coupling of joints that there are not, or that do not fit."""
     _warn_of_locks(couplings)
     for name, coupling in couplings.items():
-        if name in connections:
+        if name in connections and (name in topology.couplings or coupling.motor is None):
             raise ValueError(f'"{name}" is a coupling and a joint; give one of them another name.')
         names = coupling.joints()
         for joint in names:
@@ -359,7 +435,12 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
                     f'coupling "{name}" names joint "{joint}" twice; it couples different joints.'
                 )
             check_known("joint", joint, connections, f' for coupling "{name}"')
-        if isinstance(coupling, AbstractCoordinateCoupling):
+        if isinstance(coupling, AbstractForceCoupling):
+            _check_forces(name, coupling, couplings, bodies, connections)
+            continue
+        if isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None:
+            if coupling.motor is not None:
+                coupling.terms()
             _check_coordinates(name, coupling, topology, bodies, connections)
             continue
         first, second = markers(coupling, connections)
@@ -376,9 +457,32 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
                 raise ValueError(f'coupling "{name}" {error}') from None
 
 
+def _check_forces(
+    name: str, coupling: Any, couplings: dict, bodies: dict, connections: dict
+) -> None:
+    """That the joints of a coupling that is a force have one coordinate each, one of them at least
+    free, and its motors are there."""
+    known, driven = _motors(bodies, connections, couplings), []
+    for place in coupling.coordinates():
+        if place not in coupling.joints():
+            check_known("motor", place, known, f' for coupling "{name}"')
+            continue
+        joint = one_coordinate(f'coupling "{name}" speaks of', place, bodies, connections)
+        driven += [place] if drive_of(joint) is not None else []
+    if len(driven) == len(coupling.coordinates()):
+        raise ValueError(
+            f'coupling "{name}" ties joints {listed(driven)}, all of which are driven; leave one '
+            "of the drives out."
+        )
+
+
 def _warn_of_locks(couplings: dict) -> None:
     """Warns where sums of coordinates, each of two or more joints, leave a joint one place only."""
-    own = {n: c.terms() for n, c in couplings.items() if isinstance(c, AbstractCoordinateCoupling)}
+    own = {
+        n: c.terms()
+        for n, c in couplings.items()
+        if isinstance(c, AbstractCoordinateCoupling) and not c.gives and c.motor is None
+    }
     if len(own) < 2 or is_traced(own):
         return
     joints = list(dict.fromkeys(term.joint for terms in own.values() for term in terms))
@@ -423,7 +527,7 @@ def _check_coordinates(
         driven += [place] if drive_of(joint) is not None else []
         outside = topology.branch_of(place) is None
         uncounted += [place] if outside and joint.units == ("rad",) else []
-    if len(driven) == len(coupling.joints()):
+    if len(driven) == len(coupling.joints()) and coupling.motor is None:
         raise ValueError(
             f'coupling "{name}" ties joints {listed(driven)}, all of which are driven; leave one '
             "of the drives out."

@@ -272,7 +272,8 @@ def _reduce(writer, equation, a):
     )
     axes = equation.params["axes"]
     rest = [i for i in range(a.ndim) if i not in axes]
-    rows = a.transpose([*rest, *axes]).reshape([a.shape[i] for i in rest] + [-1])
+    many = math.prod(a.shape[i] for i in axes)
+    rows = a.transpose([*rest, *axes]).reshape([a.shape[i] for i in rest] + [many])
     out = np.empty(rows.shape[:-1], object)
     for index in np.ndindex(*out.shape):
         row = list(rows[index])

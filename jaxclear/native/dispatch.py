@@ -22,6 +22,7 @@ from typing import Any
 
 import jax
 
+from jaxclear.native import object_code
 from jaxclear.native.writer import Unsupported
 
 TARGET = "jaxclear_loop"
@@ -147,7 +148,7 @@ def known_to_xla() -> Any:
         message=GONE.decode(),
         internal=INTERNAL,
     )
-    engine = compiled(text)
+    engine = object_code.compiled(text)
     capsule = ctypes.pythonapi.PyCapsule_New
     capsule.restype, capsule.argtypes = (
         ctypes.py_object,
@@ -419,33 +420,6 @@ def frame(
         pointers="\n".join(pointers),
     )
     return samples + handler
-
-
-def compiled(text: str) -> Any:
-    """An engine that holds the machine code; the code lives as long as it does."""
-    import llvmlite.binding as llvm
-
-    module = llvm.parse_assembly(text)
-    machine = _target()
-    options = llvm.create_pipeline_tuning_options(speed_level=2)
-    passes = llvm.create_pass_builder(machine, options)
-    passes.getModulePassManager().run(module, passes)
-    engine = llvm.create_mcjit_compiler(module, machine)
-    engine.finalize_object()
-    return engine
-
-
-def _target() -> Any:
-    """LLVM's description of this processor; an engine takes it over, so each needs its own."""
-    import llvmlite.binding as llvm
-
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    features = llvm.get_host_cpu_features().flatten()
-    target = llvm.Target.from_default_triple()
-    return target.create_target_machine(
-        opt=3, cpu=llvm.get_host_cpu_name(), features=features, jit=True
-    )
 
 
 def widest() -> int:

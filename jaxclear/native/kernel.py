@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxclear.native import check, dispatch, elementary, stopping
+from jaxclear.native import check, dispatch, elementary, object_code, stopping
 from jaxclear.native import indexing as _indexing  # noqa: F401  (its rules register themselves)
 from jaxclear.native.control import loop
 from jaxclear.native.program import (
@@ -32,7 +32,6 @@ from jaxclear.native.program import (
 )
 from jaxclear.native.writer import (
     FLOAT,
-    STOP_FLAG,
     TRUTH,
     WHOLE,
     InMemory,
@@ -136,9 +135,14 @@ class Kernel:
     code the memory, as soon as no call of it is under way.
     """
 
-    def __init__(self, number: int, name: str, engine: Any):
+    def __init__(self, number: int, name: str, engine: Any, key: str):
         self.number, self._entry = number, engine.get_function_address(name)
+        self._kept = number, name, key
         weakref.finalize(self, _dropped, number, self._entry, engine).atexit = False
+
+    def __reduce__(self):
+        # A program that is kept on disk keeps its kernels by the keys under which they lie there.
+        return kept_kernel, self._kept
 
     def publish(self) -> None:
         """Programs may call it from now on."""
@@ -200,7 +204,8 @@ def _assembled(program: Program, lanes: int, checked: bool = False) -> _Assemble
         in_memory=[0 if way else floats_in([aval]) for aval, way in zip(long, ways, strict=True)],
         tables=[*changed, *sizes_of_tables(program)],
     )
-    whole = text.replace("@NAME", f"@{name}").replace(STOP_FLAG, stopping.flag_in_llvm()) + frame
+    flag = f"@{stopping.SYMBOL} = external global i64\n"
+    whole = flag + text.replace("@NAME", f"@{name}") + frame
     return _Assembled(name, max(int(mark[:16], 16) >> 1, 1), whole)
 
 
@@ -214,16 +219,35 @@ def build(program: Program, lanes: int) -> Kernel:
         if kernel is None:
             if check.is_wanted():
                 _checked(program, lanes)
-            kernel = Kernel(number, name, dispatch.compiled(text))
-            kernel.publish()
-            _KERNELS[number] = kernel
+            kernel = _known(number, name, *object_code.compiled_or_kept(text))
+        return kernel
+
+
+def _known(number: int, name: str, engine: Any, key: str) -> Kernel:
+    kernel = Kernel(number, name, engine, key)
+    kernel.publish()
+    _KERNELS[number] = kernel
+    return kernel
+
+
+def kept_kernel(number: int, name: str, key: str) -> Kernel:
+    """A kernel of an earlier process, by the key under which it lies on disk. Raises
+    `FileNotFoundError` where it is not there."""
+    dispatch.known_to_xla()
+    with _BUILDING:
+        kernel = _KERNELS.get(number)
+        if kernel is None:
+            engine = object_code.from_disk(key)
+            if engine is None:
+                raise FileNotFoundError(f"no kernel {key}")
+            kernel = _known(number, name, engine, key)
         return kernel
 
 
 def _checked(program: Program, lanes: int) -> None:
     """Raises `Unsupported` where one turn of the loop is not what JAX makes of it."""
     name, _, text = _assembled(program, lanes, checked=True)
-    engine = dispatch.compiled(text)
+    engine = object_code.compiled(text)
     check.check(program, engine.get_function_address(f"{name}.samples"))
 
 

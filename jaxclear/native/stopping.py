@@ -30,9 +30,15 @@ PATIENCE = 1e-3
 LONGEST_WAIT = 1.0
 
 
-def flag_in_llvm() -> str:
-    """The flag's place, as LLVM writes a pointer."""
-    return f"inttoptr (i64 {ctypes.addressof(FLAG)} to ptr)"
+# The flag, as machine code that is kept between processes knows it.
+SYMBOL = "jaxclear_stop_flag"
+
+
+def place_flag() -> None:
+    """Tells LLVM where the flag is in this process."""
+    import llvmlite.binding as llvm
+
+    llvm.add_symbol(SYMBOL, ctypes.addressof(FLAG))
 
 
 def stop() -> None:

@@ -18,9 +18,8 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 FLOAT, WHOLE, TRUTH = "double", "i64", "i1"
-# Stands in the text for the place of the flag that stops all kernels, which each process has
-# elsewhere.
-STOP_FLAG = "STOP_FLAG"
+# The flag that stops all kernels, which each process has elsewhere (`stopping`).
+STOP_FLAG = "@jaxclear_stop_flag"
 # Of a function that does nothing but return a number: of two alike calls LLVM keeps one (of C's
 # functions too: nobody reads the error number that they may set).
 PURE = "nounwind willreturn memory(none)"

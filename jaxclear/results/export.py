@@ -21,7 +21,7 @@ from jaxclear.ground.arguments import check_count
 from jaxclear.ground.datasets import provenance
 from jaxclear.ground.warning import warn
 from jaxclear.multibody.topology import coordinate_units, turns
-from jaxclear.results import histories
+from jaxclear.results import histories, transmissions
 from jaxclear.results.relative_motion import marker_frame
 from jaxclear.results.solids import checked_meshes, parts, size_of, wall
 from jaxclear.results.state_history import StateHistory
@@ -104,8 +104,12 @@ def _nodes(history: StateHistory, worn: dict) -> dict[tuple[str, ...], dict[str,
         put((name,), "speed", ("time",), speed, f"{unit}/s", f"how fast {name} {what}")
     for name, coupling in mechanism.couplings.items():
         unit = "N m" if turns(mechanism, coupling) else "N"
-        sent = histories.transmitted(history, name)
+        sent = transmissions.transmitted(history, name)
         put((name,), "transmitted", ("time",), sent, unit, "what the coupling transmits")
+        if coupling.gives:
+            found, length = transmissions.coupling(history, name), unit == "N"
+            put((name,), "twist", ("time",), found.twist, "m" if length else "rad", "its twist")
+            put((name,), "flank", ("time",), found.flank, "1", "the flank that presses, 1 or -1")
     for joint, surfaces in worn.items():
         for surface, depth in surfaces.items():
             where = joint, surface
@@ -125,7 +129,9 @@ def _single_coordinates(history: StateHistory) -> dict[str, str]:
     mechanism = history.mechanism
     known = {own.name for own in mechanism.topology.branches if own.speed_count}
     known |= {n for n, own in mechanism.connections.items() if drive_of(own.joint) is not None}
-    units = {name: coordinate_units(mechanism, name) for name in mechanism.connections}
+    moving = [*mechanism.connections, *mechanism.topology.motors]
+    known |= {*mechanism.topology.motors}
+    units = {name: coordinate_units(mechanism, name) for name in moving}
     return {name: own[0] for name, own in units.items() if len(own) == 1 and name in known}
 
 

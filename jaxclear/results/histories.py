@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 from jaxclear.components.body import Marker
 from jaxclear.components.clearance import SITUATIONS, AbstractClearance, situation
 from jaxclear.components.coupling import AbstractBodyCoupling
+from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.ground.printing import AbstractShown
@@ -27,7 +28,10 @@ from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import public_name
-from jaxclear.multibody import constraints, dynamics, kinematics, tree
+from jaxclear.multibody import constraints, dynamics, kinematics, transmissions, tree
+from jaxclear.multibody.dynamics import Solution
+from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import NOTHING
 from jaxclear.results.state_history import StateHistory, check_known, columns, over_time
 
@@ -276,7 +280,7 @@ def _body(history, name):
     return tuple(map(columns, over_time(history, one)))
 
 
-def _solved(history, now):
+def solved(history: StateHistory, now: Instant) -> tuple[System, Forces, Solution]:
     """System, forces and the solution of the equations of motion at an instant."""
     forces = history.formulation.forces(now)
     system, stabilisation = now.model.system, now.model.stabilisation
@@ -288,7 +292,7 @@ def _accelerations(history):
     """By body that of its centre of mass, and the angular one."""
 
     def one(now):
-        system, _, solution = _solved(history, now)
+        system, _, solution = solved(history, now)
         found = {}
         every = kinematics.link_accelerations(system, now.motions, solution.accelerations)
         for name, own in history.mechanism.bodies.items():
@@ -344,7 +348,11 @@ def _contact_names(history, name, count):
 def reaction(history: StateHistory, name: str) -> ReactionHistory:
     """Force and torque in a connection, or of a coupling of bodies."""
     couplings = history.mechanism.couplings
-    meshing = [n for n, own in couplings.items() if isinstance(own, AbstractBodyCoupling)]
+    meshing = [
+        n
+        for n, own in couplings.items()
+        if isinstance(own, AbstractBodyCoupling) and own.motor is None
+    ]
     check_known(name, [*history.mechanism.connections, *meshing], "joint")
     redundancy = history.mechanism.topology.redundancy
     unique = redundancy is None or name not in redundancy.joints
@@ -365,7 +373,7 @@ def reaction(history: StateHistory, name: str) -> ReactionHistory:
 @eqx.filter_jit
 def _reaction(history, name):
     def one(now):
-        system, forces, solution = _solved(history, now)
+        system, forces, solution = solved(history, now)
         if system.topology.branch_of(name) is not None:
             return _branch_reaction(now, forces, solution, name)
         return _closure_reaction(now, forces, solution, name)
@@ -392,6 +400,10 @@ def _closure_reaction(now, forces, solution, name):
     if name in topology.clearances:
         closure, report = system.bearings[name].closure, forces.reports[name]
         force, torque = report.force, report.torque
+    elif name in system.transmissions:
+        own = system.transmissions[name]
+        (acting,) = transmissions.on_closures(now.motions, own, forces.pressing[name].torque)
+        closure, (force, torque) = acting.closure, acting.wrench
     else:
         wanted = system.closures[topology.loops.index(name)]
         found = constraints.constraint_wrenches(system, now.motions, solution.multipliers)
@@ -406,30 +418,31 @@ def _closure_reaction(now, forces, solution, name):
     return sp.apply(rotation, force), sp.apply(rotation, torque)
 
 
-def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
-    """What a coupling transmits, or a drive gives, over time [N m, N]."""
-    mechanism = history.mechanism
-    check_known(name, (*mechanism.couplings, *mechanism.driven), "coupling or driven joint")
-    return (_transmitted if name in mechanism.couplings else _driving)(history, name)
-
-
 @eqx.filter_jit
-def _driving(history, name):
+def driving(history: StateHistory, name: str) -> Float[Array, " time"]:
+    """What a drive gives over time [N m, N]."""
+
     def one(now):
-        system, forces, solution = _solved(history, now)
+        system, forces, solution = solved(history, now)
         index = system.topology.branches.index(system.topology.branch_of(name))
         wrench = dynamics.joint_wrenches(system, forces, solution)[index]
         joint = system.links[index].joint
         (column,) = joint.columns((joint.drive.motion(now.time)[0],))
-        return jnp.asarray(tree.power(column, wrench), float)
+        given = tree.power(column, wrench)
+        # What couplings do along its coordinate comes through no body.
+        for link, force in dynamics.coupled_on_drives(system, forces, solution):
+            given = sp.sub(given, force) if link == index else given
+        return jnp.asarray(given, float)
 
     return over_time(history, one)
 
 
 @eqx.filter_jit
-def _transmitted(history, name):
+def of_row(history: StateHistory, name: str) -> Float[Array, " time"]:
+    """What a coupling that is a row transmits over time [N m, N]."""
+
     def one(now):
-        system, _, solution = _solved(history, now)
+        system, _, solution = solved(history, now)
         wanted = system.closures[system.topology.loops.index(name)]
         every = constraints.by_closure(system, now.motions, solution.multipliers)
         own = next(own for closure, own in every if closure is wanted)

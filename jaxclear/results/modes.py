@@ -45,7 +45,8 @@ def events(history: StateHistory, noted: Events | None, names: tuple[str, ...]) 
             "of each contact between two saving times."
         )
     for name in names:
-        check_contact_joint(history, name)
+        if name not in history.layout().plays:
+            check_contact_joint(history, name)
     rows, lost = [], 0
     for own in of_contacts(history, noted):
         if names and own.joint not in names:
@@ -79,11 +80,16 @@ class ContactEvents(NamedTuple):
         return int(self.counts.sum()) - int(self.kept.sum())
 
 
+# The flanks of play: where the twist is largest, and least.
+FLANKS = ("upper", "lower")
+
+
 def of_contacts(history: StateHistory, noted: Events) -> Iterator[ContactEvents]:
     """The events of every contact of a run, in the order of its joints."""
     times, rates, counts = (np.asarray(part) for part in noted)
     bearings = history.model().system.bearings.items()
     places = [(name, each) for name, own in bearings for each in own.joint.contact_names()]
+    places += [(name, each) for name in history.layout().plays for each in FLANKS]
     for k, (joint, name) in enumerate(places):
         yield ContactEvents(joint, name, times[:, k], rates[:, k], counts[:, k])
 

@@ -26,6 +26,7 @@ from jaxclear.multibody import kinematics, state
 from jaxclear.multibody.given import goes_backwards, rows_turned_round
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
+from jaxclear.multibody.system import geared_motors
 from jaxclear.multibody.topology import Redundancy, joint_of
 from jaxclear.native import over_rows
 
@@ -62,7 +63,12 @@ class StateHistory(eqx.Module):
         self.check_single()
         topology = self.mechanism.topology
         floating = [b.body for b in topology.branches if b.connection is None]
-        check_known(name, [*self.mechanism.connections, *floating], "joint or floating body")
+        known = [*self.mechanism.connections, *floating, *topology.motors]
+        check_known(name, known, "joint or floating body")
+        if name in dict(topology.geared):
+            own = geared_motors(self.mechanism)[name]
+            found = own.ratio * self.coordinate(own.joint, speeds)
+            return found if speeds or own.offset is None else found + own.offset
         connection = self.mechanism.connections.get(name)
         drive = None if connection is None else drive_of(connection.joint)
         if drive is not None:

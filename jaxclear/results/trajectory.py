@@ -20,14 +20,14 @@ from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground.arguments import check_count, check_flags, check_known
 from jaxclear.ground.printing import AbstractShown, shown_in_words
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import is_traced, on_host
 from jaxclear.ground.table import as_table
 from jaxclear.integrators.checks import Checks, Outcome
 from jaxclear.integrators.events import Events
 from jaxclear.multibody import state
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import explain
-from jaxclear.results import export, histories, modes
+from jaxclear.results import export, histories, modes, transmissions
 from jaxclear.results.histories import (
     BodyHistory,
     ContactHistory,
@@ -36,6 +36,7 @@ from jaxclear.results.histories import (
     ReactionHistory,
 )
 from jaxclear.results.state_history import SavedMotion, State, StateHistory, one_of
+from jaxclear.results.transmissions import CouplingHistory
 from jaxclear.results.verification import AbstractVerification, Estimate, Unverified, checked
 
 
@@ -190,7 +191,7 @@ class Trajectory(AbstractShown):
     @property
     def succeeded(self) -> Any:
         """True where the run reached its end."""
-        return self.outcome == Outcome.REACHED
+        return on_host(self.outcome) == Outcome.REACHED
 
     @property
     def result(self) -> str:
@@ -329,9 +330,11 @@ class Trajectory(AbstractShown):
         return histories.situations(self.history, name)
 
     def switchings(self, name: str) -> Any:
-        """Instants at which such a joint begins to carry in another way, as a pandas table (time
-        [s], from, to).
+        """Instants at which such a joint begins to carry in another way, or another flank of a
+        coupling with play to press, as a pandas table (time [s], from, to).
         """
+        if name in self.mechanism.couplings:
+            return transmissions.switchings(self.history, name)
         return histories.switchings(self.history, name)
 
     def reaction(self, name: str) -> ReactionHistory:
@@ -344,11 +347,21 @@ class Trajectory(AbstractShown):
         """What a coupling transmits over time, or a drive gives: of coordinates the torque [N m]
         (force [N] where it slides) on the first of them; of bodies the force [N] along its line of
         action; of a driven joint the torque or force along its coordinate, the friction of its own
-        bearing taken off. Unique by power where reactions are not."""
-        return histories.transmitted(self.history, name)
+        bearing taken off. Unique by power where reactions are not. Of a coupling with play or
+        stiffness where its play is seen; of a motor that turns with a joint on that joint. Of a
+        load on a coordinate, by its name, what it gives there: friction at rest what it holds;
+        where it is no function of the state (a rigid stop, friction that sticks) means over the
+        saving intervals."""
+        return transmissions.transmitted(self.history, name)
+
+    def coupling(self, name: str) -> CouplingHistory:
+        """Twist and torque of a coupling with play or stiffness over time, and which flank presses;
+        touches and releases of its flanks tell `events`."""
+        return transmissions.coupling(self.history, name)
 
     def coordinate(self, name: str) -> Float[Array, "time ..."]:
-        """Coordinate [rad, m] of a connection of the tree or of a driven joint, over time; of one
+        """Coordinate [rad, m] of a connection of the tree, of a driven joint or of a motor (by its
+        coupling's name and ".motor"), over time; of one
         with several (or a floating body) an array (time, coordinates)."""
         return self.history.coordinate(name, speeds=False)
 

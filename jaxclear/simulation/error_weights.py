@@ -1,6 +1,6 @@
-"""How much each entry of the state counts in an error control: places, speeds and remembered impact
-speeds as they are, deflections of bristles beside what they settle within; what follows the motion
-(worn volumes, energies, impulses) is not held.
+"""How much each entry of the state counts in an error control: places, speeds, remembered impact
+speeds and states of loads and flanks as they are, deflections of bristles beside what they settle
+within; what follows the motion (worn volumes, energies, impulses) is not held.
 """
 
 from typing import Any
@@ -39,5 +39,7 @@ def error_weights(model: Model) -> Float[Array, " n"]:
             if bristles:
                 weight = jnp.maximum(1.0, SETTLING / settling_length(own.friction))
                 held += [jnp.full(bristles, weight)]
+    if layout.states:
+        held += [jnp.zeros(len(layout.angles)), jnp.ones(len(layout.states))]
     weights = jnp.concatenate(held)
     return jnp.concatenate([weights, jnp.zeros(layout.size - len(weights))])

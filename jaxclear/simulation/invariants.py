@@ -135,7 +135,7 @@ def judged(trajectory: Trajectory, model: Model, begun: Worn) -> Trajectory:
     seen = _of_saved_states(looks)
     of_run = dict(seen.of_run) | wear_by_cells(model, begun, trajectory.worn)
     if trajectory.extremes is not None:
-        depths = trajectory.extremes.indentation
+        depths = trajectory.extremes.indentation[: model.layout.joint_contacts]
         of_run[Check.INDENTATION] = depths / _radii(model.system) if depths.size else depths
     checks = _together(model, history.formulation, of_run, seen.figures, ends[looks.intervals])
     if seen.verdict is None:
@@ -194,7 +194,10 @@ def _ending(found: Figures, outcome: Any = None) -> Any:
 
 def sunk_in(system: System, depths: Float[Array, " contacts"]) -> Bool[Array, ""]:
     """Whether a contact is so deep [m] that its part has sunk into the wall that holds it."""
-    return jnp.any(depths > Check.INDENTATION.ends_at * _radii(system))
+    if not system.bearings:
+        return jnp.zeros((), bool)
+    radii = _radii(system)
+    return jnp.any(depths[: len(radii)] > Check.INDENTATION.ends_at * radii)
 
 
 def _radii(system: System) -> Float[Array, " contacts"]:
@@ -203,15 +206,16 @@ def _radii(system: System) -> Float[Array, " contacts"]:
 
 
 def contact_names(model: Model) -> tuple[str, ...]:
-    """The joint of every possible contact."""
-    return tuple(name for name, kinds in model.layout.memories for _ in kinds)
+    """The joint, or the coupling with play, of every possible contact."""
+    joints = tuple(name for name, kinds in model.layout.memories for _ in kinds)
+    return joints + tuple(name for name in model.layout.plays for _ in range(2))
 
 
 def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[str, ...]]:
     """Names of the places of figures."""
     return {
         LOOPS: model.system.topology.loops,
-        CONTACTS: contact_names(model),
+        CONTACTS: contact_names(model)[: model.layout.joint_contacts],
         SURFACES: tuple(slot.bearing for slot in model.layout.wear),
         RUBBING: tuple(laws_of_others(model, formulation)),
         COLLARS: collared(model),

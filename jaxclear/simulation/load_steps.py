@@ -20,10 +20,11 @@ from jaxclear.components.drive import AbstractDrive
 from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.joint.base import drive_of
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.quantity import concrete, is_traced
+from jaxclear.ground.quantity import concrete, is_traced, on_device, on_host
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.trajectory import Trajectory
 
 # Instants at which a function is looked at: so many in a step, and in the whole run at least and at
@@ -60,7 +61,7 @@ def check_finite(functions: Mapping[str, Any], times: np.ndarray) -> None:
     """Raises `ValueError` where what a load or drive gives at one of the `times` [s], or between
     two of them, is no finite number."""
     looked_at = np.linspace(times[0], times[-1], TOGETHER)
-    found = jax.device_get(_values(dict(functions), jnp.asarray(looked_at)))
+    found = jax.device_get(_values(dict(functions), on_device(looked_at)))
     for name, told in found.items():
         bad = ~np.all([np.isfinite(row) for row in jax.tree.leaves(told)], axis=0)
         if np.any(bad):
@@ -109,7 +110,7 @@ def _share(rate: np.ndarray, impulse: np.ndarray, steps: np.ndarray, parts: int)
     return float(largest / whole) if whole > rounding and np.isfinite(largest) else 0.0
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _values(functions: dict[str, Any], times: jax.Array) -> dict[str, tuple]:
     """Of each function its rates, and their integrals where these are known, at these times."""
     return {
@@ -197,7 +198,7 @@ def judged_by(passed: dict[str, float], run: Trajectory) -> Trajectory:
 def load_steps(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any) -> LoadSteps:
     """How a run that is saved at these times [s], the first of which it begins at, sees what its
     loads and drives do. Nothing is said of numbers that are being traced."""
-    functions = functions_of_time(mechanism)
+    functions = on_host(functions_of_time(mechanism))
     if not functions or is_traced((functions, integrator, times)):
         return LoadSteps(integrator, {})
     step, fixed = concrete(integrator.asked_step()), integrator.steps_between_saves

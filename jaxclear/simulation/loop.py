@@ -25,14 +25,16 @@ from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.events import Events, Peaks, newest, together
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
-from jaxclear.multibody.system import readings, rubbing_joints
+from jaxclear.multibody.system import System, readings, rubbing_joints
 from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, verdict, while_loop
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
 from jaxclear.simulation import progress
+from jaxclear.simulation.damped_stops import with_damped_stops
 from jaxclear.simulation.error_weights import error_weights
 from jaxclear.simulation.initial_state import Past
 from jaxclear.simulation.invariants import contact_names, judged, sunk_in
+from jaxclear.simulation.sampling import next_instant, sampled, sampled_loads
 from jaxclear.simulation.saving import with_few_enough_steps
 from jaxclear.simulation.wear import (
     Losses,
@@ -119,6 +121,7 @@ def run(
     counted."""
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
     mechanism = held_as_needed(mechanism, integrator.opens_loops)
+    mechanism = with_damped_stops(mechanism, formulation, coordinates, speeds, times[0])
     model = model_of(mechanism, formulation, extras.balance)
     model = dataclasses.replace(model, events=extras.events, discrete=extras.discrete)
     layout = model.layout
@@ -243,7 +246,8 @@ class _Turn:
         model, layout = self.model, self.model.layout
         running = (now.outcome == Outcome.REACHED).astype(bool)
         ahead = self._ahead(span, running, now.peaks)
-        result = self.advance(self.arrays, now.read, ahead, now.state, now.warm_start)
+        begun = sampled(model, span.start, now.state)
+        result = self.advance(self.arrays, now.read, ahead, begun, now.warm_start)
         sound = jnp.all(jnp.isfinite(result.state))
         reached = closure_coordinates.anchored(model.system, layout, span.stop, result.state)
         state = jnp.where(running & sound, reached, now.state)
@@ -286,6 +290,28 @@ def _in_parts(loop: Callable, part: Callable, updates: Any, begun: Any, span: Sp
     return loop(lambda now: now[0] < updates, turn, (jnp.zeros((), int), begun, nothing))[1:]
 
 
+def _between_instants(system: System, loop: Callable, part: Callable) -> Callable:
+    """A part of a saving interval that is gone through from instant to instant of what is sampled,
+    by a while `loop`; the part itself where nothing is."""
+    if not sampled_loads(system):
+        return part
+
+    def parts(begun, span):
+        left = jax.eval_shape(part, begun, span)[1]
+        nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), left)
+
+        def turn(now):
+            time, carry, (_, noted) = now
+            ahead = next_instant(system, time, span.stop)
+            progress = span.progress * (ahead - time) / (span.stop - span.start)
+            carry, (left, more) = part(carry, Span(time, ahead, progress))
+            return ahead, carry, (left, None if more is None else together(noted, more))
+
+        return loop(lambda now: now[0] < span.stop, turn, (span.start, begun, nothing))[1:]
+
+    return parts
+
+
 def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Left]:
     """(what the last turn hands on, what is left at all saving times). Before a turn surfaces are
     worn by what the one before lost, and after the last by what that lost."""
@@ -306,6 +332,8 @@ def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tupl
 
     def by_kernel(condition, body, begun):
         return while_loop(condition, body, begun, (False, (LONG, True), False))
+
+    part = _between_instants(model.system, by_kernel, part)
 
     def one(carry, span):
         wears = pending is not None
@@ -338,6 +366,9 @@ def _from_save_to_save(
         if worn:
             worn, read = wear(system, worn, read, lost)
         return now._replace(worn=worn, read=read), left
+
+    if counted is None:
+        part = _between_instants(system, jax.lax.while_loop, part)
 
     def one(now, span):
         wears = first.worn and counted is None

@@ -13,7 +13,7 @@ from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.wording import public_name
 from jaxclear.integrators.checks import Outcome
-from jaxclear.multibody.forces import effect_of
+from jaxclear.multibody.forces import effect_of, seen_coordinates, states_of
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import body_loads, coordinate_loads
 from jaxclear.multibody.validation import is_own
@@ -61,17 +61,17 @@ def _of_loads(history: StateHistory) -> str:
         return ""
 
     def given(now: Instant) -> dict[str, Any]:
-        system, topology = now.model.system, now.model.system.topology
+        system = now.model.system
         out: dict[str, Any] = {}
         for name, load in body_loads(system):
             if is_own(load):
                 found = effect_of(system, name, load, now.motions, now.time)
                 out[name] = sp.total(x for each in found.actions for x in (*each[1], *each[2]))
         for name, held in coordinate_loads(system):
-            branch = topology.branch_of(held.connection)
-            if is_own(held) and branch is not None:
-                place = topology.branches.index(branch)
-                out[name] = held.force(now.time, now.q[place][0], now.v[place][0])[0]
+            if is_own(held):
+                seen = seen_coordinates(system, now.motions, held, now.followed)
+                states = states_of(name, held, now.followed)
+                out[name] = sp.total(held.effect(now.time, *seen, states).forces)
         return {name: jnp.asarray(x, float) for name, x in out.items()}
 
     seen = [history]

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_count
-from jaxclear.ground.quantity import concrete
+from jaxclear.ground.quantity import concrete, is_traced, on_device
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, public_name
 from jaxclear.integrators.base import MOST_STEPS, AbstractIntegrator
@@ -67,7 +67,7 @@ def saving_times(duration: Any, save: Any) -> Array:
                 f"save={described(save)}: it must be a whole number of saving times, at least 2, "
                 "or the times themselves."
             )
-        return jnp.linspace(0.0, jnp.asarray(duration, float), int(save))
+        return _equally_spaced(duration, int(save))
     try:
         times = np.asarray(save, float)
     except (TypeError, ValueError):
@@ -79,6 +79,14 @@ def saving_times(duration: Any, save: Any) -> Array:
         )
     times = times if times[0] == 0 else np.concatenate([[0.0], times])
     return jnp.asarray(times if times[-1] == duration else np.concatenate([times, [duration]]))
+
+
+def _equally_spaced(duration: Any, count: int) -> Array:
+    if is_traced(duration):
+        return jnp.linspace(0.0, jnp.asarray(duration, float), count)
+    # In the order in which XLA multiplies.
+    last = np.asarray(duration, float)
+    return on_device(np.append(last * (1 / (count - 1)) * np.arange(count - 1), last))
 
 
 def check_steps(integrator: AbstractIntegrator | None, times: Any) -> None:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.errors.accuracy import Asked, of_run
@@ -16,17 +15,16 @@ from jaxclear.errors.estimates import HALF
 from jaxclear.errors.verification import Replica, verified
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
-from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import is_traced, on_device, on_host
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
 from jaxclear.native import forwards_only, has_kernels, stoppable
+from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_for_kernels, compiled_quickly
 from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
-from jaxclear.simulation.by_kernels import compiled_for_kernels
 from jaxclear.simulation.derivatives import (
     backwards,
     compared,
@@ -40,6 +38,7 @@ from jaxclear.simulation.initial_state import beginning, state_of
 from jaxclear.simulation.load_steps import judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.not_finite import told_of_the_end
+from jaxclear.simulation.sampling import check_instants
 from jaxclear.simulation.saving import Saving, as_saving, check_steps, checked_saving, saving_times
 from jaxclear.simulation.singular_positions import diagnosed
 
@@ -92,6 +91,7 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
     wanted = "one of jaxclear.integrator, such as Adaptive()"
     expect(integrator, AbstractIntegrator, "the integrator", wanted)
     name = f"integrator.{type(integrator).__name__}"
+    mechanism = on_host(mechanism)
     held = held_as_needed(mechanism, integrator.opens_loops)
     if held.projects and not integrator.projects:
         raise ValueError(
@@ -101,6 +101,7 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
             "integrator with fixed steps."
         )
     integrator.formulation.check(mechanism, name)
+    check_instants(mechanism, integrator)
 
 
 def check_duration(duration: Any) -> Any:
@@ -215,7 +216,7 @@ def _simulated(
     check_steps(integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
     state = state_of(how.state)
-    saved = state.begins + times
+    saved = on_host(state.begins) + on_host(times)
     integrator, passed = load_steps(mechanism, integrator, saved)
     mechanism, start, past, doubt = beginning(mechanism, integrator.formulation, state)
     whole = 1.0 if how.verify is False else 1.0 + 1 / HALF
@@ -225,9 +226,9 @@ def _simulated(
         runs = _run_soon if kernel else _run
 
         def again(one: Replica, moved: float = 0.0) -> Trajectory:
-            begun = start.coordinates + moved if moved else start.coordinates
-            given = mechanism, begun, start.speeds, jnp.asarray(one.times)
-            more = one.integrator, extras, past, jnp.asarray(one.updates)
+            begun = on_host(start.coordinates) + moved if moved else start.coordinates
+            given = mechanism, on_device(begun), start.speeds, on_device(one.times)
+            more = one.integrator, extras, past, on_device(one.updates)
             with part(one.work):
                 return jax.block_until_ready(runs(*given, *more))
 

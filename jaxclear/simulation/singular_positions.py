@@ -24,7 +24,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.quantity import constant, is_traced
 from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody import constraints
@@ -40,6 +39,7 @@ from jaxclear.multibody.start_equations import (
     speed_scales,
     stacked,
 )
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import SingularPosition, Trajectory
 

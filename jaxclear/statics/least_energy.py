@@ -20,12 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.numerics import safe_divide
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import is_traced, is_tracing
 from jaxclear.multibody.assembly import nearest, ready
 from jaxclear.multibody.closure_coordinates import angles_at_start
 from jaxclear.multibody.start_equations import ask, motions_at, retract
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.statics import equilibrium
 from jaxclear.statics.equilibrium import Carried, Case, Measures, Rounded, Terms
 from jaxclear.statics.quasi_static import SEAT, Posed, Read
@@ -96,7 +96,7 @@ class ByEnergy(eqx.Module):
 
     def each(self, scene: Posed, position: Array, starts: Rest) -> Rest:
         """Where it rests at positions (positions, drives), each from its own start; pure."""
-        if is_traced((scene, position, starts)) or is_traced(jnp.zeros(1)):
+        if is_traced((scene, position, starts)) or is_tracing():
             one = lambda own, start: settle(scene.at(own), start, self)
             return _split_before(jax.vmap(one)(position, starts), starts)
         # One after the other, by the program that has led from one to the next.

@@ -19,7 +19,6 @@ from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, expect
-from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import described
@@ -30,6 +29,7 @@ from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.redundancy import DEPENDENT, rank_of, says_new
 from jaxclear.multibody.start_check import HELD
 from jaxclear.multibody.system import longest_arm, prepare
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.statics import least_energy
 from jaxclear.statics.least_energy import ByEnergy, Rest
 from jaxclear.statics.positions import Positions

@@ -41,7 +41,7 @@ from jaxclear.multibody.given import speed_scales
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.newton import shortened
 from jaxclear.multibody.start_equations import retract
-from jaxclear.multibody.state import unpack_motion
+from jaxclear.multibody.state import Followed, unpack_motion
 from jaxclear.multibody.system import System, longest_arm, prepare
 from jaxclear.multibody.tree import NOTHING, Motion
 from jaxclear.native import while_loop
@@ -248,7 +248,7 @@ def acting(
     """What acts on a mechanism at rest, and the mechanism with gravity as it acts; `side` -1
     reverses loads, but neither springs nor stops. `angles` [rad]: those near which coordinates
     outside the tree are read."""
-    ask = lambda own: applied_forces(own, motions, {}, places, rates, 0.0, angles or {})
+    ask = lambda own: applied_forces(own, motions, {}, places, rates, 0.0, Followed(angles or {}))
     if isinstance(side, float) and side == 1.0:
         return system, ask(system)
     springs = {name: load for name, load in system.loads.items() if load.springs_back()}

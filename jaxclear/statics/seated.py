@@ -26,7 +26,6 @@ from jaxclear.formulations.permanent_reactions import ReactionNotUnique
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
-from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.pose import frame_with_axis, quaternion_from_rotation
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.warning import warn
@@ -50,6 +49,7 @@ from jaxclear.multibody.start_equations import (
 )
 from jaxclear.multibody.state import names
 from jaxclear.multibody.system import System, prepare, readings
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.state_history import SavedMotion, State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.simulate import simulate

@@ -30,12 +30,12 @@ from jaxclear.errors.choice import (
 )
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_known, check_number, expect
-from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import as_typed
 from jaxclear.ground.quantity import AbstractQuantified, count, inside, numbers
 from jaxclear.ground.wording import described
 from jaxclear.integrators import AbstractIntegrator
+from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.simulation.initial_state import beginning
 from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.simulate import How, check_run, repeated

@@ -11,9 +11,9 @@ import numpy as np
 from jaxclear.errors.accuracy import beside, checked_accuracy
 from jaxclear.errors.choice import Chosen
 from jaxclear.ground.arguments import check_known
-from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.simulate import How, chosen_for
 from jaxclear.studies.mechanism_problem import answer

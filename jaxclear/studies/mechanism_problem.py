@@ -85,7 +85,8 @@ def wanted_of(
 def in_range(*parts: Any) -> Array:
     """Whether all numbers of parts, as of a mechanism, are within their ranges."""
     known = [inside(leaf, metadata) for part in parts for _, leaf, metadata in numbers(part)]
-    return jnp.all(jnp.stack(known))
+    # Tables, as of a function of time, are arrays.
+    return jnp.all(jnp.stack([one if jnp.ndim(one) == 0 else jnp.all(one) for one in known]))
 
 
 class Thinned(eqx.Module):

@@ -95,8 +95,6 @@ class MonteCarlo(AbstractAnswer):
     # What was asked of the means (half of 95 % intervals, by response) and not reached.
     unreached: str = eqx.field(static=True, default="")
     replicas: Replicas | None = None
-    # What a folder of an earlier version says to be off.
-    earlier: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def failed(self) -> np.ndarray:
@@ -138,7 +136,7 @@ class MonteCarlo(AbstractAnswer):
     def doubts_of(self, *responses: str) -> tuple[str, ...]:
         """The `doubts` that concern these responses."""
         told = () if self.replicas is None else self.replicas.doubts(self.problem, *responses)
-        return (*told, *self.problem.doubts(), *self.earlier)
+        return (*told, *self.problem.doubts())
 
     def numerical_error(
         self, response: str, statistic: Callable[[np.ndarray], float] = np.mean

@@ -38,6 +38,7 @@ from jaxclear.multibody.reach import narrowest_gap, rooms
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import longest_arm, prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
+from jaxclear.native.compiled import compiled_for_kernels
 from jaxclear.results.response import concerned, needs_of, unit_of
 from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
@@ -66,7 +67,7 @@ from jaxclear.simulation.simulate import (
 from jaxclear.simulation.singular_positions import diagnosed, diagnosed_outcome
 from jaxclear.studies.base import SampleResult, how_it_ended
 from jaxclear.studies.chosen_integrator import allowed, checked_asked, chosen_integrator, unasked
-from jaxclear.studies.ledger.batch import sample_of_chunk
+from jaxclear.studies.ledger.batch import LEAST_CHUNK, sample_of_chunk
 from jaxclear.studies.mechanism_problem import (
     AbstractMechanismProblem,
     Thinned,
@@ -81,9 +82,11 @@ from jaxclear.studies.variable import (
 
 # Histories that a response may build from the saved states, in multiples of these.
 HISTORY_FACTOR = 12
-# On a CPU the time per sample falls up to chunks of about this length and rises again beyond
-# (benchmarks/claims/monte_carlo.py). An accelerator wants many samples at once.
-LARGEST_CHUNK = {"cpu": 64}
+# A call of a compiled program costs some half a millisecond, whatever it is given: the time per
+# sample falls up to chunks of about this length. It rises again where one takes more memory [bytes]
+# than stays near a core (benchmarks/claims/fixed_costs.py). An accelerator wants many at once.
+LARGEST_CHUNK = {"cpu": 1024}
+NEAR_A_CORE = 1 << 26
 LARGEST_ELSEWHERE = 4096
 
 
@@ -266,7 +269,7 @@ class Problem(AbstractMechanismProblem):
         """
         check_double_precision()
         self.check_values(values)
-        return _answers(self, values, discrete_derivatives)
+        return _answers_alone(self, jnp.asarray(values), discrete_derivatives)
 
     def sample_memory(self) -> int:
         """Saved states and worn surfaces [bytes]."""
@@ -278,7 +281,11 @@ class Problem(AbstractMechanismProblem):
         return 8 * (len(self.shares) * (HISTORY_FACTOR * layout.size) + 8 * cells)
 
     def most_together(self) -> int:
-        return LARGEST_CHUNK.get(jax.default_backend(), LARGEST_ELSEWHERE)
+        most = LARGEST_CHUNK.get(jax.default_backend())
+        if most is None:
+            return LARGEST_ELSEWHERE
+        near = max(NEAR_A_CORE // max(self.sample_memory(), 1), LEAST_CHUNK)
+        return min(most, 1 << (near.bit_length() - 1))
 
     def idle(self) -> "Problem":
         """Runs of no length."""
@@ -375,6 +382,10 @@ def _answers(problem: Problem, values: Float[Array, " variables"], discrete: boo
     started = lambda problem, values: problem.started(values, own)
     mechanism, start, run = backwards(integrator)(started, problem, values)
     return _taken(problem, mechanism, start, guarded(run, integrator, discrete))
+
+
+# Called by itself it is one program; a loop of a user's, as SciPy's are, asks thousands of times.
+_answers_alone = compiled_for_kernels(_answers)
 
 
 def _taken(problem: Problem, mechanism: Any, start: Any, run: Trajectory) -> SampleResult:

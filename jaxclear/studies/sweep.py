@@ -38,7 +38,17 @@ class Sweep(AbstractAnswer):
         return dict(self.reasons)
 
     def sentence(self) -> str:
-        """How many points failed, and where and why the first of them did; "" where none did."""
+        """Between which values each response lies over the grid; how many points failed, and where
+        and why the first of them did."""
+        units, said = self.units(), []
+        for name, values in self.responses.items():
+            if np.isfinite(values).any():
+                ends = f"{np.nanmin(values):.4g} and {np.nanmax(values):.4g} {units[name]}"
+                said.append(f'"{name}" lies between {ends.removesuffix(" 1")} over the grid.')
+        return " ".join([*said, *filter(None, [self._failed()])])
+
+    def _failed(self) -> str:
+        """How many points failed; "" where none did."""
         if not self.reasons:
             return ""
         place, why = next(iter(self.reasons.items()))

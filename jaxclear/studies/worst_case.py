@@ -80,8 +80,13 @@ class WorstCase(AbstractAnswer):
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def sentence(self) -> str:
-        """Nothing beside the table and the warnings."""
-        return ""
+        """Between which values each response lies over the box, as far as the runs found."""
+        units = self.problem.units()
+        said = []
+        for name in self.nominal:
+            ends = f"{self.least[name].value:.4g} and {self.largest[name].value:.4g} {units[name]}"
+            said.append(f'"{name}" lies between {ends.removesuffix(" 1")} over the box.')
+        return " ".join(said)
 
     def _stated(self):
         problem, ends = self.problem, {"least": self.least, "largest": self.largest}

@@ -198,3 +198,23 @@ def test_a_torque_may_be_a_function_that_returns_a_number():
     )
     turned = jc.simulate(wheel, 0.1, save=3).coordinate("O")[-1]
     np.testing.assert_allclose(turned, 0.5 * torque / inertia * 0.1**2, rtol=1e-9)
+
+
+def test_a_study_takes_a_mechanism_with_a_table():
+    """A torque that rises as a ramp: I w = M T / 2."""
+    ramp = jc.load.JointTorque("A", jc.TimeTable([0.0, 1.0], [0.0, 1.0], "linear"))
+    rig = jc.Mechanism(
+        {"bar": jc.Body(1.0, 2.0)},
+        {"A": jc.Connection(jc.joint.Revolute(), "ground", "bar")},
+        {"M": ramp},
+    )
+    problem = jc.Problem(
+        rig,
+        lambda run: run.speed("A")[-1],
+        {"inertia": jc.Variable(lambda rig: rig.bodies["bar"].inertia[0], tolerance=0.1)},
+        duration=1.0,
+        integrator=jc.integrator.FixedStep(0.1),
+        save=2,
+    )
+    found = problem.evaluate(problem.nominal())
+    np.testing.assert_allclose(found.responses["response"], 0.25, rtol=1e-12)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import example, given, settings
 from jax.flatten_util import ravel_pytree
 
-from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
+from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
 from tests.rigs.clearance_joints import JOINTS, USUAL, layout, pose, rate
 
 

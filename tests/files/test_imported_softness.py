@@ -89,39 +89,35 @@ def test_springs_press_into_limits_too_and_each_side_is_told(tmp_path):
     assert len(said) == 1 and said[0].count("limits of") == 1
 
 
-def test_friction_that_creeps_is_told_with_its_speed_and_sticks_on_request(tmp_path):
-    text = ARM.format('frictionloss="2"')
-    weight = 9.81 * (0.3 * 0.2 + 0.1 * 0.5)
-    rig, said = imported(tmp_path, text)
-    friction = rig.loads["hinge friction"]
-    speed = float(friction.transition_speed) * np.arctanh(weight / 2)
-    assert f'friction of "hinge" by creeping at {speed:.3g} rad/s under' in said[0]
-    assert "0.54 of what it holds" in said[0]
-    held, silent = imported(tmp_path, text, sticking=True)
-    assert silent == [] and "hinge friction" not in held.loads
-    joint = held.connections["hinge"].joint
-    np.testing.assert_allclose(float(joint.load * joint.radius * joint.friction.mu_kinetic), 2.0)
-    with pytest.raises(ValueError, match='joint "hinge" has friction Coulomb.*MoreauJean'):
-        jc.simulate(held, 0.1, save=3)
+HELD = {
+    "rigid": (jc.integrator.MoreauJean(1e-3), 1e-12),
+    "permanent": (jc.integrator.NonColliding(1e-3), 1e-12),
+    # The bristle gives way by its presliding times the share of the friction that is asked for.
+    "compliant": (jc.integrator.Adaptive(), 1e-4),
+}
 
 
-@pytest.mark.parametrize("integrator", [jc.integrator.MoreauJean, jc.integrator.NonColliding])
-def test_friction_that_sticks_holds_and_slides_as_the_file_has_it(integrator, tmp_path):
+@pytest.mark.parametrize("kind", HELD)
+def test_imported_friction_holds_and_slides_as_the_file_has_it(kind, tmp_path):
     """A rack on a slide: held by more than its weight, sliding down with g - F/m."""
+    integrator, way = HELD[kind]
     text = SLIDE.replace('range="-2e-3 1e-3" limited="true" damping="20"', "")
-    held, _ = imported(tmp_path, text.format('frictionloss="21"', 2.0), sticking=True)
-    run = jc.simulate(held, 0.1, save=3, integrator=integrator(1e-3))
-    np.testing.assert_allclose(np.asarray(run.coordinate("slide")), 0.0, atol=1e-12)
-    slides, _ = imported(tmp_path, text.format('frictionloss="5"', 2.0), sticking=True)
-    run = jc.simulate(slides, 0.1, save=3, integrator=integrator(1e-3))
-    np.testing.assert_allclose(np.asarray(run.speed("slide"))[-1], -(9.81 - 2.5) * 0.1, rtol=1e-9)
+    held, said = imported(tmp_path, text.format('frictionloss="21"', 2.0))
+    run = jc.simulate(held, 10.0, save=3, integrator=integrator, verify=False)
+    np.testing.assert_allclose(np.asarray(run.coordinate("slide")), 0.0, atol=way)
+    slides, _ = imported(tmp_path, text.format('frictionloss="5"', 2.0))
+    run = jc.simulate(slides, 0.1, save=3, integrator=integrator, verify=False)
+    # The bristle's way to its bound takes a millisecond of the fall.
+    accuracy = 1e-9 if way < 1e-6 else 0.01
+    end = np.asarray(run.speed("slide"))[-1]
+    np.testing.assert_allclose(end, -(9.81 - 2.5) * 0.1, rtol=accuracy)
+    assert said == []
 
 
 @pytest.mark.parametrize(
     ("asked", "sentence"),
     [
         ({"stops": "rigid"}, 'no stops "rigid"; there are "steady", "impact"'),
-        ({"sticking": "yes"}, "sticking"),
     ],
 )
 def test_what_cannot_be_asked_is_refused_with_a_sentence(asked, sentence, tmp_path):

@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from jaxclear.ground.compiling import by_form, compiled_quickly, traced_once
+from jaxclear.ground.compiling import by_form, traced_once
 from jaxclear.ground.quantity import is_traced
+from jaxclear.native.compiled import compiled_quickly
 
 
 @compiled_quickly

@@ -45,7 +45,7 @@ def accelerations(rig, q, v):
     system = prepare(rig)
     own_q, own_v = unpack_motion(system, [*q, *v])
     motions = kinematics.link_motions(system, own_q, own_v, 0.0)
-    forces = applied_forces(system, motions, {}, own_q, own_v, 0.0, {})
+    forces = applied_forces(system, motions, {}, own_q, own_v, 0.0)
     solution = dynamics.forward_dynamics(system, forces, None)
     masses, right = dynamics.equations_of_motion(system, forces)
     size = system.topology.speed_count

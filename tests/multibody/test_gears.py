@@ -425,3 +425,22 @@ def test_ways_to_assemble_keep_couplings():
     np.testing.assert_allclose(
         jc.assemblies(guessed, 8).coordinates[0], [0.3, -0.3 / RATIO], atol=1e-12
     )
+
+
+def test_a_transmission_error_is_added_to_the_turns():
+    # twice a turn of b, 1 mrad, seen at a
+    error = lambda turn: 1e-3 * jnp.sin(2 * turn)
+    gear = jc.coupling.Gear("A", "B", RATIO, transmission_error=error)
+    run = jc.simulate(pair(gear), 0.4, save=41, balance=True, integrator=STEPS)
+    turned = np.asarray(run.coordinate("B"))
+    assert np.ptp(turned) > 6.0
+    wanted = -(RATIO * turned + np.asarray(error(turned)))
+    np.testing.assert_allclose(run.coordinate("A"), wanted, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(run.energy_balance().error, 0.0, atol=1e-6)
+
+
+def test_a_transmission_error_repeats_itself():
+    with pytest.raises(ValueError, match="same again after a turn"):
+        jc.coupling.Gear("A", "B", 3.0, transmission_error=lambda turn: 1e-3 * turn)
+    with pytest.raises(ValueError, match="one number"):
+        jc.coupling.Gear("A", "B", 3.0, transmission_error=lambda turn: (turn, turn))

@@ -179,7 +179,7 @@ CASES = {
     **{
         f"reduce_{name}": [
             (lambda x, f=function, axis=axis: f(x, axis), (values,))
-            for values in (SMALL, WITH_NAN, N.reshape(1, 7))
+            for values in (SMALL, WITH_NAN, N.reshape(1, 7), SMALL[:0])
             for axis in (0, 1, (0, 1))
         ]
         for name, function in {"sum": jnp.sum, "prod": jnp.prod}.items()

@@ -1,12 +1,9 @@
 """Folders of studies that a disk or a person has damaged, that nothing can be written into, and
-those of earlier versions.
+those of versions before 0.33.
 """
 
 import errno
-import json
 import shutil
-import warnings
-import zipfile
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,16 +14,9 @@ import pytest
 import jaxclear as jc
 from jaxclear.studies.campaign.samples import Samples
 from jaxclear.studies.ledger import batch
-from jaxclear.studies.ledger.earlier import RECORDS, SAMPLES
 from jaxclear.studies.ledger.ledger import RESULT, STUDY, Ledger
 from jaxclear.studies.ledger.pieces import PIECES, Unwritable
-from jaxclear.studies.texts import in_texts
-from tests.rigs.wearing_ring import problem as ring
-from tests.rigs.wearing_ring import wearing_ring
-from tests.studies import test_design as designed
-from tests.studies.test_campaign import assert_same_study, contents, kept_at, problem
-
-EARLIER = Path(__file__).parents[1] / "refdata" / "folders_0_32"
+from tests.studies.test_campaign import contents, kept_at, problem
 
 
 def ask(place, samples=10_000):
@@ -200,93 +190,11 @@ def test_a_result_that_cannot_be_written_is_said_where_something_is_new(tmp_path
         kept.conclude(result)
 
 
-def of_0_32(name, place, asked):
-    """A folder that 0.32 wrote. How it tells of functions depends on the version of Python."""
-    zipfile.ZipFile(EARLIER / f"{name}.zip").extractall(place)
-    texts = json.dumps(in_texts(asked))
-    for path in [*place.glob(f"**/{RECORDS}/zarr.json"), *place.glob(f"{SAMPLES}/zarr.json")]:
-        told = json.loads(path.read_text())
-        told["attributes"]["problem"] = texts
-        path.write_text(json.dumps(told))
-    return place
-
-
-def change_told(place, **changes):
-    """Attributes of an earlier campaign; those that are None go."""
-    path = place / SAMPLES / "zarr.json"
-    told = json.loads(path.read_text())
-    own = told["attributes"] | changes
-    told["attributes"] = {name: value for name, value in own.items() if value is not None}
-    path.write_text(json.dumps(told))
-
-
-def test_a_campaign_of_0_32_is_read_and_goes_on(tmp_path, computed, recwarn):
-    """Two of its three chunks were finished; asked again, it is a folder of today."""
-    place = of_0_32("campaign", tmp_path / "old", problem())
-    before = contents(place)
-    plain = jc.monte_carlo(problem(), 90, seed=3, scramblings=8)
-    computed.clear()
-    for found in (jc.open_campaign(place), jc.open_campaign(place, problem())):
-        assert (found.finished, found.count) == (64, 90)
-        assert np.array_equal(found.values, plain.values[:64])
-        np.testing.assert_allclose(found.responses["area"], plain.responses["area"][:64])
-        assert np.isnan(found.to_dataset()["fit"][64:]).all()
-        assert found.versions[0]["jaxclear"] == "0.32.0"
-    assert contents(place) == before
-    found = jc.campaign(problem(), 90, folder=place, seed=3)
-    assert not any("missing" in str(own.message) for own in recwarn)
-    assert [len(own) for own in computed] == [32]
-    assert found.is_complete and np.array_equal(found.values, plain.values)
-    shutil.rmtree(place / SAMPLES)
-    assert_same_study(jc.open_campaign(place).sample, found.sample)
-    assert jc.open_campaign(place).is_complete
-
-
-def test_a_campaign_of_0_29_says_what_it_had_found(tmp_path):
-    place = of_0_32("campaign", tmp_path / "old", problem())
-    change_told(place, second_look=[["PLACE_IN_GAP", [0.07], [0.5], ["B"]]])
-    said = ('Second look: place in gap in "B": 0.07 (limit 0.03), told by an earlier version.',)
-    assert jc.open_campaign(place).sample.doubts == said
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        assert jc.campaign(problem(), 90, folder=place, seed=3).sample.doubts == said
-    change_told(place, order=None)
-    with pytest.raises(ValueError, match="samples came in another order"):
-        jc.open_campaign(place)
-
-
-def test_a_sensitivity_of_0_32_computes_nothing(tmp_path, computed, monkeypatch):
-    asked = jc.FunctionProblem(
-        lambda a, b: a**2 * b, {n: jc.Dimension(2.0, jc.distribution.Normal(0.1)) for n in "ab"}
-    )
-    monkeypatch.setattr(batch, "threads_of", lambda: 2)
-    how = {"sample": 64, "difference_samples": 32}
-    plain = jc.sensitivity(asked, **how)
-    place = of_0_32("sensitivity", tmp_path / "old", asked)
-    computed.clear()
-    found = jc.campaign(asked, folder=place, study=jc.sensitivity, **how)
-    assert str(found.table()) == str(plain.table())
-    assert not computed
-    for old in place.glob("asked-*"):
-        shutil.rmtree(old)
-    assert str(jc.campaign(asked, folder=place, study=jc.sensitivity, **how)) == str(found)
-    assert not computed
-
-
-@pytest.mark.slow
-def test_a_design_and_a_life_of_0_32_compute_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(jc.FunctionProblem, "most_together", lambda _: 32)
-    asked = designed.problem()
-    place = of_0_32("design", tmp_path / "design", asked)
-    settings = jc.DesignSettings(surface=True, samples=64)
-    how = {"tolerance": designed.WIDE, "settings": settings, "store": place}
-    for _ in range(2):
-        found = jc.design(asked, designed.reciprocal(), designed.MEAN, **how)
-        assert found.computed == 0 and found.cost == pytest.approx(44.60038895511303, rel=1e-12)
-        shutil.rmtree(place / RECORDS, ignore_errors=True)
-    asked = ring(wearing_ring())
-    place = of_0_32("wear_life", tmp_path / "life", asked)
-    shutil.rmtree(place / RESULT)
-    life = jc.wear_life(asked, cycles=100, store=place)
-    assert life.simulated == len(list((place / PIECES).iterdir())) == 8
-    assert life.at_end("depth") == pytest.approx(2.2725736468912787e-09, rel=1e-12)
+@pytest.mark.parametrize("within", ["samples.zarr", "records.zarr", "asked-1/records.zarr"])
+def test_a_folder_of_a_version_before_0_33_says_who_takes_it_over(tmp_path, within):
+    (tmp_path / within).mkdir(parents=True)
+    for asked in (lambda: jc.open_campaign(tmp_path), lambda: ask(tmp_path)):
+        with pytest.raises(ValueError, match="before 0.33; version 0.33 takes it over"):
+            asked()
+    with pytest.raises(ValueError, match="before 0.33; version 0.33 takes it over"):
+        Ledger.opened(tmp_path, "records", {})

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.studies.statistics.scrambled import Statistic
+from jaxclear.studies.statistics.sobol_indices import leading
 
 Normal, Uniform = jc.distribution.Normal, jc.distribution.Uniform
 SLOPES = np.array([1.0, -2.0, 0.5])
@@ -110,3 +112,17 @@ def test_what_cannot_be_asked_gets_a_sentence():
         jc.shapley_effects(3)
     with pytest.raises(ValueError, match=r"contributes: jaxclear\.shapley_effects"):
         jc.sobol_indices(linear())
+
+
+def test_shares_name_the_variables_that_lead():
+    told = leading(
+        {
+            ("force", "a"): Statistic(0.6, 0.5, 0.7),
+            ("force", "b"): Statistic(0.4, 0.3, 0.52),
+            ("force", "c"): Statistic(0.0, 0.0, 0.1),
+            ("flat", "a"): Statistic(0.0, 0.0, 0.0),
+        },
+        "total index",
+    )
+    assert told.startswith('"a" (0.60 ± 0.10) and "b" (0.40 ± 0.12) lead the variance of "force"')
+    assert told.endswith('"flat" has no variance that is shared out.')

@@ -36,6 +36,7 @@ def test_every_point_of_the_grid_is_the_problems_own(grid):
     expected = np.sqrt(A - B[:, None]) + 3.0
     np.testing.assert_allclose(grid.responses["root"], expected, rtol=1e-15)
     assert not grid.failures() and not grid.warnings
+    assert '"sum" lies between 1 and 14 mm over the grid.' in grid.sentence()
 
 
 def test_a_sweep_is_data_with_units(grid):

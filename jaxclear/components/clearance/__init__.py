@@ -5,6 +5,7 @@ A joint of one's own derives from `AbstractClearance`; with a permanent form of 
 `AbstractPermanentJoint`.
 """
 
+from jaxclear.components.clearance.backlash import Backlash
 from jaxclear.components.clearance.ball import BallSocket, PermanentSpherical
 from jaxclear.components.clearance.base import (
     SITUATIONS,
@@ -29,6 +30,7 @@ __all__ = [
     "AbstractClearance",
     "AbstractJournalBearing",
     "AbstractPermanentJoint",
+    "Backlash",
     "BallSocket",
     "CarriedContact",
     "CarryingEnd",

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 
 from jaxclear.ground.argument_errors import nothing_else
-from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.ground.quantity import Scalar, concrete, on_host, quantity
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import public_name
 from jaxclear.laws.contact.base import AbstractDissipation
@@ -70,7 +70,7 @@ class AbstractRestitutionFactor(AbstractDissipation):
         """d [1] >= 0, 0 at restitution 1."""
 
     def __check_init__(self):
-        asked, factor = concrete(self.restitution), concrete(self.factor())
+        asked, factor = concrete(self.restitution), concrete(on_host(self).factor())
         if asked is None or factor is None:
             return
         found = rebound_by(factor)

@@ -16,7 +16,6 @@ from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.dataset import dataset_of
 from jaxclear.studies.campaign.samples import VALUES, Samples
 from jaxclear.studies.endless import answered
-from jaxclear.studies.ledger.earlier import second_look
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.limits import Limits, check_limits
 from jaxclear.studies.statistics.summary import summary_of, summary_row
@@ -211,7 +210,6 @@ class Campaign:
             self._groups(),
             self._unfinished(),
             self._samples.replicas(),
-            second_look(self._samples.told),
         )
 
 

@@ -16,9 +16,16 @@ from jaxclear.ground.warning import warn
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.campaign.recorded import in_json
 from jaxclear.studies.campaign.result import Campaign
-from jaxclear.studies.campaign.samples import KIND, RESPONSES, VALUES, Plan, Samples, held
+from jaxclear.studies.campaign.samples import (
+    KIND,
+    RESPONSES,
+    VALUES,
+    Plan,
+    Samples,
+    batch_of,
+    held,
+)
 from jaxclear.studies.campaign.threads import AbstractWork, Heard
-from jaxclear.studies.ledger.batch import usual_batch
 from jaxclear.studies.ledger.ledger import refuse_other
 from jaxclear.studies.replicas import MOST_REPLICAS
 from jaxclear.studies.sampling import groups
@@ -94,10 +101,10 @@ class _Run:
     def grow(self, samples: int) -> None:
         """Has so many samples in the folder, and computes those that it lacks."""
         if self.kept.plan.samples < samples:
-            larger = self.kept.extended(samples, usual_batch(self.by.problem))
+            larger = self.kept.extended(samples, batch_of(self.by.problem, samples))
             self.kept = larger.view(self.most)
         plan = self.kept.plan
-        left = np.setdiff1d(np.arange(plan.chunks), self.kept.finished(kept_anew=True)).tolist()
+        left = np.setdiff1d(np.arange(plan.chunks), self.kept.finished()).tolist()
         if lost := self.kept.lost(left):
             warn(lost)
         if left:

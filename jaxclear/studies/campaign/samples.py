@@ -19,8 +19,7 @@ from jaxclear.ground.warning import warn
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.ledger.batch import devices, usual_batch
-from jaxclear.studies.ledger.earlier import EarlierSamples
+from jaxclear.studies.ledger.batch import LEAST_CHUNK, devices, usual_batch
 from jaxclear.studies.ledger.ledger import STUDY, DamagedFolder, refuse_foreign, tell, told_of
 from jaxclear.studies.ledger.pieces import (
     MENDED,
@@ -84,16 +83,24 @@ class Plan(NamedTuple):
         return groups(self.samples, self.scramblings)
 
 
+def batch_of(problem: AbstractProblem, samples: int) -> int:
+    """Samples of a batch of a campaign. One of runs has many of them: each is lost where the
+    process ends in it."""
+    batch = usual_batch(problem)
+    if problem.idle() is problem:
+        return batch
+    return min(batch, max(LEAST_CHUNK, samples // OF_CAMPAIGN))
+
+
 def planned(
     problem: AbstractProblem, drawn: tuple[int, int, str, int], chunk: int | None, most: int
 ) -> Plan:
     """The plan of samples, seed, sampling and scramblings to begin with, of which there will be
     `most`; in chunks of at least so many samples if they are given. Chunks are of whole batches of
     the usual size, also where there are not as many samples."""
-    batch = usual_batch(problem)
+    # Runs have an idle form; what is evaluated at once has none.
+    cheap, batch = problem.idle() is problem, batch_of(problem, most)
     if chunk is None:
-        # Runs have an idle form; what is evaluated at once has none.
-        cheap = problem.idle() is problem
         some = min(BATCHES * batch, most // OF_CAMPAIGN)
         chunks, least = (MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK) if cheap else (MOST_CHUNKS, some)
         chunk = max(-(-most // chunks), least, batch * devices())
@@ -111,7 +118,6 @@ class Samples:
         self._drawn = address_of(json.loads(told["problem"]), [*self.plan[1:4], self.plan.chunk])
         # Of the finished chunks that have been read, what computed them.
         self._whole: dict[int, dict[str, str]] = {}
-        self._earlier = EarlierSamples(folder) if EarlierSamples.are_in(folder) else None
 
     @classmethod
     def opened(cls, folder: Any) -> "Samples":
@@ -179,21 +185,15 @@ class Samples:
         """A chunk's columns of these names, or all; None where it is not finished."""
         first, last = self.plan.span(number)
         found = self.pieces.read(self.address(number), names or None)
-        if found is None and self._earlier is not None:
-            found = self._earlier.read(number, first, (number + 1) * self.plan.chunk)
         if found is None or found.about["samples"] < last - first:
             return None
         return found
 
-    def finished(self, kept_anew: bool = False) -> np.ndarray:
-        """Numbers of the finished chunks, whose checksums are right; `kept_anew`: without those of
-        an earlier version."""
-        own = [number for number in range(self.plan.chunks) if self._is_whole(number, kept_anew)]
-        return np.array(own, int)
+    def finished(self) -> np.ndarray:
+        """Numbers of the finished chunks, whose checksums are right."""
+        return np.array([n for n in range(self.plan.chunks) if self._is_whole(n)], int)
 
-    def _is_whole(self, number: int, kept_anew: bool) -> bool:
-        if kept_anew and not self.pieces.path(self.address(number)).exists():
-            return False
+    def _is_whole(self, number: int) -> bool:
         if number not in self._whole and (found := self.chunk(number)) is not None:
             self._whole[number] = found.about["versions"]
         return number in self._whole
@@ -206,7 +206,7 @@ class Samples:
             for number in left
             if self.address(number) in self.pieces.damaged or self.plan.span(number)[1] <= before
         ]
-        if not lost or self._earlier is not None:
+        if not lost:
             return ""
         name = self.pieces.path(self.address(lost[0])).name
         return (
@@ -215,7 +215,8 @@ class Samples:
         )
 
     def write(self, number: int, values: np.ndarray, found: SampleResult) -> None:
-        """Keeps a chunk. Samples that failed have no responses."""
+        """Keeps a chunk, signed with the versions that computed it. Samples that failed have no
+        responses."""
         good = (found.outcome == Outcome.REACHED)[:, None]
         responses = np.stack([found.responses[name] for name in self._names], axis=1)
         columns: dict[str, Any] = {VALUES: values, RESPONSES: np.where(good, responses, np.nan)}
@@ -225,13 +226,9 @@ class Samples:
             columns[WORST] = np.concatenate([own.worst for own in figures.values()], axis=1)
             columns[WHEN] = np.concatenate([own.time for own in figures.values()], axis=1)
         named = [[check.name, place] for check, own in figures.items() for place in own.places]
-        self.keep(number, Piece({"figures": named, "samples": len(values)}, columns))
-
-    def keep(self, number: int, piece: Piece) -> None:
-        """Writes a chunk's file, signed with the versions that computed it."""
-        about = {"versions": self._now} | piece.about
-        self.pieces.write(self.address(number), about, piece.arrays, SQUEEZED)
-        self._whole[number] = about["versions"]
+        about = {"versions": self._now, "figures": named, "samples": len(values)}
+        self.pieces.write(self.address(number), about, columns, SQUEEZED)
+        self._whole[number] = self._now
 
     @cached_property
     def _now(self) -> dict[str, str]:
@@ -296,7 +293,7 @@ class Samples:
         """What the first samples gave in finer runs; None where none is kept."""
         piece = self.pieces.read(address_of(self._drawn, FINER))
         if piece is None:
-            return None if self._earlier is None else self._earlier.finer()
+            return None
         columns: dict[str, Any] = piece.arrays
         by_name = dict(zip(self._names, columns[RESPONSES], strict=True))
         return SampleResult(by_name, columns[OUTCOME], columns[ENDED])
@@ -340,16 +337,13 @@ class Samples:
 
 def holds_campaign(folder: Path) -> bool:
     """Whether a folder holds a campaign, and no other study."""
-    told = told_of(folder)
-    return EarlierSamples.are_in(folder) if told is None else "plan" in told
+    return "plan" in (told_of(folder) or {})
 
 
 def _told(path: Path, mend: bool) -> dict[str, Any] | None:
     """What a folder tells of its campaign, as `told_of`. Raises `ValueError` with a sentence where
     it holds another study."""
     told = told_of(path, mend)
-    if told is None and EarlierSamples.are_in(path):
-        told = EarlierSamples(path).told
     if told is not None and "plan" not in told:
         raise ValueError(
             f"the folder {path} holds {told['what']} and holds no campaign; give another one."

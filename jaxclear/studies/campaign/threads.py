@@ -88,9 +88,6 @@ def done(samples: Samples, evaluation: Evaluation, number: int) -> int | None:
             found = evaluation.chunk(values)
             samples.write(number, values, found)
             return failures(problem, found.outcome, found.responses)
-        if mine and not samples.pieces.path(samples.address(number)).exists():
-            # Of an earlier version.
-            samples.keep(number, known)
         by_name = dict(zip(problem.response_names, known.arrays[RESPONSES].T, strict=True))
         return failures(problem, known.arrays[OUTCOME], by_name)
 

@@ -26,6 +26,7 @@ from jaxclear.studies.identification.models import (
 )
 from jaxclear.studies.identification.regression import Regression, regression, told, told_alone
 from jaxclear.studies.identification.result import (
+    NOT,
     ONE_RECORD,
     Evidence,
     Identified,
@@ -177,7 +178,9 @@ def fit(
     cut = cut_of(record, sample)
     kinds = statistics_of(as_signals(sensed(sample, record, seed), record, cut), statistics)
     shares = prior_shares(problem, sample.values)
-    regressed = regression(np.concatenate(list(kinds.values()), axis=1), shares)
+    # A machine's law is none of the sample's: those of one are left out together.
+    groups = next(iter(sample.choices.values()), None)
+    regressed = regression(np.concatenate(list(kinds.values()), axis=1), shares, groups)
     tellers = _tellers(kinds, shares, problem.names)
     return Fit(problem, sample, statistics, cut, kinds, regressed, tellers)
 
@@ -192,7 +195,7 @@ def answered(known: Fit, record: Measurement) -> Identified:
         unknown_of(problem, name, (row.estimate, row.low, row.high), known.tellers[name])
         for name, row in zip(problem.names, told(fitted, here), strict=True)
     )
-    joint = _joint(fitted, here)
+    joint = _joint(fitted, here, [own.verdict == NOT for own in unknowns])
     values = [prior_quantiles(problem, n, joint[:, i]) for i, n in enumerate(problem.names)]
     remarks = (
         *together(problem.names, fitted, [own.verdict for own in unknowns]),
@@ -224,11 +227,12 @@ def _tellers(
     return found
 
 
-def _joint(fitted: Any, here: np.ndarray) -> np.ndarray:
+def _joint(fitted: Regression, here: np.ndarray, open_: list[bool]) -> np.ndarray:
     """Shares (runs, unknowns) that the unknowns may have together: the estimates and what they
-    miss, run by run."""
+    miss, run by run; of unknowns that are not identified, their own."""
     at = fitted.estimates(here)[0]
-    return np.clip(at + fitted.missed(at), 0.0, 1.0)
+    found = np.clip(at + fitted.missed(at), 0.0, 1.0)
+    return np.where(open_, fitted.unknowns, found)
 
 
 def _laws_in_words(laws: Ensemble) -> tuple[str, ...]:

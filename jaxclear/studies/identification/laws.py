@@ -4,6 +4,7 @@ all.
 """
 
 import dataclasses
+import functools
 import warnings
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -15,7 +16,6 @@ import jax.numpy as jnp
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.ground.wording import described
 from jaxclear.laws.contact.base import AbstractDissipation
-from jaxclear.laws.contact.composed import ContactForce
 from jaxclear.laws.contact.dissipation import (
     AbstractRestitutionFactor,
     CarvalhoMartins,
@@ -133,34 +133,36 @@ def ensemble(mechanism: Mechanism, laws: Sequence[type] | None) -> Ensemble:
     found = mechanism
     for name in mechanism.topology.clearances:
         joint = found.connections[name].joint
-        mixed = jax.tree.map(
-            lambda part: _mixed(part, losses, frictions, names), joint, is_leaf=_is_law
-        )
-        found = eqx.tree_at(lambda own, name=name: own.connections[name].joint, found, mixed)
+        mix = functools.partial(_mixed, losses=losses, frictions=frictions, names=names)
+        found = _with_joint(found, name, jax.tree.map(mix, joint, is_leaf=_is_law))
     kinds = {DISSIPATION: _dissipation_choices, FRICTION: _friction_choices}
     variables: dict[str, AbstractMechanismVariable] = {
-        what: Variable(kinds[what], Discrete(deviations=tuple(map(float, range(len(own))))))
-        for what, own in names.items()
+        what: Variable(where, Discrete(deviations=tuple(map(float, range(len(names[what]))))))
+        for what, where in kinds.items()
+        if what in names
     }
-    return Ensemble(found, variables, names)
+    return Ensemble(found, variables, {what: names[what] for what in variables})
+
+
+def _with_joint(mechanism: Mechanism, name: str, joint: Any) -> Mechanism:
+    return eqx.tree_at(lambda own: own.connections[name].joint, mechanism, joint)
 
 
 def _is_law(part: Any) -> bool:
-    return isinstance(part, (ContactForce, AbstractSlipFriction))
+    return isinstance(part, (AbstractRestitutionFactor, AbstractSlipFriction))
 
 
 def _mixed(part: Any, losses: list, frictions: list, names: dict[str, tuple[str, ...]]) -> Any:
     """A law with its alternatives, or a part as it is."""
-    if isinstance(part, ContactForce) and isinstance(part.dissipation, AbstractRestitutionFactor):
-        own = part.dissipation
-        kinds = _others(own, losses)
+    if isinstance(part, AbstractRestitutionFactor):
+        kinds = _others(part, losses)
         if kinds:
             with warnings.catch_warnings():
                 # That a factor misses its restitution is part of what is not known.
                 warnings.simplefilter("ignore")
-                others = tuple(kind(restitution=own.restitution) for kind in kinds)
-            names.setdefault(DISSIPATION, _named(own, kinds))
-            return ContactForce(part.elastic, ChosenDissipation(own, others), part.memory)
+                others = tuple(kind(restitution=part.restitution) for kind in kinds)
+            names.setdefault(DISSIPATION, _named(part, kinds))
+            return ChosenDissipation(part, others)
     if isinstance(part, AbstractSlipFriction):
         kinds = _others(part, frictions)
         if kinds and "mu_kinetic" in _numbers(type(part)):

@@ -4,7 +4,9 @@ misses where a run is left out.
 Unknowns are shares of their priors, so that each is uniform over the sample. For a record the
 interval is its estimate and the order statistics of the residuals, each of a run that the
 regression did not see and beside the spread of residuals about its estimate: of n exchangeable ones
-the k-th smallest is below that of another run with probability k/(n + 1).
+the k-th smallest is below that of another run with probability k/(n + 1). Runs that belong together
+are left out together: where those of one law are, the residuals are those of a law that was not
+seen, as a machine's is.
 
 Source: kernel ridge with leave-one-out in closed form, Rasmussen & Williams 2006, Gaussian
 Processes for Machine Learning, sec. 5.4, doi:10.7551/mitpress/3206.001.0001; intervals with their
@@ -130,12 +132,15 @@ class Regression(NamedTuple):
         return float((1 + np.sum(others >= here)) / (len(others) + 1))
 
 
-def regression(statistics: np.ndarray, unknowns: np.ndarray) -> Regression:
+def regression(
+    statistics: np.ndarray, unknowns: np.ndarray, groups: np.ndarray | None = None
+) -> Regression:
     """The regression of `unknowns` (runs, unknowns), shares of their priors, on `statistics` (runs,
-    statistics) of a sample."""
+    statistics) of a sample. `groups` (runs,): numbers of those that are left out together (None:
+    each alone)."""
     whiten = whitened(statistics)
     parts = whiten(statistics)
-    surfaces = _surfaces(parts, unknowns, LENGTHS)
+    surfaces = _surfaces(parts, unknowns, LENGTHS, groups)
     relative = np.stack([own.residuals / np.maximum(own.spreads(), TINY) for own in surfaces], 1)
     return Regression(whiten, parts, unknowns, surfaces, relative)
 
@@ -148,7 +153,10 @@ def told_alone(statistics: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
 
 
 def _surfaces(
-    parts: np.ndarray, unknowns: np.ndarray, lengths: tuple[float, ...]
+    parts: np.ndarray,
+    unknowns: np.ndarray,
+    lengths: tuple[float, ...],
+    groups: np.ndarray | None = None,
 ) -> tuple[Surface, ...]:
     """Of each unknown the surface that misses least of runs that are left out."""
     means = unknowns.mean(0)
@@ -159,7 +167,7 @@ def _surfaces(
         for ridge in RIDGES:
             inverse = 1 / (np.maximum(values, 0) + ridge)
             weights = vectors @ (inverse[:, None] * turned)
-            residuals = weights / (vectors**2 @ inverse)[:, None]
+            residuals = _left_out(vectors, inverse, weights, groups)
             for k, missed in enumerate(np.mean(residuals**2, axis=0)):
                 known = best[k]
                 if known is None or missed < known[0]:
@@ -168,6 +176,21 @@ def _surfaces(
                     found = Surface(length, weights[:, k], float(means[k]), left_out, own)
                     best[k] = float(missed), found
     return tuple(own[1] for own in best if own is not None)
+
+
+def _left_out(
+    vectors: np.ndarray, inverse: np.ndarray, weights: np.ndarray, groups: np.ndarray | None
+) -> np.ndarray:
+    """Residuals (runs, unknowns) of runs that a ridge regression does not see, from that of all:
+    its inverse is `vectors` times the diagonal `inverse` times these."""
+    if groups is None:
+        return weights / (vectors**2 @ inverse)[:, None]
+    found = np.empty_like(weights)
+    for group in np.unique(groups):
+        own = np.flatnonzero(groups == group)
+        block = (vectors[own] * inverse) @ vectors[own].T
+        found[own] = np.linalg.solve(block, weights[own])
+    return found
 
 
 def _kernel(one: np.ndarray, other: np.ndarray, length: float) -> np.ndarray:
@@ -210,8 +233,9 @@ def told(fitted: Regression, statistics: np.ndarray, level: float = 0.95) -> lis
     found = []
     for estimate, missed in zip(estimates, fitted.missed(estimates).T, strict=True):
         low, high = conformal(missed, level)
-        ends = np.clip([estimate, estimate + low, estimate + high], 0.0, 1.0)
-        found.append(Told(*map(float, ends), np.clip(estimate + missed, 0.0, 1.0)))
+        within = lambda share: float(np.clip(share, 0.0, 1.0))
+        ends = within(estimate), within(estimate + low), within(estimate + high)
+        found.append(Told(*ends, np.clip(estimate + missed, 0.0, 1.0)))
     return found
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from jaxclear.ground.arguments import check_known
-from jaxclear.ground.wording import listed
 from jaxclear.studies.answer import DATASET, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution import Empirical
@@ -276,7 +275,7 @@ def together(names: Sequence[str], fitted: Regression, verdicts: Sequence[str]) 
                 for i in own
             ).removeprefix("+ ")
             found.append(
-                f"{listed([names[open_[i]] for i in own])} are identified only together: "
+                f"{' and '.join(names[open_[i]] for i in own)} are identified only together: "
                 f"{parts} (each as a share of its prior) is known to {100 * spread:.0f} % of what "
                 "the priors leave."
             )

@@ -29,6 +29,9 @@ from jaxclear.studies.ledger.ledger import CURRENT, Question
 
 # Memory for one chunk [bytes] on machines with a few GiB a core.
 CHUNK_MEMORY = 1 << 30
+# Runs come in chunks of no fewer samples than these, where there are as many, so that there are so
+# many chunks for each thread: the threads end together, and what is finished is seen.
+LEAST_CHUNK, CHUNKS_A_THREAD = 64, 8
 
 
 class Stopped(Exception):
@@ -77,7 +80,10 @@ def chunk_size(problem: AbstractProblem, samples: int, chunk: int | None = None)
     """
     if chunk is not None:
         return min(chunk, samples)
-    return max(1, min(usual_batch(problem), -(-samples // threads_of())))
+    whole = min(usual_batch(problem), -(-samples // threads_of()))
+    if jax.default_backend() == "cpu" and not problem.at_once():
+        whole = min(whole, max(LEAST_CHUNK, -(-samples // (CHUNKS_A_THREAD * threads_of()))))
+    return max(1, whole)
 
 
 @eqx.filter_jit
@@ -206,7 +212,7 @@ def evaluate_all(
     if ledger is not None:
         asked = Question.of(problem, function)
         kind = eqx.filter_eval_shape(function, problem, jnp.asarray(pieces[0]))
-        found = [ledger.taken(piece, kind, asked, pieces) for piece in pieces]
+        found = [ledger.taken(piece, kind, asked) for piece in pieces]
         ledger.begin()
     left = [number for number, known in enumerate(found) if known is None]
     program, before = Program(problem, function), stops()

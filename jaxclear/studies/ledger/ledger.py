@@ -19,7 +19,6 @@ import numpy as np
 
 from jaxclear.ground.warning import warn
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.ledger.earlier import RECORDS, EarlierRecords
 from jaxclear.studies.ledger.pieces import (
     MENDED,
     PIECES,
@@ -33,6 +32,8 @@ from jaxclear.studies.texts import first_difference, in_texts
 
 # What a folder tells of its study, with a checksum; and the result, for other programs.
 STUDY, CHECKSUM, RESULT = "study.json", "checksum", "result.zarr"
+# What lies in a folder that an earlier version wrote.
+EARLIER = ("samples.zarr", "records.zarr", "*-[0-9]*/records.zarr")
 CURRENT: ContextVar["Ledger | None"] = ContextVar("ledger of samples", default=None)
 
 
@@ -66,8 +67,6 @@ class Ledger:
         self.pieces = Pieces(folder)
         self.grown = False
         self.question = Question(texts, address_of(texts))
-        # To go with the version that reads folders of 0.32.
-        self.earlier = EarlierRecords(folder) if _has_earlier(folder) else None
 
     @classmethod
     def opened(cls, folder: Any, what: str, texts: dict[str, str]) -> "Ledger":
@@ -75,20 +74,15 @@ class Ledger:
         sentence where it holds something else, `ImportError` without zarr."""
         found = cls(checked_folder(folder), what, texts)
         told = told_of(found.folder, mend=True)
-        if told is None and found.earlier is not None:
-            told = found.earlier.told
         if told is not None:
             refuse_other(found.folder, told, what, texts)
         else:
             refuse_foreign(found.folder, "study")
         return found
 
-    def taken(
-        self, asked: np.ndarray, kind: Any, of: Question | None = None, beside: Any = None
-    ) -> Any:
+    def taken(self, asked: np.ndarray, kind: Any, of: Question | None = None) -> Any:
         """What was answered when these numbers were asked; None where nobody knows. `kind`: the
-        answer with shapes in place of arrays; `of`: another question than the study's own;
-        `beside`: what else is asked with them."""
+        answer with shapes in place of arrays; `of`: another question than the study's own."""
         of = self.question if of is None else of
         leaves, tree = jax.tree.flatten(kind)
         address = self._address(asked, of)
@@ -101,14 +95,7 @@ class Ledger:
                 return jax.tree.unflatten(tree, arrays)
         if address in self.pieces.damaged:
             warn(MENDED.format(self.pieces.path(address)))
-        if self.earlier is None:
-            return None
-        known = self.earlier.taken(of.texts, asked, leaves, beside)
-        if known is None:
-            return None
-        found = jax.tree.unflatten(tree, known)
-        self.add(asked, found, of)
-        return found
+        return None
 
     def add(self, asked: np.ndarray, answer: Any, of: Question | None = None) -> None:
         """Keeps what was answered when these numbers were asked."""
@@ -149,9 +136,15 @@ def current(ledger: Ledger | None) -> Iterator[None]:
 
 def told_of(folder: Path, mend: bool = False) -> dict[str, Any] | None:
     """What a folder tells of its study; None where there is none. Where that is damaged, None too
-    if it is to be mended, with a warning; else raises `DamagedFolder`."""
+    if it is to be mended, with a warning; else raises `DamagedFolder`. Raises `ValueError` for a
+    folder of an earlier version."""
     path = folder / STUDY
     if not path.exists():
+        if any(any(folder.glob(name)) for name in EARLIER):
+            raise ValueError(
+                f"the folder {folder} was written by a version before 0.33; version 0.33 takes it "
+                "over (ask its study there once), or give another folder."
+            )
         return None
     try:
         told = json.loads(path.read_text())
@@ -197,7 +190,3 @@ def refuse_other(folder: Path, kept: dict[str, Any], what: str, texts: dict[str,
             f"the folder {folder} holds {what} of another problem: {found}. Give another "
             "folder, or delete this one."
         )
-
-
-def _has_earlier(folder: Path) -> bool:
-    return (folder / RECORDS).exists() or any(folder.glob(f"*-[0-9]*/{RECORDS}"))

@@ -210,7 +210,8 @@ def _searched(
     cuts, variables = model.limit.cut_sets(), len(model.problem.names)
     hopeless = lambda: bool(reach.beyond())
     exact = not any(model.problem.pathwise_limits())
-    if surface is None and exact and model.problem.most_together() >= CHEAP:
+    cheap = model.problem.at_once() and model.problem.most_together() >= CHEAP
+    if surface is None and exact and cheap:
         return design_points(model, cuts, variables, seed, hopeless), None, []
     if surface is None:
         found, points, right = surface_where_it_fails(model, seed)

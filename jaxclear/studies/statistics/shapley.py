@@ -37,7 +37,7 @@ from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, student
-from jaxclear.studies.statistics.sobol_indices import open_shares
+from jaxclear.studies.statistics.sobol_indices import leading, open_shares
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
 
@@ -64,8 +64,10 @@ class ShapleyEffects(AbstractAnswer):
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def sentence(self) -> str:
-        """What a surface leaves out, and how many samples failed; "" for nothing."""
-        return " ".join(filter(None, [self.remark, left_out(self.failed, "sample")]))
+        """Which variables lead the variance of each response, what a surface leaves out, and how
+        many samples failed."""
+        led = leading(self.effects, "Shapley effect")
+        return " ".join(filter(None, [led, self.remark, left_out(self.failed, "sample")]))
 
     def _stated(self):
         named = {"error_name": "error (95 %)"}

@@ -15,6 +15,7 @@ doi:10.1016/j.ress.2007.04.002; as control variates whose coefficients come from
 Avramidis & Wilson 1993, Manage. Sci. 39, 1094, doi:10.1287/mnsc.39.9.1094.
 """
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -69,8 +70,9 @@ class SobolIndices(AbstractAnswer):
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def sentence(self) -> str:
-        """How many base samples failed; "" where none did."""
-        return left_out(self.failed, "base sample")
+        """Which variables lead the variance of each response, and how many base samples failed."""
+        led = leading(self.total, "total index")
+        return " ".join(filter(None, [led, left_out(self.failed, "base sample")]))
 
     def _stated(self):
         over = (RESPONSE, VARIABLE)
@@ -156,6 +158,25 @@ def open_shares(
                 known = own[response, variable]
                 own[response, variable] = Statistic(known.value, 0.0, 1.0)
     return tuple(found.values())
+
+
+def leading(shares: Mapping[tuple[str, str], Statistic], what: str) -> str:
+    """Which variable has the largest share of the variance of each response, in words, and which
+    may have as large ones within their intervals."""
+    said = []
+    for response in dict.fromkeys(name for name, _ in shares):
+        own = {variable: share for (name, variable), share in shares.items() if name == response}
+        known = [(share.value, variable) for variable, share in own.items() if share.value > 0]
+        if not known:
+            said.append(f'"{response}" has no variance that is shared out.')
+            continue
+        first = own[max(known)[1]]
+        level = [variable for _, variable in sorted(known, reverse=True)]
+        level = [name for name in level if own[name] is first or own[name].high >= first.low]
+        shown = " and ".join(f'"{name}" ({own[name]})' for name in level)
+        verb = "leads" if len(level) == 1 else "lead"
+        said.append(f'{shown} {verb} the variance of "{response}" by {what}.')
+    return " ".join(said)
 
 
 def _of_surface(surface: ResponseSurface) -> SobolIndices:

@@ -139,6 +139,11 @@ STUDIES = {
         ],
         ["jaxclear 3rsr --cycles 100"],
     ),
+    "arm": Offer(
+        "robot arm with play in its reducers: errors of the tip, lost motion, which to buy better",
+        [out("arm_study"), flag("--samples", "Monte Carlo samples", whole(16), 256), quiet()],
+        ["jaxclear arm --samples 1000"],
+    ),
     "wear-life": Offer(
         "wear of a bearing over a life: settled cycle, depth and forces over cycles, groove",
         [

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import pytest
 
 from jaxclear.native import while_loop
-from jaxclear.simulation.by_kernels import kernels_or
+from jaxclear.native.compiled import kernels_or
 
 
 @pytest.mark.filterwarnings("ignore:jaxclear runs a time loop.*sort")

@@ -1,153 +1,28 @@
-r"""Couplings: one equation between the motions of joints or bodies, held by one multiplier.
+r"""Couplings of bodies: wheels, belts, racks and threads, whose force acts where they mesh."""
 
-A coupling of coordinates, $\sum_i r_i q_i = c$, acts on the coordinates of joints as a torque or a
-force does and loads no bearing (`Ratio`, `Differential`). A coupling of bodies is a residual of the
-relative pose of two markers, one on each, so that its force acts where they mesh and the bearings,
-with clearance or without, carry it (`Gear`, `Rack`, `Belt`, `Screw`); the gradient of the residual
-is the line of action.
-"""
-
-from abc import abstractmethod
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 
+from jaxclear.components.clearance.backlash import Backlash
+from jaxclear.components.coupling.base import (
+    AbstractBodyCoupling,
+    CoordinateTerm,
+    Motor,
+    damping_field,
+    end,
+    play_field,
+    stiffness_field,
+)
+from jaxclear.components.coupling.losses import Efficiency, Thread, efficiency_field
+from jaxclear.components.function_of_angle import check_function_of_angle
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.numerics import direction_angle, safe_sqrt
 from jaxclear.ground.pose import Pose
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity
-
-__all__ = [
-    "AbstractBodyCoupling",
-    "AbstractCoordinateCoupling",
-    "AbstractCoupling",
-    "Belt",
-    "CoordinateTerm",
-    "Differential",
-    "Gear",
-    "Rack",
-    "Ratio",
-    "Screw",
-]
-__getattr__, __dir__ = nothing_else("jaxclear.coupling", __all__)
-
-
-class AbstractCoupling(AbstractQuantified):
-    """One equation between the motions of joints or bodies."""
-
-    @abstractmethod
-    def joints(self) -> tuple[str, ...]:
-        """Names of the joints that it speaks of, each once."""
-
-
-class CoordinateTerm(NamedTuple):
-    """The coordinate of a `joint`, times a `factor`."""
-
-    joint: str
-    factor: Any
-
-
-class AbstractCoordinateCoupling(AbstractCoupling):
-    """A sum of coordinates of joints that is constant.
-
-    Each joint has one coordinate, of turning or sliding, and is ideal or has clearance; at most
-    one angle may be of a joint outside the tree, where whole turns are not counted. It acts on the
-    coordinates as a torque [N m] or force [N] does and loads no bearing: prefer a coupling of
-    bodies where bearing loads matter.
-    """
-
-    @abstractmethod
-    def terms(self) -> tuple[CoordinateTerm, ...]:
-        """The coordinates with their factors; the first is that in whose unit the sum is."""
-
-    @abstractmethod
-    def total(self) -> Any:
-        """What the sum is, in the unit of the first coordinate; None for 0."""
-
-    def joints(self):
-        return tuple(term.joint for term in self.terms())
-
-
-class Ratio(AbstractCoordinateCoupling):
-    r"""One joint's coordinate follows another's: $q_f = r\,q_l + c$.
-
-    The `mimic` of URDF and the joint equality of MuJoCo (of degree 1). Loads no bearing: what it
-    transmits acts along the two coordinates alone. Between coordinates of one unit r is a plain
-    number; of a slide that follows a turn it is in m/rad.
-    """
-
-    follower: str = eqx.field(static=True)
-    leader: str = eqx.field(static=True)
-    ratio: Scalar = quantity(unit="1", meaning="change of the follower for one of the leader")
-    offset: Scalar | None = quantity(
-        None, "rad", "follower's coordinate where the leader's is 0 (m for a sliding joint)"
-    )
-
-    def terms(self):
-        return (CoordinateTerm(self.follower, 1), CoordinateTerm(self.leader, -self.ratio))
-
-    def total(self):
-        return self.offset
-
-
-class Differential(AbstractCoordinateCoupling):
-    r"""Two outputs and a carrier: $q_a + i\,q_b = (1 + i)\,q_c$ (Willis).
-
-    With i = 1 the bevel differential of an axle, whose outputs a and b turn as fast as the carrier
-    c on an average; with i teeth of the ring over those of the sun a planetary set of sun a, ring b
-    and carrier c. Its wheels share their load evenly and leave none in the bearings. All turns are
-    seen from one body. Source: Willis 1841, Principles of Mechanism; Müller 1982, Epicyclic Drive
-    Trains, chapter 2.
-    """
-
-    a: str = eqx.field(static=True)
-    b: str = eqx.field(static=True)
-    carrier: str = eqx.field(static=True)
-    ratio: Scalar = quantity(1.0, "1", "turns of a for one of b, the carrier held", above=0)
-
-    def terms(self):
-        return (
-            CoordinateTerm(self.a, 1),
-            CoordinateTerm(self.b, self.ratio),
-            CoordinateTerm(self.carrier, -(1 + self.ratio)),
-        )
-
-    def total(self):
-        return None
-
-
-class AbstractBodyCoupling(AbstractCoupling):
-    """One residual [m] of the relative pose of two markers: of what two joints carry, or of the two
-    of one joint.
-
-    A joint, by its name, stands for what it carries: its child at the child's marker, or its parent
-    at the parent's where the child is the ground. Where all joints are at home the parts mesh.
-    """
-
-    def moves(self) -> tuple[tuple[str, ...], ...]:
-        """Units of what each joint must leave free that is not fixed: "rad" a turn, "m" a slide;
-        joints may be any unless overridden."""
-        return ((),) * len(self.joints())
-
-    @abstractmethod
-    def angles(self, pose: Pose) -> tuple:
-        """The angles [rad] that the residual reads off the pose of the second marker in the first;
-        they are known but for whole turns."""
-
-    @abstractmethod
-    def radii(self, drawn: Pose) -> tuple:
-        """How the residual changes with each of the angles [m]; `drawn`: the pose at home."""
-
-    @abstractmethod
-    def rest(self, pose: Pose, drawn: Pose) -> Any:
-        """What the residual is beside radii times angles [m]; a constant in it does not count."""
-
-    @abstractmethod
-    def check(self, drawn: Pose) -> None:
-        """Raises `ValueError`, with a sentence that goes behind the coupling's name, where markers
-        whose pose at home is `drawn`, in numbers, cannot mesh."""
+from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.laws.transmission import helix
 
 
 class Gear(AbstractBodyCoupling):
@@ -162,29 +37,45 @@ class Gear(AbstractBodyCoupling):
     positive angle presses wheels apart, where it is negative a negative one. Without the angle the
     force is across the line of centres. `internal`: one wheel lies within the other, and both turn
     the same way. Turns are counted by a joint of the tree; where none of the two is in it, and
-    bodies move in space, only speeds are tied.
+    bodies move in space, only speeds are tied. Play is seen at b. A `transmission_error` e, a
+    function of the turn of b [rad] from home that repeats itself every turn (a `TimeTable` that is
+    repeated, its times the angles), is added [rad] to `ratio` times that turn.
+
+    With a `Motor` as an end it acts on the coordinate of the other alone, as a `Ratio` does, and a
+    turns `ratio` times for one turn of b, the same way.
 
     Source: Litvin & Fuentes 2004, Gear Geometry and Applied Theory, chapter 10,
     doi:10.1017/CBO9780511547126.
     """
 
-    a: str = eqx.field(static=True)
-    b: str = eqx.field(static=True)
+    a: str | Motor = end()
+    b: str | Motor = end()
     ratio: Scalar = quantity(unit="1", meaning="turns of a for one of b: teeth of b by a", above=0)
     pressure_angle: Scalar | None = quantity(
         None, "rad", "pressure angle; its sign picks the flank", above=-1, below=1, kw_only=True
     )
     internal: bool = eqx.field(static=True, default=False, kw_only=True)
+    transmission_error: Callable | None = eqx.field(default=None, kw_only=True)
+    efficiency: Efficiency | None = efficiency_field()
+    play: Backlash | None = play_field()
+    stiffness: Scalar | None = stiffness_field()
+    damping: Scalar | None = damping_field()
 
     def __check_init__(self):
+        check_function_of_angle(self, "transmission_error")
         if concrete(self.pressure_angle) == 0:
             raise ValueError(
                 "coupling.Gear has pressure_angle = 0; leave it out, and the force is across the "
                 "line of centres."
             )
+        if self.motor is not None and self.pressure_angle is not None:
+            raise ValueError(
+                "coupling.Gear has a coupling.Motor and a pressure_angle; a motor has no body that "
+                "teeth could press on. Leave the angle out, or give the wheel a body and a joint."
+            )
 
     def joints(self):
-        return self.a, self.b
+        return named(self.a, self.b)
 
     def moves(self):
         return ("rad",), ("rad",)
@@ -201,6 +92,14 @@ class Gear(AbstractBodyCoupling):
         return radius, side * self.ratio * radius
 
     def rest(self, pose, drawn):
+        if self.transmission_error is None:
+            return self._tangent(pose, drawn)
+        turned = self.angles(pose)[1] - self.angles(drawn)[1]
+        error = self.transmission_error(turned) * self.radii(drawn)[1] / self.ratio
+        return sp.add(self._tangent(pose, drawn), error)
+
+    def _tangent(self, pose, drawn):
+        """What involutes add where the axes have moved."""
         if self.pressure_angle is None:
             return 0
         base = jnp.cos(self.pressure_angle) * _distance(drawn)
@@ -211,6 +110,12 @@ class Gear(AbstractBodyCoupling):
         tangent = distance * jnp.sqrt(1 - share * share)
         apart = -1.0 if self.internal else 1.0
         return apart * jnp.sign(self.pressure_angle) * (tangent - base * jnp.arccos(share))
+
+    def terms(self):
+        return CoordinateTerm(self.b, 1), CoordinateTerm(self.a, -1 / self.ratio)
+
+    def seen_radius(self, drawn):
+        return self.radii(drawn)[1]
 
     def check(self, drawn):
         _check_parallel(drawn)
@@ -224,17 +129,21 @@ class Belt(AbstractBodyCoupling):
 
     It acts on the bodies by the difference of its two strands' forces along them, of half each, so
     that pulleys of one size do not load their bearings by it; the pretension, which does, is a load
-    of your own. Strands do not stretch and do not slip.
+    of your own. Strands do not stretch and do not slip. With a `Motor` as an end it acts on the
+    coordinate of the other alone.
     """
 
-    a: str = eqx.field(static=True)
-    b: str = eqx.field(static=True)
+    a: str | Motor = end()
+    b: str | Motor = end()
     radius_a: Scalar = quantity(unit="m", meaning="radius of pulley a", above=0)
     radius_b: Scalar = quantity(unit="m", meaning="radius of pulley b", above=0)
     crossed: bool = eqx.field(static=True, default=False, kw_only=True)
+    play: Backlash | None = play_field()
+    stiffness: Scalar | None = stiffness_field()
+    damping: Scalar | None = damping_field()
 
     def joints(self):
-        return self.a, self.b
+        return named(self.a, self.b)
 
     def moves(self):
         return ("rad",), ("rad",)
@@ -249,6 +158,13 @@ class Belt(AbstractBodyCoupling):
     def rest(self, pose, drawn):
         return 0
 
+    def terms(self):
+        side = -1.0 if self.crossed else 1.0
+        return (
+            CoordinateTerm(self.a, 1),
+            CoordinateTerm(self.b, -side * self.radius_b / self.radius_a),
+        )
+
     def check(self, drawn):
         _check_parallel(drawn)
 
@@ -260,18 +176,23 @@ class Rack(AbstractBodyCoupling):
     where the rack's marker lies at home (where that is on the axis, on the side of z × the rack's
     direction). With a `pressure_angle` :math:`\alpha`, whose sign picks the flank, the force leans
     by it against the rack's direction; where `transmitted` is positive (it pushes the rack along
-    its z axis) a positive angle presses both apart.
+    its z axis) a positive angle presses both apart. A `Motor` as pinion pushes the rack's
+    coordinate alone, forwards as it turns forwards.
     """
 
-    pinion: str = eqx.field(static=True)
+    pinion: str | Motor = end()
     rack: str = eqx.field(static=True)
     radius: Scalar = quantity(unit="m", meaning="pitch radius of the pinion", above=0)
     pressure_angle: Scalar | None = quantity(
         None, "rad", "pressure angle; its sign picks the flank", above=-1, below=1, kw_only=True
     )
+    efficiency: Efficiency | None = efficiency_field()
+    play: Backlash | None = play_field()
+    stiffness: Scalar | None = stiffness_field()
+    damping: Scalar | None = damping_field()
 
     def joints(self):
-        return self.pinion, self.rack
+        return named(self.pinion, self.rack)
 
     def moves(self):
         return ("rad",), ("m",)
@@ -289,6 +210,9 @@ class Rack(AbstractBodyCoupling):
             return along
         lean = self._side(drawn) * jnp.sin(self.pressure_angle)
         return self._cosine() * along + lean * across
+
+    def terms(self):
+        return CoordinateTerm(self.pinion, 1), CoordinateTerm(self.rack, -1 / self.radius)
 
     def check(self, drawn):
         if abs(float(drawn.rotation[2][2])) > PARALLEL:
@@ -321,14 +245,48 @@ class Screw(AbstractBodyCoupling):
 
     The joint guides both, and lets them turn and slide (`joint.Cylindrical`, one with clearance);
     the thread acts on the bodies along its axis and about it.
+
+    With `friction` :math:`\mu` the flanks rub along the helix of the mean `diameter` d by
+    :math:`\mu N`, N their normal force, and at rest they hold: friction is a spring up to a
+    deflection of `presliding`, damped by `settling_time`. A nut under a load F is turned by
+    :math:`\frac{F d}{2}\frac{l \pm \pi\mu d \sec\alpha}{\pi d \mp \mu l \sec\alpha}` against it
+    and with it, and stays where it is where :math:`\pi\mu d \sec\alpha > l`; :math:`\alpha`, the
+    `flank_angle`, is that of the section across the thread. It needs `stiffness`. A collar's
+    friction is a `load.JointFriction`.
+
+    Source: Budynas & Nisbett 2020, Shigley's Mechanical Engineering Design, 11th ed., equations 8-1
+    to 8-5; Prandtl 1928, Z. angew. Math. Mech. 8, 85 (friction that holds).
     """
 
     joint: str = eqx.field(static=True)
     lead: Scalar = quantity(unit="m", meaning="advance for one turn", usual=USUAL_LEAD)
+    friction: Scalar | None = quantity(
+        None, "1", "friction coefficient of the flanks", at_least=0, kw_only=True
+    )
+    diameter: Scalar | None = quantity(
+        None, "m", "mean diameter of the thread", above=0, kw_only=True
+    )
+    flank_angle: Scalar = quantity(
+        0.0, "rad", "half the thread's angle", at_least=0, below=1.2, kw_only=True
+    )
+    presliding: Scalar = quantity(
+        1e-5, "m", "deflection along the helix at which friction is full", above=0, kw_only=True
+    )
+    settling_time: Scalar = quantity(
+        1e-3, "s", "damping time of friction that holds", at_least=0, kw_only=True
+    )
+    play: Backlash | None = play_field()
+    stiffness: Scalar | None = stiffness_field()
+    damping: Scalar | None = damping_field()
 
     def __check_init__(self):
         if concrete(self.lead) == 0:
             raise ValueError("coupling.Screw has lead = 0; a thread advances as it turns.")
+        if (self.friction is None) != (self.diameter is None):
+            raise ValueError(
+                "coupling.Screw needs friction and diameter together: friction acts at the mean "
+                "diameter of the thread."
+            )
 
     def joints(self):
         return (self.joint,)
@@ -345,6 +303,20 @@ class Screw(AbstractBodyCoupling):
     def rest(self, pose, drawn):
         return pose.translation[2]
 
+    def seen_radius(self, drawn):
+        return 1
+
+    @property
+    def seen_as_length(self):
+        return True
+
+    @property
+    def thread(self):
+        if self.friction is None:
+            return None
+        own = helix(self.lead, self.diameter, self.flank_angle)
+        return Thread(own, self.friction, self.presliding, self.settling_time)
+
     def check(self, drawn):
         """Any two markers may be on one thread."""
 
@@ -354,6 +326,11 @@ class Screw(AbstractBodyCoupling):
 NO_TANGENT = 1 - 1e-9
 # Of axes that are to be parallel, or across each other: rounding.
 PARALLEL = 1e-6
+
+
+def named(*ends: Any) -> tuple[str, ...]:
+    """Those of the ends that are joints."""
+    return tuple(one for one in ends if isinstance(one, str))
 
 
 def angle_of(sine: Any, cosine: Any) -> Any:

@@ -1,0 +1,317 @@
+"""The study of the robot arm from one command: where its tip is off with and without play in its
+reducers, what each loses at a reversal, what the plays do one by one and over their tolerances, and
+which reducers are worth buying with less play.
+
+Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
+"""
+
+import itertools
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas
+from matplotlib.figure import Figure
+
+import jaxclear as jc
+from jaxclear import plot
+from jaxclear.commands.study import StudyFolder, report_samples, report_warnings
+from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.ground.table import as_table
+from jaxclear.plot.canvas import MILLI, canvas, warned
+from jaxclear.scenes.arm import (
+    ARCMIN,
+    CREEP,
+    FRICTION,
+    HINGES,
+    JOINTS,
+    LIFT,
+    LIFTED,
+    RATIO,
+    REDUCERS,
+    REST,
+    SWING,
+    TIP,
+    Way,
+    arm,
+    pick_and_place,
+)
+
+# Plays from flank to flank [rad] of reducers in stock: standard and reduced, of the planetary
+# reducers TP010 of Beckhoff's AG2400 (documentation, "maximum torsional backlash").
+STANDARD, REDUCED = 3 * ARCMIN, 1 * ARCMIN
+# So far a play scatters about what it should be, as a share of it; assumed.
+SCATTER = 0.1
+BOUGHT = 3
+# Steps that resolve the last link on its flank; saving times are those of the way.
+STEP = 2e-4
+# Each rest's end [s], and what is done there.
+RESTS = {
+    "picked": REST,
+    "lifted": 2 * REST + LIFT,
+    "over its place": 3 * REST + LIFT + SWING,
+    "placed": 4 * REST + 2 * LIFT + SWING,
+}
+# To and fro about the lifted arm [rad], as a triangle with round corners, twice [s].
+HALF_WAY, PERIOD, ROUND = 0.04, 2.0, 0.98
+
+
+def simulated(rig: jc.Mechanism, way: Way | None = None, **options: Any) -> Any:
+    """A run along a way, saved where its table stands."""
+    times = (pick_and_place() if way is None else way).times
+    step = jc.integrator.FixedStep(STEP)
+    return jc.simulate(rig, times[-1], save=len(times), integrator=step, **options)
+
+
+def ends(times: np.ndarray) -> np.ndarray:
+    """Which saving times end the rests."""
+    return np.array([int(np.argmin(np.abs(times - end))) for end in RESTS.values()])
+
+
+def off(run: Any, beside: Any) -> np.ndarray:
+    """How far the tip is from that of another run [m]."""
+    away = run.marker(TIP).position - beside.marker(TIP).position
+    return np.linalg.norm(np.asarray(away), axis=1)
+
+
+def tip_error(without_play: Any) -> jc.response.FromFunction:
+    """What play does to the tip where the arm rests: root mean square distance [m] from where the
+    arm with the same elasticity and without play holds it."""
+    at = ends(np.asarray(without_play.time))
+    held = without_play.marker(TIP).position[at]
+
+    def error(run: Any) -> Any:
+        away = run.marker(TIP).position[at] - held
+        return safe_sqrt(jnp.mean(jnp.sum(away * away, axis=-1)))
+
+    return jc.response.FromFunction(error, "m", "motion")
+
+
+def asked(play: float, without_play: Any) -> jc.Problem:
+    """The tip's error over the seven plays, all of one nominal size [rad]."""
+    times = pick_and_place().times
+    plays = {
+        name: jc.Variable(
+            lambda rig, name=name: rig.couplings[name].play.play, tolerance=SCATTER * REDUCED
+        )
+        for name in JOINTS
+    }
+    return jc.Problem(
+        arm("play", play),
+        {"tip error": tip_error(without_play)},
+        plays,
+        duration=times[-1],
+        save=len(times),
+        integrator=jc.integrator.FixedStep(STEP),
+    )
+
+
+def to_and_fro() -> Way:
+    """All joints turn slowly by a little about the lifted arm, forwards and back."""
+    times = np.linspace(0.0, 2 * PERIOD, 401)
+    swing = np.arcsin(ROUND * -np.cos(2 * np.pi * times / PERIOD)) / np.arcsin(ROUND)
+    return Way(times, np.array(LIFTED) + HALF_WAY * swing[:, None])
+
+
+def lost_motion(run: Any, play: float) -> pandas.DataFrame:
+    """What each joint loses where it turns round (the reversal value of ISO 230-2:2014, at the
+    middle of the way): joint less motor, forwards less back. Beside it the closed form: twice the
+    twist by what the joint rubs with, and the play where no weight presses one flank."""
+    times = np.asarray(run.time)
+    up, down = (int(np.argmin(np.abs(times - PERIOD * (1 + x)))) for x in (0.25, 0.75))
+    rows = []
+    for name, hinge in zip(JOINTS, HINGES, strict=True):
+        behind = twist(run, name)
+        speed = float(run.speed(name)[up])
+        rubbing = FRICTION * np.tanh(speed / CREEP) + hinge.damping * speed
+        torques = [float(run.transmitted(name)[k]) for k in (up, down)]
+        crossed = torques[0] * torques[1] < 0
+        stretched = abs(torques[0] - torques[1]) / REDUCERS[name].stiffness
+        rows.append(
+            {
+                "joint": name,
+                "rubs with [N m]": rubbing,
+                "carries [N m]": 0.5 * sum(torques),
+                "loses [arcmin]": abs(behind[up] - behind[down]) / ARCMIN,
+                "2 t/k, and the play if crossed [arcmin]": (stretched + crossed * play) / ARCMIN,
+            }
+        )
+    return as_table(rows)
+
+
+def twist(run: Any, name: str) -> np.ndarray:
+    """How far a joint is ahead of its motor [rad]."""
+    return np.asarray(run.coordinate(name)) - np.asarray(run.coordinate(f"{name}.motor")) / RATIO
+
+
+def slopes(problem: jc.Problem) -> pandas.DataFrame:
+    """The tip's error by each play [mm/arcmin], exact derivatives, and its share of the error:
+    slope times play over the sum."""
+    by_play = jax.jit(jax.jacfwd(lambda plays: problem.evaluate(plays).responses["tip error"]))
+    nominal = problem.nominal()
+    found = np.asarray(by_play(nominal))
+    parts = found * np.asarray(nominal)
+    return as_table(
+        {
+            "joint": list(JOINTS),
+            "slope [mm/arcmin]": MILLI * ARCMIN * found,
+            "part of the error [mm]": MILLI * parts,
+            "share [1]": parts / parts.sum(),
+        }
+    )
+
+
+def every_choice(problem: jc.Problem) -> pandas.DataFrame:
+    """The tip's error [mm] of each choice of reducers to buy with reduced play, the others
+    standard, best first."""
+    which = list(itertools.product((False, True), repeat=len(JOINTS)))
+    plays = jnp.where(jnp.asarray(which), REDUCED, STANDARD)
+    error = eqx.filter_jit(jax.vmap(lambda own: problem.evaluate(own).responses["tip error"]))
+    found = np.asarray(error(plays))
+    rows = [
+        {
+            "bought": sum(bought),
+            "reduced play in": " ".join(
+                n[-1] for n, own in zip(JOINTS, bought, strict=True) if own
+            ),
+            "tip error [mm]": MILLI * one,
+        }
+        for bought, one in zip(which, found, strict=True)
+    ]
+    return as_table(rows).sort_values("tip error [mm]", ignore_index=True)
+
+
+def price(nominal: Mapping[str, Any], tolerance: Mapping[str, Any]) -> Any:
+    """How many reducers have reduced play."""
+    return sum((STANDARD - nominal[name]) / (STANDARD - REDUCED) for name in JOINTS)
+
+
+def designed(problem: jc.Problem, at_most: float, **options: Any) -> Any:
+    """The fewest reducers of reduced play with which the mean error keeps to a limit [m]."""
+    return jc.design(
+        problem,
+        price,
+        jc.limit.MeanAndDeviation("tip error", at_most=at_most, deviations=0),
+        nominal=dict.fromkeys(JOINTS, jc.catalogue.Sizes((REDUCED, STANDARD))),
+        **options,
+    )
+
+
+def rests(runs: Mapping[str, Any], commanded: Any) -> pandas.DataFrame:
+    """How far each run's tip is from the commanded place [mm] where the arm rests, and at most on
+    its way."""
+    rows = []
+    for name, run in runs.items():
+        away = MILLI * off(run, commanded)
+        at = dict(zip(RESTS, away[ends(np.asarray(run.time))], strict=True))
+        rows.append(
+            {"reducers": name}
+            | {f"{rest} [mm]": one for rest, one in at.items()}
+            | {"largest [mm]": away.max()}
+        )
+    return as_table(rows)
+
+
+def error_figure(runs: Mapping[str, Any], commanded: Any) -> Figure:
+    """Distance of the tip from the commanded place over time; shaded where the arm rests."""
+    figure, axes = canvas(2, 1, (8.0, 6.0), sharex=True)
+    for end in RESTS.values():
+        for axis in axes:
+            axis.axvspan(end - REST, end, color="C2", alpha=0.12, lw=0)
+    plain = runs["elastic"]
+    for k, (name, run) in enumerate(runs.items()):
+        axes[0].plot(run.time, MILLI * off(run, commanded), color=f"C{k}", lw=1.0, label=name)
+        if run is not plain and name != "rigid":
+            axes[1].plot(run.time, MILLI * off(run, plain), color=f"C{k}", lw=1.0, label=name)
+    axes[0].set_ylabel("tip beside the\ncommanded place [mm]")
+    axes[1].set_ylabel("tip beside that of\nelastic reducers [mm]")
+    axes[1].set_xlabel("time [s]")
+    axes[0].legend(fontsize=8, title="reducers", title_fontsize=8)
+    axes[0].set_title("A part is picked and placed; shaded: the arm rests")
+    return warned(figure, runs)
+
+
+def loop_figure(run: Any, table: pandas.DataFrame) -> Figure:
+    """Joint less motor over the joint's way, forwards and back: of the first joint, which no weight
+    presses, and of the second, which carries the arm."""
+    figure, axes = canvas(1, 2, (9.0, 4.0))
+    second = np.asarray(run.time) >= PERIOD
+    for axis, name in zip(axes, JOINTS, strict=False):
+        angle = np.asarray(run.coordinate(name)) - LIFTED[JOINTS.index(name)]
+        axis.plot(MILLI * angle[second], twist(run, name)[second] / ARCMIN, color="C0", lw=1.0)
+        lost = table["loses [arcmin]"][JOINTS.index(name)]
+        axis.set_title(f"{name}: loses {lost:.2f} arcmin", fontsize=9)
+        axis.set_xlabel("angle of the joint about the lifted arm [mrad]")
+    axes[0].set_ylabel("joint less motor [arcmin]")
+    return warned(figure, {"": run})
+
+
+def budget_figure(table: pandas.DataFrame) -> Figure:
+    """The tip's error by each play."""
+    figure, axes = canvas()
+    axes.bar(table["joint"], table["slope [mm/arcmin]"], color="C0")
+    axes.axhline(0.0, color="k", lw=0.6)
+    axes.set_ylabel("tip error by the play of a reducer [mm/arcmin]")
+    axes.set_title("Slopes by all seven plays: exact derivatives of one run")
+    return figure
+
+
+def choices_figure(table: pandas.DataFrame, chosen: str) -> Figure:
+    """The error of every choice over how many reducers it buys; the design's is marked."""
+    figure, axes = canvas()
+    axes.plot(table["bought"], table["tip error [mm]"], "o", color="C0", ms=4, alpha=0.6)
+    best = table.groupby("bought").first()
+    axes.plot(best.index, best["tip error [mm]"], "-", color="C0", lw=0.8, label="best of each")
+    own = table[table["reduced play in"] == chosen].iloc[0]
+    label = f"the design: joints {chosen}"
+    axes.plot(own["bought"], own["tip error [mm]"], "s", color="C1", ms=9, mfc="none", label=label)
+    axes.set_xlabel("reducers of reduced play")
+    axes.set_ylabel("tip error where the arm rests [mm]")
+    axes.legend(fontsize=8)
+    return figure
+
+
+def study(folder: Path, samples: int = 256, show: bool = True) -> None:
+    """Runs everything and writes it to `folder`; `samples` of the Monte Carlo, `show`: progress
+    bars."""
+    kept = StudyFolder(folder)
+    commanded = simulated(arm(driven=True), verify=False)
+    runs = {
+        "rigid": simulated(arm()),
+        "elastic": simulated(arm("play", 0.0)),
+        "1 arcmin of play": simulated(arm("play", REDUCED)),
+        "3 arcmin of play": simulated(arm("play", STANDARD)),
+    }
+    loop = simulated(arm("play", REDUCED, way=to_and_fro()), to_and_fro())
+    report_warnings(runs | {"to and fro": loop})
+    problem = asked(STANDARD, runs["elastic"])
+    tables = {
+        "rests": rests(runs, commanded),
+        "lost_motion": lost_motion(loop, REDUCED),
+        "slopes": slopes(problem),
+        "choices": every_choice(problem),
+    }
+    sample = jc.monte_carlo(problem, samples, progress_bar=show)
+    three = tables["choices"].query(f"bought == {BOUGHT}").iloc[0]
+    # Half of what lies between the best three and the best two.
+    two = tables["choices"].query(f"bought == {BOUGHT - 1}").iloc[0]
+    limit = 0.5 * (three["tip error [mm]"] + two["tip error [mm]"]) / MILLI
+    design = designed(problem, limit, progress_bar=show)
+    chosen = " ".join(n[-1] for n in JOINTS if design.nominal[n] < 2 * REDUCED)
+    kept.write_tables(**tables, samples=sample.table(), design=design.table())
+    for name, table in tables.items():
+        print(f"{name.replace('_', ' ')}\n{table.head(10).to_string()}\n")
+    report_samples(sample)
+    print(f"{design}\nreduced play in joints {chosen}; by enumeration {three['reduced play in']}")
+    kept.write_figures(
+        tip_error=error_figure(runs, commanded),
+        lost_motion=loop_figure(loop, tables["lost_motion"]),
+        slopes=budget_figure(tables["slopes"]),
+        monte_carlo=plot.monte_carlo(sample),
+        choices=choices_figure(tables["choices"], chosen),
+    )
+    print(kept.sentence())

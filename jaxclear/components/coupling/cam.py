@@ -1,0 +1,93 @@
+"""A cam that lifts a follower, which may leave it."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxclear.components.acting import CoordinateEffect
+from jaxclear.components.coupling.force import AbstractForceCoupling, check_needed
+from jaxclear.components.function_of_angle import check_function_of_angle, value_and_slope
+from jaxclear.ground.numerics import smooth_sign
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.laws.transmission import one_sided
+
+
+class Cam(AbstractForceCoupling):
+    r"""A cam lifts a follower by its `profile` y of the cam's turn :math:`\varphi`, and the
+    follower may leave it: where its coordinate q is below y the surfaces press on each other by
+
+    .. math:: N = k\delta + d\dot\delta,\quad \delta = y(\varphi) - q \ge 0,
+
+    the damper bounded by the spring. N lifts the follower, and turns the cam by :math:`-N
+    y'(\varphi)`. The profile is a function of an angle [rad] that repeats itself every turn and
+    gives a lift [m] (an angle of a follower that swings); as data a `TimeTable` that is repeated,
+    its times the angles.
+
+    `friction` is that of a flat face that slides on the cam: it touches at a distance `base_radius`
+    + q from the cam's axis, along the follower's way, so that it brakes the cam by :math:`\mu N
+    (r_0 + q) \tanh(v / v_0)` at the sliding speed :math:`v = (r_0 + q)\dot\varphi`; its guide
+    carries the rest. Rollers have none.
+
+    Source: Norton 2020, Design of Machinery, 6th ed., chapters 8 and 15.
+    """
+
+    cam: str = eqx.field(static=True)
+    follower: str = eqx.field(static=True)
+    profile: Callable
+    stiffness: Scalar = quantity(
+        None,
+        "N/m",
+        "contact stiffness, along the follower (N m/rad of one that swings)",
+        above=0,
+        kw_only=True,
+    )
+    damping: Scalar | None = quantity(
+        None,
+        "N s/m",
+        "contact damping (N m s/rad of one that swings)",
+        at_least=0,
+        kw_only=True,
+    )
+    friction: Scalar | None = quantity(
+        None, "1", "friction coefficient of a flat face", at_least=0, kw_only=True
+    )
+    base_radius: Scalar | None = quantity(
+        None, "m", "from the cam's axis to the face at lift 0", above=0, kw_only=True
+    )
+    transition_speed: Scalar = quantity(
+        1e-3, "m/s", "sliding speed at which three quarters of friction act", above=0, kw_only=True
+    )
+
+    def __check_init__(self):
+        check_needed(self, "stiffness")
+        check_function_of_angle(self, "profile")
+        if (self.friction is None) != (self.base_radius is None):
+            raise ValueError(
+                "coupling.Cam needs friction and base_radius together: friction brakes by its "
+                "lever."
+            )
+
+    def coordinates(self):
+        return self.cam, self.follower
+
+    def states(self):
+        return ()
+
+    def effect(self, time, positions, speeds, states):
+        lift, slope = value_and_slope(self.profile, positions[0])
+        rate = slope * speeds[0] - speeds[1]
+        force, stored, lost = one_sided(lift - positions[1], rate, self.stiffness, self.damping)
+        torque = -slope * force
+        if self.friction is not None:
+            lever = self.base_radius + positions[1]
+            slip = lever * speeds[0]
+            rub = self.friction * force * smooth_sign(jnp.asarray(slip), self.transition_speed)
+            torque, lost = torque - lever * rub, lost + rub * slip
+        return CoordinateEffect((torque, force), (), stored, lost, 0)
+
+    def transmitted(self, effect):
+        return effect.forces[1]
+
+    def along(self):
+        return self.follower

@@ -1,0 +1,98 @@
+"""Couplings of coordinates, which load no bearing."""
+
+import equinox as eqx
+
+from jaxclear.components.clearance.backlash import Backlash
+from jaxclear.components.coupling.base import (
+    AbstractCoordinateCoupling,
+    CoordinateTerm,
+    Motor,
+    damping_field,
+    end,
+    play_field,
+    stiffness_field,
+)
+from jaxclear.ground.quantity import Scalar, quantity
+
+
+class Ratio(AbstractCoordinateCoupling):
+    r"""One joint's coordinate follows another's: $q_f = r\,q_l + c$.
+
+    The `mimic` of URDF and the joint equality of MuJoCo (of degree 1). Loads no bearing: what it
+    transmits acts along the two coordinates alone. Between coordinates of one unit r is a plain
+    number; of a slide that follows a turn it is in m/rad. A `Motor` may lead, or follow.
+    """
+
+    follower: str | Motor = end()
+    leader: str | Motor = end()
+    ratio: Scalar = quantity(unit="1", meaning="change of the follower for one of the leader")
+    offset: Scalar | None = quantity(
+        None, "rad", "follower's coordinate where the leader's is 0 (m for a sliding joint)"
+    )
+    play: Backlash | None = play_field()
+    stiffness: Scalar | None = stiffness_field()
+    damping: Scalar | None = damping_field()
+
+    def terms(self):
+        return (CoordinateTerm(self.follower, 1), CoordinateTerm(self.leader, -self.ratio))
+
+    def total(self):
+        return self.offset
+
+
+class Differential(AbstractCoordinateCoupling):
+    r"""Two outputs and a carrier: $q_a + i\,q_b = (1 + i)\,q_c$ (Willis).
+
+    With i = 1 the bevel differential of an axle, whose outputs a and b turn as fast as the carrier
+    c on an average; with i teeth of the ring over those of the sun a planetary set of sun a, ring b
+    and carrier c. Its wheels share their load evenly and leave none in the bearings. All turns are
+    seen from one body. Source: Willis 1841, Principles of Mechanism; Müller 1982, Epicyclic Drive
+    Trains, chapter 2.
+    """
+
+    a: str = eqx.field(static=True)
+    b: str = eqx.field(static=True)
+    carrier: str = eqx.field(static=True)
+    ratio: Scalar = quantity(1.0, "1", "turns of a for one of b, the carrier held", above=0)
+    play: Backlash | None = play_field()
+    stiffness: Scalar | None = stiffness_field()
+    damping: Scalar | None = damping_field()
+
+    def terms(self):
+        return (
+            CoordinateTerm(self.a, 1),
+            CoordinateTerm(self.b, self.ratio),
+            CoordinateTerm(self.carrier, -(1 + self.ratio)),
+        )
+
+    def total(self):
+        return None
+
+
+class Hold(AbstractCoordinateCoupling):
+    """One joint's coordinate, held at a place with play or by a spring against the part that
+    carries it: a worn key, a latch, an elastic stop on both sides.
+
+    Needs `play` or `stiffness`. `load.JointStop` has a stop on one side, or two apart.
+    """
+
+    joint: str = eqx.field(static=True)
+    place: Scalar | None = quantity(
+        None, "rad", "coordinate at which it is held (m for a sliding joint)"
+    )
+    play: Backlash | None = play_field()
+    stiffness: Scalar | None = stiffness_field()
+    damping: Scalar | None = damping_field()
+
+    def __check_init__(self):
+        if not self.gives:
+            raise ValueError(
+                "coupling.Hold has neither play nor stiffness; to hold a joint for good take a "
+                "joint.Fixed."
+            )
+
+    def terms(self):
+        return (CoordinateTerm(self.joint, 1),)
+
+    def total(self):
+        return self.place

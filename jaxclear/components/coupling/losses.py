@@ -1,0 +1,66 @@
+"""What teeth and threads lose: the efficiency of a transmission."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, quantity
+from jaxclear.laws.transmission import Helix, loss
+
+
+class Efficiency(AbstractQuantified):
+    r"""The share of the power passed that comes out: `forwards` from the first end to the second,
+    `backwards` from the second to the first (None: the same). Where it locks itself the latter is
+    negative: to come back it must be pushed by this share of the torque.
+
+    The rest is friction on the first end, in proportion to the force of the flank: what it takes
+    more to drive forwards, and gets less when it is driven. At rest friction holds: it is a spring
+    up to the deflection `presliding` of that end, damped by `settling_time`, so that nothing
+    creeps; a motor holds a load with less than it needs to lift it. It needs `stiffness` or play of
+    its coupling, by which the force of the flank is known, and acts on the coordinate of that end.
+
+    Source: Pelchen, Schweiger & Otter 2002, Modeling and simulating the efficiency of gearboxes and
+    of planetary gearboxes, Proc. 2nd Int. Modelica Conference, 257; Prandtl 1928, Z. angew. Math.
+    Mech. 8, 85, doi:10.1002/zamm.19280080202 (friction that holds).
+    """
+
+    forwards: Scalar = quantity(
+        unit="1", meaning="what comes out for what goes in, forwards", above=0, at_most=1
+    )
+    backwards: Scalar | None = quantity(
+        None, "1", "the same backwards (None: as forwards; negative: self-locking)", at_most=1
+    )
+    presliding: Scalar = quantity(
+        1e-3, "rad", "deflection of the first end at which friction is full", above=0, kw_only=True
+    )
+    settling_time: Scalar = quantity(
+        1e-3, "s", "damping time of friction that holds", at_least=0, kw_only=True
+    )
+
+    def loss(self, force: Scalar, share: Scalar) -> Scalar:
+        """Friction [N m, N] on the first end, that pushes back by `force` where it moves forwards,
+        of which a `share` from -1 to 1 acts."""
+        backwards = self.forwards if self.backwards is None else self.backwards
+        return loss(force, share, self.forwards, backwards)
+
+
+class Thread(NamedTuple):
+    """A thread that rubs: its `helix`, friction `coefficient` [1], and how friction holds:
+    deflection `presliding` [m] and damping time [s]."""
+
+    helix: Helix
+    coefficient: Any
+    presliding: Any
+    settling_time: Any
+
+
+def as_efficiency(given: Any) -> Any:
+    """An `Efficiency` from a number; anything else as it is."""
+    if given is None or isinstance(given, eqx.Module):
+        return given
+    return Efficiency(as_number(given))
+
+
+def efficiency_field() -> Any:
+    """Field of the efficiency of a coupling: an `Efficiency`, or that forwards alone."""
+    return eqx.field(default=None, converter=as_efficiency, kw_only=True)

@@ -1,0 +1,193 @@
+r"""A servo: a controller of position, and the torque that it asks of its motor.
+
+Everything is told on the side of the joint, in its coordinate: gains, limit, feedforward. A motor
+behind a gear of ratio i is given 1/i of the torque, and its encoder tells its angle by i.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxclear.components.acting import AbstractStateLoad, CoordinateEffect, LoadState, MotorEnd
+from jaxclear.components.function_of_time import (
+    check_function_of_time,
+    number_or_function,
+    value_at,
+)
+from jaxclear.ground.arguments import check_known
+from jaxclear.ground.quantity import Scalar, count, quantity
+
+ENCODERS = ("motor", "load")
+
+
+class Servo(AbstractStateLoad):
+    r"""A controller that brings the coordinate q of a joint to a `reference` r, a number or a
+    function of time,
+
+    .. math:: \tau = k_p e + k_i \int e\,dt + k_d \dot e + \tau_0(t), \qquad e = r - q,
+
+    on the motor of the joint where a coupling drives it by one that twists or has play, and on the
+    joint itself elsewhere. `encoder`: q is read at the "motor", as its angle by the ratio (what
+    lies between is not seen), or at the "load", the joint; None: at the motor where there is one.
+
+    `torque_limit` limits it to both sides; the integral stands still while the torque is at its
+    limit and the error drives it further (conditional integration), so that it does not wind up.
+    `feedforward` is :math:`\tau_0`.
+
+    With a `period` T it is a digital controller: it looks at the joint at 0, T, 2 T ..., gives a
+    torque that it holds from one instant to the next (`delay`: so many instants later), and sums
+    errors by the rectangle rule. Steps end at its instants.
+
+    Source: Åström & Hägglund 2006, Advanced PID Control, chapter 3 ("Integrator windup");
+    Franklin, Powell & Workman 1998, Digital Control of Dynamic Systems, 3rd ed., chapter 3.
+    """
+
+    joint: str = eqx.field(static=True)
+    reference: Scalar | Callable = quantity(
+        unit="rad",
+        meaning="wanted coordinate (m for a sliding joint), or a function of time",
+        converter=number_or_function,
+    )
+    kp: Scalar = quantity(
+        unit="N m/rad", meaning="gain k_p of the error (N/m for a sliding joint)", at_least=0
+    )
+    ki: Scalar | None = quantity(
+        None,
+        "N m/rad/s",
+        "gain k_i of its integral (N/m/s for a sliding joint)",
+        at_least=0,
+        kw_only=True,
+    )
+    kd: Scalar | None = quantity(
+        None,
+        "N m s/rad",
+        "gain k_d of its rate (N s/m for a sliding joint)",
+        at_least=0,
+        kw_only=True,
+    )
+    encoder: str | None = eqx.field(static=True, default=None, kw_only=True)
+    torque_limit: Scalar | None = quantity(
+        None, "N m", "largest torque, at the joint (N for a sliding joint)", above=0, kw_only=True
+    )
+    feedforward: Scalar | Callable | None = quantity(
+        None,
+        "N m",
+        "torque beside it (N for a sliding joint), or a function of time",
+        converter=number_or_function,
+        kw_only=True,
+    )
+    period: Scalar | None = quantity(None, "s", "period of sampling", above=0, kw_only=True)
+    delay: int = count(0, "instants from looking to acting", at_least=0, kw_only=True)
+
+    def __check_init__(self):
+        check_function_of_time(self, "reference")
+        check_function_of_time(self, "feedforward")
+        if self.encoder is not None:
+            check_known("encoder of a Servo", self.encoder, ENCODERS)
+        if self.delay and self.period is None:
+            raise ValueError(
+                "load.Servo has a delay without a period; it is counted in periods: give one."
+            )
+
+    def coordinates(self):
+        return (self.joint,)
+
+    def states(self):
+        integral = () if self.ki is None else (LoadState("integral", "rad s"),)
+        if self.period is None:
+            return integral
+        queue = (f"torque{i}" for i in range(self.delay + 1))
+        return integral + tuple(LoadState(name, "N m") for name in queue)
+
+    def effect(self, time, positions, speeds, states):
+        torque, rates = self.acting(time, positions[0], speeds[0], states)
+        return CoordinateEffect((torque,), rates, 0, 0, torque * speeds[0])
+
+    def sampled_every(self):
+        return self.period
+
+    def sampled(self, time, positions, speeds, states):
+        torque, error = self._asked(time, positions[0], speeds[0], states)
+        integral = () if self.ki is None else (states[0] + self.period * error,)
+        return (*integral, *states[len(integral) :][1:], torque)
+
+    def motor_of(self):
+        return self.joint
+
+    def needs_motor(self):
+        return self.encoder == "motor"
+
+    def behind(self, motors):
+        end = motors.get(self.joint)
+        return self if end is None else MotorServo(self, end)
+
+    def acting(self, time: Scalar, position: Any, speed: Any, states: tuple) -> tuple[Any, tuple]:
+        """(torque at the joint [N m], rates of the states) where the encoder reads a position and a
+        speed."""
+        if self.period is not None:
+            return states[len(states) - 1 - self.delay], (0.0,) * len(states)
+        torque, error = self._asked(time, position, speed, states)
+        return torque, () if self.ki is None else (error,)
+
+    def _asked(self, time, position, speed, states):
+        """The torque [N m] that the controller asks for, and the rate of its integral [rad]."""
+        wanted, rate = _motion(self.reference, time)
+        error = wanted - position
+        torque = self.kp * error
+        if self.kd is not None:
+            torque = torque + self.kd * (rate - speed)
+        if self.ki is not None:
+            torque = torque + self.ki * states[0]
+        if self.feedforward is not None:
+            torque = torque + value_at(self.feedforward, time)
+        if self.torque_limit is None:
+            return torque, error
+        limited = jnp.clip(torque, -self.torque_limit, self.torque_limit)
+        winding = (limited != torque) & (error * torque > 0)
+        return limited, jnp.where(winding, 0.0, error)
+
+
+class MotorServo(AbstractStateLoad):
+    """A `servo` on the motor behind its joint: what it becomes in a mechanism that has one."""
+
+    servo: Servo
+    end: MotorEnd
+
+    def coordinates(self):
+        own = (self.end.coordinate,)
+        return (self.servo.joint, *own) if self.servo.encoder == "load" else own
+
+    def states(self):
+        return self.servo.states()
+
+    def effect(self, time, positions, speeds, states):
+        torque, rates = self.servo.acting(time, *self._seen(positions, speeds), states)
+        force = torque / self.end.ratio
+        others = (0,) * (len(positions) - 1)
+        return CoordinateEffect((*others, force), rates, 0, 0, force * speeds[-1])
+
+    def sampled_every(self):
+        return self.servo.period
+
+    def sampled(self, time, positions, speeds, states):
+        position, speed = self._seen(positions, speeds)
+        return self.servo.sampled(time, (position,), (speed,), states)
+
+    def _seen(self, positions: tuple, speeds: tuple) -> tuple[Any, Any]:
+        """What the encoder tells of the joint."""
+        if self.servo.encoder == "load":
+            return positions[0], speeds[0]
+        offset = 0 if self.end.offset is None else self.end.offset
+        return (positions[0] - offset) / self.end.ratio, speeds[0] / self.end.ratio
+
+
+def _motion(reference: Any, time: Any) -> tuple[Any, Any]:
+    """Where a number or a function of time [s] wants to be, and how fast."""
+    if not callable(reference):
+        return reference, 0
+    time = jnp.asarray(time, float)
+    number = lambda at: jnp.asarray(reference(at), float)
+    return jax.jvp(number, (time,), (jnp.ones_like(time),))

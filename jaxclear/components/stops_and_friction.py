@@ -1,0 +1,185 @@
+"""What holds the coordinate of a joint: its stops, and dry friction.
+
+Steps with percussions or set-valued friction find their forces themselves, from `sides` and
+`dry_friction`; elsewhere they are springs with a damper.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxclear.components.acting import (
+    AbstractCoordinateLoad,
+    AbstractStateLoad,
+    CoordinateEffect,
+    LoadState,
+    Side,
+)
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part, smooth_sign, smooth_step
+from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.laws.transmission import holding
+
+
+class JointStop(AbstractCoordinateLoad):
+    r"""Stops of a joint that turns or slides, ideal or with clearance. What runs into `lower` or
+    `upper` comes back with the share `restitution` of its speed.
+
+    In `MoreauJean` a stop with a restitution is rigid, and gives it in one step; in `NonColliding`
+    it is rigid, and what runs into it stays (with a load that presses). Elsewhere, and without a
+    restitution, it is a spring and a damper that push the coordinate back where it is by
+    :math:`\delta` beyond, and never pull:
+
+    .. math:: F = \min(\max(0,\ k\,\delta + d\,\dot\delta),\ 2\,k\,\delta).
+
+    The bound of the damper lets the force begin at 0 however fast the stop is met, so that
+    derivatives of a run pass through it, and the share of the speed that comes back hangs on
+    :math:`d/\sqrt{k m}` alone. Without a `damping` it follows from the restitution, for the inertia
+    m along the coordinate where a run starts. With a `depth` the damper sets in over it instead, as
+    a cubic step (Adams' IMPACT with exponent 1): a stop that what strikes goes into less deep damps
+    less. A stiff stop needs short steps; `MoreauJean` and `NonColliding` take one as rigid that
+    their steps do not resolve.
+
+    Source: the bounded damper of Modelica's ElastoBacklash2 (Modelica Standard Library 4.0).
+    """
+
+    connection: str = eqx.field(static=True)
+    lower: Scalar | None = quantity(None, "rad", "least coordinate (m for a sliding joint)")
+    upper: Scalar | None = quantity(None, "rad", "largest coordinate (m for a sliding joint)")
+    stiffness: Scalar | None = quantity(
+        None, "N m/rad", "stiffness k (N/m for a sliding joint)", above=0, kw_only=True
+    )
+    damping: Scalar | None = quantity(
+        None, "N m s/rad", "damping d (N s/m for a sliding joint)", at_least=0, kw_only=True
+    )
+    restitution: Scalar | None = quantity(
+        None, "1", "share of the speed that comes back", at_least=0, at_most=1, kw_only=True
+    )
+    depth: Scalar | None = quantity(
+        None,
+        "rad",
+        "way over which damping sets in (m for a sliding joint; None: by the spring's own force)",
+        above=0,
+        kw_only=True,
+    )
+
+    def __check_init__(self):
+        if self.lower is None and self.upper is None:
+            raise ValueError("load.JointStop needs lower or upper, or both; it has neither.")
+        low, high = concrete(self.lower), concrete(self.upper)
+        if low is not None and high is not None and not low < high:
+            raise ValueError(
+                f"load.JointStop has lower {low:g} and upper {high:g}; lower must be below upper."
+            )
+        if self.stiffness is None and self.restitution is None:
+            raise ValueError(
+                "load.JointStop needs restitution (rigid in MoreauJean and NonColliding) or "
+                "stiffness, or both; it has neither."
+            )
+
+    def sides(self):
+        ends = (Side(1.0, self.lower, self), Side(-1.0, self.upper, self))
+        return tuple(side for side in ends if side.place is not None)
+
+    def force(self, time, position, speed):
+        force, stored, dissipated = 0, 0, 0
+        for side in self.sides():
+            push, spring, loss = self.push(side.beyond(position), -side.sign * speed)
+            force, stored = sp.add(force, side.sign * push), sp.add(stored, spring)
+            dissipated = sp.add(dissipated, loss)
+        return force, stored, dissipated, 0
+
+    def push(self, beyond: Any, rate: Any) -> tuple[Any, Any, Any]:
+        """Force of one side that the coordinate is so far `beyond` [rad, m] at this rate, its
+        stored energy and dissipated power."""
+        if self.stiffness is None:
+            raise ValueError(
+                f'load.JointStop on joint "{self.connection}" has no stiffness: it is rigid, for '
+                "integrator.MoreauJean and NonColliding. Give its stiffness too, by which what "
+                "strikes it with speed v goes v sqrt(m / k) deep."
+            )
+        depth = positive_part(beyond)
+        spring = self.stiffness * depth
+        stored = 0.5 * spring * depth
+        if self.damping is None:
+            return spring, stored, 0
+        damper = self.damping * rate
+        if self.depth is None:
+            push = jnp.clip(spring + damper, 0.0, 2 * spring)
+        else:
+            push = positive_part(spring + smooth_step(depth, 0.0, self.depth) * damper)
+        # Where the damper would pull the spring goes back without the body, and its energy is lost.
+        return push, stored, (push - spring) * rate
+
+
+class JointFriction(AbstractStateLoad):
+    r"""Dry friction of a joint that turns or slides, ideal or with clearance, as a torque
+    :math:`\tau` [N m] whatever the joint carries: of a gear or a seal. It holds what is driven by
+    less, without creep.
+
+    In `MoreauJean` and `NonColliding` it is set-valued. Elsewhere a bristle holds: a spring with a
+    damper that yields at the deflection :math:`z_0` (`presliding`),
+
+    .. math:: F = -\operatorname{clip}(\tau\,(z + t_0\,\dot q)/z_0,\ \pm\tau), \qquad
+        \dot z = \dot q \text{ within } \pm z_0,
+
+    so that a joint at rest stands by up to :math:`z_0` beside where it came to rest; the steps must
+    resolve the spring :math:`\tau/z_0`. With a `transition_speed` :math:`v_0` it is a function of
+    the speed instead, :math:`F = -\tau\tanh(\dot q/v_0)`, in every integrator, and creeps under a
+    steady load. Friction by what the joint carries is that of `joint.PlainBearing` and
+    `joint.Slideway`. In closed loops what each of several such loads holds at rest is not unique
+    (Wojtyra 2017, Multibody Syst. Dyn. 39, 337, doi:10.1007/s11044-016-9535-6): one of the many
+    answers is told.
+
+    Source: Prandtl 1928, Z. angew. Math. Mech. 8, 85, doi:10.1002/zamm.19280080202 (elastic, then
+    perfectly plastic: it does not drift as Dahl's and LuGre's bristles do, Dupont et al. 2002, IEEE
+    Trans. Autom. Control 47, 787, doi:10.1109/TAC.2002.1000274); tanh: Andersson, Söderberg &
+    Björklund 2007, Tribol. Int. 40, 580, doi:10.1016/j.triboint.2005.11.014.
+    """
+
+    connection: str = eqx.field(static=True)
+    torque: Scalar = quantity(
+        unit="N m", meaning="friction when it slides (N for a sliding joint)", at_least=0
+    )
+    transition_speed: Scalar | None = quantity(
+        None,
+        "rad/s",
+        "speed v_0 at which three quarters of the friction act (m/s for a sliding joint; None: it "
+        "holds)",
+        above=0,
+    )
+    presliding: Scalar = quantity(
+        1e-4,
+        "rad",
+        "deflection z_0 at which the bristle yields (m for a sliding joint)",
+        above=0,
+        kw_only=True,
+    )
+    settling_time: Scalar = quantity(
+        1e-2, "s", "damping time t_0 of the bristle", above=0, kw_only=True
+    )
+
+    def coordinates(self):
+        return (self.connection,)
+
+    def states(self):
+        return () if self.transition_speed is not None else (LoadState("bristle", "rad"),)
+
+    def effect(self, time, positions, speeds, states):
+        (speed,) = speeds
+        if self.transition_speed is not None:
+            force = -self.torque * smooth_sign(jnp.asarray(speed, float), self.transition_speed)
+            return CoordinateEffect((force,), (), 0, -force * speed, 0)
+        own = holding(states[0], speed, self.presliding)
+        share = own.share + self.settling_time * speed / self.presliding
+        friction = self.torque * jnp.clip(share, -1.0, 1.0)
+        stored = 0.5 * self.torque * self.presliding * own.share * own.share
+        wound = jnp.where(jnp.abs(own.share) < 1, self.torque * own.share * speed, 0.0)
+        return CoordinateEffect((-friction,), (own.rate,), stored, friction * speed - wound, 0)
+
+    def reads_position(self):
+        return False
+
+    def dry_friction(self):
+        return self.torque if self.transition_speed is None else None

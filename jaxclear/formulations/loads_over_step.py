@@ -1,0 +1,300 @@
+"""Loads on coordinates whose force a step finds itself: rigid stops, and dry friction that sticks.
+
+Where forces are percussions, or friction is set-valued, these loads have no force at an instant
+(`OverStep`); they push or rub along the row of their coordinate, as contacts and joints do along
+theirs. A stop with a stiffness and no restitution is a spring where steps resolve it, and rigid
+where they do not: it then gives way by less than what acts moves it within a step.
+
+Nothing here is evaluated in a mechanism without such loads.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxclear.components.acting import AbstractCoordinateLoad, AbstractStateLoad, Side
+from jaxclear.formulations.contact_rows import ContactJacobianRow
+from jaxclear.formulations.model import Instant, Model
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part
+from jaxclear.laws.rebound import restitution_of
+from jaxclear.multibody import constraints, kinematics
+from jaxclear.multibody.forces import Acting, Forces, give, seen_at
+from jaxclear.multibody.kinematics import along
+from jaxclear.multibody.state import Followed, unpack_motion
+from jaxclear.multibody.system import System, Transmission, coordinate_loads
+from jaxclear.multibody.transmissions import Pressing, twist_of
+from jaxclear.multibody.tree import Motion
+
+# Explicit steps h follow a spring up to h omega = 2 and a damper up to h d / m = 2; they are left
+# to them up to a quarter of that.
+FOLLOWED = 0.5
+
+
+class OverStep(AbstractCoordinateLoad):
+    """A load whose force steps find themselves."""
+
+    connection: str = eqx.field(static=True)
+    load: AbstractStateLoad
+
+    def force(self, time, position, speed):
+        return 0, 0, 0, 0
+
+    def reads_position(self):
+        return self.load.reads_position()
+
+    def sides(self):
+        return self.load.sides()
+
+    def dry_friction(self):
+        return self.load.dry_friction()
+
+
+class Held(NamedTuple):
+    """What a step finds the force of: the coordinate `on` which it acts, of a joint, a motor, or
+    the twist of a coupling (then a `flank`), the sides at which it stops that, and its friction."""
+
+    on: str
+    sides: tuple[Side, ...]
+    friction: Any
+    flank: bool = False
+
+
+def found_over_steps(system: System) -> System:
+    """The system with stops and dry friction as loads whose force steps find."""
+    found = {
+        name: OverStep(load.coordinates()[0], load)
+        for name, load in coordinate_loads(system)
+        if load.sides() or load.dry_friction() is not None
+    }
+    return dataclasses.replace(system, loads=system.loads | found) if found else system
+
+
+def with_rigid_flanks(system: System) -> System:
+    """The system whose plays with a restitution are between rigid flanks."""
+    plays = {name: own.coupling.play for name, own in system.transmissions.items()}
+    rigid = [name for name, play in plays.items() if play and play.restitution is not None]
+    if not rigid:
+        return system
+    others = {n: own for n, own in system.transmissions.items() if n not in rigid}
+    flanks = {name: system.transmissions[name] for name in rigid}
+    return dataclasses.replace(system, transmissions=others, flanks=flanks)
+
+
+def held(system: System) -> dict[str, Held]:
+    """What steps find the force of, by the name under which states hold its impulse: loads, then
+    plays."""
+    found = {
+        impulse_of(name): Held(load.connection, load.sides(), load.dry_friction())
+        for name, load in coordinate_loads(system)
+        if isinstance(load, OverStep)
+    }
+    for name, own in system.flanks.items():
+        play: Any = own.coupling.play
+        middle, half = 0.0 if play.middle is None else play.middle, 0.5 * play.play
+        sides = Side(1.0, middle - half, play), Side(-1.0, middle + half, play)
+        found[play_of(name)] = Held(name, sides, None, True)
+    return found
+
+
+def may_strike(system: System) -> bool:
+    """Whether something may strike: a contact, a coordinate its stop, or a flank the other."""
+    return bool(system.bearings) or any(own.sides for own in held(system).values())
+
+
+def load_components(system: System) -> tuple[tuple[str, int], ...]:
+    """How many components what steps find the force of has in states that hold impulses."""
+    return tuple((name, 1) for name in held(system))
+
+
+def impulse_of(name: str) -> str:
+    """What states call the impulse of a load: joints have names of their own."""
+    return f"load {name}"
+
+
+def play_of(name: str) -> str:
+    """What states call the impulse of the flanks of a coupling, along its twist."""
+    return f"play {name}"
+
+
+class Coordinate(NamedTuple):
+    """A coordinate at an instant: its `position` [rad, m] and `speed`, and the row of its speed by
+    the speeds of the mechanism."""
+
+    position: Any
+    speed: Any
+    row: ContactJacobianRow
+
+
+def coordinates_of(
+    system: System, motions: tuple[Motion, ...], followed: Followed
+) -> dict[str, Coordinate]:
+    """The coordinates of all that steps find the force of, by its name."""
+    return {
+        name: _twist(system, motions, system.flanks[own.on])
+        if own.flank
+        else _coordinate(system, motions, own.on, followed)
+        for name, own in held(system).items()
+    }
+
+
+def _twist(system: System, motions: tuple[Motion, ...], own: Transmission) -> Coordinate:
+    rows = constraints.constraint_rows(system, motions, own.closure)
+    row = {j: entry / own.scale for j, entry in rows.jacobian[0].items()}
+    return Coordinate(rows.residuals[0] / own.scale, rows.rates[0] / own.scale, row)
+
+
+def _coordinate(
+    system: System, motions: tuple[Motion, ...], name: str, followed: Followed
+) -> Coordinate:
+    branch = system.topology.branch_of(name)
+    if name in system.geared:
+        ratio = system.geared[name].ratio
+        joint = _coordinate(system, motions, system.geared[name].joint, followed).row
+        row = {j: sp.mul(ratio, entry) for j, entry in joint.items()}
+    elif branch is not None:
+        row = {branch.speeds.start: 1}
+    else:
+        own = system.measured[name]
+        pose, rates = kinematics.relative_motion(own.closure, motions)[1], own.joint.speeds_at
+        (row,) = kinematics.relative_jacobian(system, motions, own.closure, pose, rates)
+    now = seen_at(system, motions, name, followed)
+    return Coordinate(now.position, now.speed, row)
+
+
+def coordinates_at(
+    model: Model, time: Any, entries: list, followed: Followed
+) -> dict[str, Coordinate]:
+    """The same at coordinates and speeds, one after the other."""
+    motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
+    return coordinates_of(model.system, motions, followed)
+
+
+def with_loads(system: System, forces: Forces, given: dict[str, Any]) -> Forces:
+    """The forces with those `given` by what steps find the force of [N m, N], by its name."""
+    every = held(system)
+    if not every:
+        return forces
+    links = list(forces.wrenches), list(forces.coordinate_forces)
+    acting, pressing = Acting(*links, dict(forces.on_joints), {}), dict(forces.pressing)
+    for name, own in every.items():
+        if not own.flank:
+            seen_at(system, forces.motions, own.on, forces.followed).push(acting, given[name])
+            continue
+        flanks, torque = system.flanks[own.on], -given[name]
+        give(system, forces.motions, flanks, torque, acting)
+        twist, none = twist_of(system, forces.motions, flanks), (0.0, 0.0)
+        torques = positive_part(torque), positive_part(-torque)
+        pressing[own.on] = Pressing(torque, None, 0.0, 0.0, twist, none, none, torques)
+    external, on_drives = forces.external_power, dict(forces.on_drives)
+    for link, force in acting.on_drives.items():
+        external = sp.sub(external, sp.mul(force, forces.motions[link].speeds[0]))
+        on_drives[link] = sp.add(on_drives.get(link, 0), force)
+    return forces._replace(
+        wrenches=tuple(acting.wrenches),
+        coordinate_forces=tuple(acting.forces),
+        on_joints=acting.on_joints,
+        pressing=pressing,
+        external_power=external,
+        on_drives=on_drives,
+    )
+
+
+def forces_of_means(instant: Instant) -> dict[str, Any]:
+    """By its name the force [N m, N] of all that steps find it of, at a saved instant whose state
+    holds impulses."""
+    return {name: instant.means_of(name)[0] for name in held(instant.model.system)}
+
+
+class StopInStep(NamedTuple):
+    """A side of a stop in a step: its load, how far the coordinate is beyond it in the middle [rad,
+    m], the rate by which that falls, and the row of this rate."""
+
+    name: str
+    side: Side
+    beyond: Any
+    opening: Any
+    row: ContactJacobianRow
+
+    def spring(self) -> Any:
+        """Force [N m, N] of what gives way there."""
+        return self.side.stop.push(self.beyond, -self.opening)[0]
+
+    def followed(self, lightness: Any, h: Any) -> Any:
+        """Whether steps of length h [s] follow its spring and damper, which move an inertia of this
+        inverse."""
+        soft = h * h * self.side.stop.stiffness * lightness < FOLLOWED**2
+        if self.side.stop.damping is not None:
+            soft = soft & (h * self.side.stop.damping * lightness < FOLLOWED)
+        return soft
+
+    def restitution(self, lightness: Any) -> Any:
+        """Share of its speed [1] that comes back where steps do not follow its spring."""
+        if self.side.stop.damping is None:
+            return 1.0
+        ratio = 0.5 * self.side.stop.damping * jnp.sqrt(lightness / self.side.stop.stiffness)
+        return restitution_of(ratio)
+
+
+class RubInStep(NamedTuple):
+    """Dry friction on a coordinate in a step: its load, largest size [N m, N], the coordinate's
+    speed and its row."""
+
+    name: str
+    bound: Any
+    speed: Any
+    row: ContactJacobianRow
+
+
+class LoadsInStep(NamedTuple):
+    """The loads of a step whose force it finds: sides of stops, then friction."""
+
+    stops: tuple[StopInStep, ...]
+    rubs: tuple[RubInStep, ...]
+
+    @property
+    def rows(self) -> list[ContactJacobianRow]:
+        """Their rows, those of stops signed as they open."""
+        return [*(one.row for one in self.stops), *(one.row for one in self.rubs)]
+
+    def lost(self, forces: Any, change: list) -> Any:
+        """Power [W] that these forces along the rows take at speeds that differ so from those at
+        which the loads were read."""
+        speeds = [*(one.opening for one in self.stops), *(one.speed for one in self.rubs)]
+        rates = [sp.add(x, along(row, change)) for x, row in zip(speeds, self.rows, strict=True)]
+        return sp.neg(sp.dot(forces, rates))
+
+    def by_load(self, system: System, values: Any) -> dict[str, Any]:
+        """Forces or impulses along the rows, as sums by load."""
+        found = dict.fromkeys(held(system), 0.0)
+        signs = [(one.name, one.side.sign) for one in self.stops]
+        signs += [(one.name, 1.0) for one in self.rubs]
+        for (name, sign), value in zip(signs, values, strict=True):
+            found[name] = found[name] + sign * value
+        return found
+
+
+NO_LOADS = LoadsInStep((), ())
+
+
+def loads_in_step(system: System, at: dict[str, Coordinate]) -> LoadsInStep:
+    """The loads as a step finds their coordinates."""
+    stops: list[StopInStep] = []
+    rubs: list[RubInStep] = []
+    for name, load in held(system).items():
+        own = at[name]
+        if load.friction is not None:
+            rubs.append(RubInStep(name, load.friction, own.speed, own.row))
+        for side in load.sides:
+            row = {j: sp.mul(side.sign, entry) for j, entry in own.row.items()}
+            beyond, opening = side.beyond(own.position), side.sign * own.speed
+            stops.append(StopInStep(name, side, beyond, opening, row))
+    return LoadsInStep(tuple(stops), tuple(rubs))
+
+
+def counts_of_rows(system: System) -> tuple[int, int]:
+    """How many sides there are at which something is stopped, and how many loads rub."""
+    every = held(system).values()
+    return sum(len(own.sides) for own in every), sum(own.friction is not None for own in every)

@@ -1,0 +1,173 @@
+"""Where machine code is kept between processes: a folder in the user's cache folder, the owner's
+alone, bounded in size.
+
+A file is found by a key that says all that its content depends on. Machine code runs as it stands,
+so a file is taken only where it, and the folder, belong to this user and nobody else may write
+them; what follows its first line must be what the digest there says. All else is a miss: it is
+compiled again. Several processes may share the folder: a file appears whole or not at all.
+"""
+
+import hashlib
+import os
+import stat
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+# The folder; "0" or "off": nothing is kept.
+VARIABLE = "JAXCLEAR_CACHE"
+OFF = ("", "0", "off")
+MARK = b"jaxclear 1 "
+# Bytes in all files together, beyond which those go that were used least recently, until so large a
+# share is left.
+MOST, LEFT = 1 << 29, 0.75
+# Kinds: machine code of kernels, and programs around them; characters of a key.
+KINDS = KERNEL, PROGRAM = "kernel", "program"
+KEY = 40
+# What others than the owner may do with a file.
+OTHERS = stat.S_IRWXG | stat.S_IRWXO
+
+
+class KeptFile(NamedTuple):
+    """A file with its size [bytes] and when it was last used [s since 1970]."""
+
+    path: Path
+    size: int
+    used: float
+
+
+def place() -> Path | None:
+    """The folder, whether it exists or not; None where nothing is to be kept."""
+    given = os.environ.get(VARIABLE)
+    if given is not None and given.strip().lower() in OFF:
+        return None
+    # A system may not know where the user is at home.
+    with suppress(RuntimeError):
+        base = _of_user() / "jaxclear" if given is None else Path(given).expanduser()
+        return base / "programs"
+    return None
+
+
+def _of_user() -> Path:
+    """The folder of caches of this user, as his system has it."""
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    given = os.environ.get("XDG_CACHE_HOME", "")
+    # The standard has paths that are not absolute ignored.
+    return Path(given) if os.path.isabs(given) else Path.home() / ".cache"
+
+
+def read(kind: str, key: str) -> bytes | None:
+    """What is kept of a kind under a key; None where nothing is, or nothing that can be trusted."""
+    folder = place()
+    if folder is None:
+        return None
+    path = _path(folder, kind, key)
+    try:
+        if not _is_owners(folder.stat()):
+            return None
+        flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+        with os.fdopen(os.open(path, flags), "rb") as file:
+            if not _is_owners(os.fstat(file.fileno())):
+                return None
+            whole = file.read()
+    except OSError:
+        return None
+    head, _, content = whole.partition(b"\n")
+    if head != _head(path.name, content):
+        with suppress(OSError):
+            path.unlink()
+        return None
+    with suppress(OSError):
+        os.utime(path)
+    return content
+
+
+def write(kind: str, key: str, content: bytes) -> None:
+    """Keeps something of a kind under a key. Where that cannot be done, nothing is kept."""
+    folder = place()
+    if folder is None:
+        return
+    path = _path(folder, kind, key)
+    with suppress(OSError):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not _is_owners(folder.stat()):
+            return
+        # Its file is the owner's alone from the beginning.
+        number, name = tempfile.mkstemp(dir=folder, prefix=".")
+        try:
+            with os.fdopen(number, "wb") as file:
+                file.write(_head(path.name, content) + b"\n" + content)
+            os.replace(name, path)
+        except BaseException:
+            os.unlink(name)
+            raise
+        _bound(folder)
+
+
+def kept() -> list[KeptFile]:
+    """All that is kept, what was used least recently first."""
+    folder = place()
+    return [] if folder is None else sorted(_files(folder), key=lambda one: one.used)
+
+
+def clear() -> int:
+    """Removes all that is kept; how many files that were."""
+    files = kept()
+    for file in files:
+        file.path.unlink(missing_ok=True)
+    return len(files)
+
+
+def _path(folder: Path, kind: str, key: str) -> Path:
+    return folder / f"{key}.{kind}"
+
+
+def _head(name: str, content: bytes) -> bytes:
+    """The first line of a file of this name."""
+    return MARK + hashlib.sha256(name.encode() + b"\n" + content).hexdigest().encode()
+
+
+def _is_owners(found: os.stat_result) -> bool:
+    """Whether a file or folder belongs to this user, and others have no part in it."""
+    user = getattr(os, "geteuid", None)
+    # Windows, which knows no such numbers, keeps a user's own folders from others.
+    return user is None or (found.st_uid == user() and not found.st_mode & OTHERS)
+
+
+def _files(folder: Path) -> Iterator[KeptFile]:
+    with suppress(OSError), os.scandir(folder) as found:
+        for entry in found:
+            with suppress(OSError):
+                if entry.is_file(follow_symlinks=False) and _is_kept(entry.name):
+                    own = entry.stat(follow_symlinks=False)
+                    yield KeptFile(Path(entry.path), own.st_size, own.st_mtime)
+
+
+def _is_kept(name: str) -> bool:
+    """Whether a file of this name is one of those that are kept; other files stay as they are."""
+    key, _, kind = name.partition(".")
+    return len(key) == KEY and kind in KINDS
+
+
+def key_of(*parts: str) -> str:
+    """A key that depends on all of these texts."""
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:KEY]
+
+
+def _bound(folder: Path) -> None:
+    files = sorted(_files(folder), key=lambda one: one.used)
+    total = sum(one.size for one in files)
+    if total <= MOST:
+        return
+    for one in files:
+        with suppress(OSError):
+            one.path.unlink()
+        total -= one.size
+        if total <= LEFT * MOST:
+            return

@@ -1,0 +1,203 @@
+r"""Couplings that give: from the twist of a transmission to its torque, by stiffness, damping and
+play.
+
+The twist s is what is left of the coupling's equation, by the same residual, rate and gradient as
+its rigid row; the torque T acts along that gradient against it. With play there are two flanks, an
+upper one at s = m + b and a lower one at m - b, of which each is a possible contact: its depth is
+positive where it presses, so that steps find touches and releases as they do those of joints.
+
+A flank that is left where its torque would pull has, while it presses, the torque beside the
+stiffness for a depth; where the shaft's far end is a state (`flank.Nordin`) a flank that is apart
+is met by that end. Which flanks count as pressing may be told (`shares`), so that within a step the
+equations are smooth.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part
+from jaxclear.ground.pose import Pose
+from jaxclear.ground.quantity import constant
+from jaxclear.multibody import kinematics, pose_rows
+from jaxclear.multibody.coordinate_sums import outer_wrenches, sum_equation
+from jaxclear.multibody.loops import Closure, CoordinateSum
+from jaxclear.multibody.state import Layout
+from jaxclear.multibody.system import TWIST, System, Transmission
+from jaxclear.multibody.tree import Motion, Wrench
+
+
+class Twist(NamedTuple):
+    """Twist [rad, m] of a transmission, its rate."""
+
+    value: Any
+    rate: Any
+
+
+class Pressing(NamedTuple):
+    """What a transmission does at an instant: its `torque` [N m, N] against the twist; the rate of
+    its far end (None: it has none); `stored` energy [J] and `dissipated` power [W]; of its flanks,
+    upper and lower, depths, their rates (of a far end that presses not known: 0) and torques; none
+    without play."""
+
+    torque: Any
+    end_rate: Any
+    stored: Any
+    dissipated: Any
+    twist: Twist
+    depths: tuple = ()
+    rates: tuple = ()
+    torques: tuple = ()
+
+
+def twist_of(system: System, motions: tuple[Motion, ...], own: Transmission) -> Twist:
+    """The twist of a transmission as the links move."""
+    closure = own.closure
+    if isinstance(closure.reading, CoordinateSum):
+        residual, rate, _ = sum_equation(system, motions, closure.reading)
+    else:
+        _, pose, relative = kinematics.relative_motion(closure, motions)
+        (residual,), (slope,) = pose_rows.gradients(closure.reading, pose)
+        residual = closure.reading.counted(residual, pose, motions)
+        rate = pose_rows.rate(slope, pose, relative.velocity, relative.spin)
+    return Twist(residual / own.scale, rate / own.scale)
+
+
+def pressing(own: Transmission, twist: Twist, end: Any = None, shares: Any = None) -> Pressing:
+    """What a transmission does at a twist. `end`: where the shaft's far end is from the middle of
+    the gap (None: its law has none); `shares` of the upper and the lower flank that count as
+    touching, 1 or 0 (None: as their places have it)."""
+    coupling = own.coupling
+    play, stiffness, damping = coupling.play, coupling.stiffness, coupling.damping
+    if play is None:
+        viscous = 0 if damping is None else damping * twist.rate
+        lost = sp.mul(viscous, twist.rate)
+        elastic = stiffness * twist.value
+        return Pressing(sp.add(elastic, viscous), None, 0.5 * elastic * twist.value, lost, twist)
+    half = 0.5 * play.play
+    middle = 0 if play.middle is None else play.middle
+    place = sp.sub(twist.value, middle)
+    sides = ((place - half, twist.rate), (-place - half, -twist.rate))
+    torques = []
+    for depth, rate in sides:
+        viscous = 0.0 if damping is None else damping * rate
+        torques.append(play.law.torque(stiffness * depth, viscous))
+    if end is not None:
+        return _with_end(own, twist, (place, half, end), (torques, shares))
+    depths: tuple = tuple(side[0] for side in sides)
+    rates = tuple(side[1] for side in sides)
+    if play.law.left_by_torque:
+        by_torque = [torque / stiffness for torque in torques]
+        depths = tuple(map(jnp.minimum, depths, by_torque))
+        if shares is not None:
+            each = zip(shares, by_torque, depths, strict=True)
+            depths = tuple(jnp.where(share > 0, a, b) for share, a, b in each)
+    touching = shares
+    if shares is None:
+        touching = [jnp.where(depth >= 0, 1.0, 0.0) for depth in depths]
+    acting = [share * torque for share, torque in zip(touching, torques, strict=True)]
+    stored, lost = 0, 0
+    for (depth, rate), torque in zip(sides, acting, strict=True):
+        # What is left in a flank as it goes back without the other part is lost.
+        stored = stored + 0.5 * stiffness * positive_part(depth) * depth
+        lost = lost + torque * rate - jnp.where(depth > 0, stiffness * depth * rate, 0.0)
+    told = (acting[0] - acting[1], None, stored, lost, twist)
+    return Pressing(*told, depths, rates, tuple(acting))
+
+
+def _with_end(own: Transmission, twist: Twist, places: tuple, flanks: tuple) -> Pressing:
+    """The same of a shaft in series with the gap: `places` (from the middle of the gap, half of it,
+    far end), `flanks` (torques as if touching, shares)."""
+    (place, half, end), (torques, shares), rate = places, flanks, twist.rate
+    stiffness, damping = own.coupling.stiffness, own.coupling.damping
+    gaps = (end - half, -end - half)
+    met = [(gap >= 0) & (torque >= 0) for gap, torque in zip(gaps, torques, strict=True)]
+    natural = [jnp.where(each, 1.0, 0.0) for each in met]
+    touching = natural if shares is None else shares
+    acting = [share * torque for share, torque in zip(touching, torques, strict=True)]
+    apart = 1.0 - touching[0] - touching[1]
+    slack = (stiffness / damping) * (place - end)
+    end_rate = apart * (rate + slack)
+    wound = sum(
+        share * (sign * place - half) for share, sign in zip(touching, (1.0, -1.0), strict=True)
+    )
+    wound = jnp.abs(wound) + apart * jnp.abs(place - end)
+    stored = 0.5 * stiffness * wound * wound
+    torque = acting[0] - acting[1]
+    lost = (1 - apart) * damping * rate * rate + apart * stiffness * wound * wound * (
+        stiffness / damping
+    )
+    depths, rates = [], []
+    for k, (gap, pressed) in enumerate(zip(gaps, torques, strict=True)):
+        sign = 1.0 if k == 0 else -1.0
+        by_torque = gap >= 0 if shares is None else shares[k] > 0
+        depths.append(jnp.where(by_torque, pressed / stiffness, gap))
+        rates.append(sign * end_rate)
+    told = (torque, end_rate, stored, lost, twist)
+    return Pressing(*told, tuple(depths), tuple(rates), tuple(acting))
+
+
+def end_at_start(own: Transmission, twist: Twist) -> Any:
+    """Where a relaxed shaft's far end is from the middle of its gap."""
+    play = own.coupling.play
+    half = 0.5 * play.play
+    middle = 0 if play.middle is None else play.middle
+    return jnp.clip(twist.value - middle, -half, half)
+
+
+def torque_on_flanks(own: Transmission, depths: Any, rates: Any) -> Any:
+    """Torques [N m, N] of the flanks at these depths and rates, as `pressing` tells them."""
+    coupling = own.coupling
+    elastic = coupling.stiffness * depths
+    if own.has_twist:
+        return jnp.maximum(elastic, 0.0)
+    viscous: Any = 0.0 if coupling.damping is None else coupling.damping * rates
+    if coupling.play.law.left_by_torque:
+        # As it falls off the depth is the torque's own.
+        viscous = positive_part(viscous)
+    return jnp.where(depths >= 0, coupling.play.law.torque(elastic, viscous), 0.0)
+
+
+def within_gaps(system: System, layout: Layout, entries: list) -> list:
+    """The entries of a state with the far ends of shafts not beyond their gaps, as numbers: their
+    derivatives are what they were."""
+    found = list(entries)
+    for i, (owner, state) in enumerate(layout.states):
+        own = system.transmissions.get(owner)
+        if own is not None and state == TWIST:
+            place, half = layout.state_start + i, 0.5 * own.coupling.play.play
+            moved = jnp.clip(found[place], -half, half) - found[place]
+            found[place] = found[place] + constant(moved)
+    return found
+
+
+class Acting(NamedTuple):
+    """A wrench on the child of a closure about its marker, in the parent marker's axes."""
+
+    closure: Closure
+    pose: Pose
+    wrench: Wrench
+    joint: str | None
+
+
+def on_coordinates(own: Transmission, torque: Any) -> list[tuple[int, Any]]:
+    """(link, generalised force) of a torque against the twist on coordinates that the tree
+    carries."""
+    reading = own.closure.reading
+    if not isinstance(reading, CoordinateSum):
+        return []
+    along = -torque / own.scale
+    return [(t.link, t.factor * along) for t in reading.terms if t.link is not None]
+
+
+def on_closures(motions: tuple[Motion, ...], own: Transmission, torque: Any) -> list[Acting]:
+    """What such a torque does between bodies that mesh, and in joints outside the tree."""
+    along, closure = -torque / own.scale, own.closure
+    if isinstance(closure.reading, CoordinateSum):
+        found = outer_wrenches(motions, closure.reading, along)
+        return [Acting(term.closure, pose, wrench, term.joint) for term, pose, wrench in found]
+    pose = kinematics.relative_motion(closure, motions)[1]
+    (slope,) = pose_rows.gradients(closure.reading, pose)[1]
+    parts = (sp.scale(along, part) for part in slope.wrench(pose))
+    return [Acting(closure, pose, Wrench(*parts), None)]

@@ -1,0 +1,246 @@
+"""How programs are compiled that do little work themselves, and where they are kept: how long they
+compile counts more than how fast they are.
+
+A program is found by the form of its arguments (`forms`): first in this process, then on disk,
+where an earlier process has left it with its kernels; else it is traced and compiled, and left
+there. What is found is called with plain arrays, so that a call costs little beside its work.
+"""
+
+import functools
+import io
+import pickle
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.experimental import serialize_executable
+
+from jaxclear.ground import cache_folder
+from jaxclear.ground.compiling import uncollected
+from jaxclear.ground.quantity import is_tracing
+from jaxclear.native import check, dispatch, verdicts
+from jaxclear.native.forms import Untold, function_in_text, in_text, surroundings, tree_in_text
+from jaxclear.native.verdicts import NoKernel, only_kernels
+
+# XLA's newer emitters of fusions compile a third longer. Around a loop of machine code they gain
+# 1 to 5 % of a run, and 17 % of one that XLA's own loop goes through.
+AROUND_A_KERNEL = {"xla_cpu_use_fusion_emitters": False}
+# What runs once is not optimised either: assemblies compile three times as fast and take no longer.
+# A loop that XLA goes through itself takes two to three times as long so.
+ONCE = {
+    **AROUND_A_KERNEL,
+    "xla_backend_optimization_level": 0,
+    "xla_llvm_disable_expensive_passes": True,
+}
+# XLA drops options between its versions, and says so by this; those that this one lacks.
+NO_OPTION = "No such compile option"
+_unknown: set[str] = set()
+# Programs that a process has at hand beside those that JAX keeps.
+LATEST = 256
+# What stands for the program of a form that no other process knows.
+PRIVATE = "private"
+
+
+class _Found(NamedTuple):
+    """A compiled program over a list of arrays, and what its results are put together to: things
+    that are no arrays, and `Place`s for those that are."""
+
+    program: Any
+    leaves: list[Any]
+    structure: Any
+
+    def __call__(self, arrays: Sequence[Any]) -> Any:
+        found = self.program(*arrays)
+        own = [found[x.number] if type(x) is Place else x for x in self.leaves]
+        return jax.tree.unflatten(self.structure, own)
+
+
+class Place:
+    """Stands for an array of a program's results, that of a number."""
+
+    def __init__(self, number: int):
+        self.number = number
+
+
+_AT_HAND: "OrderedDict[Any, Any]" = OrderedDict()
+_LOOKING = threading.Lock()
+
+
+def compiled_quickly(
+    function: Callable[..., Any], options: dict[str, Any] = ONCE
+) -> Callable[..., Any]:
+    """As `equinox.filter_jit`, compiled with these options of XLA's. Within another program it is
+    part of that one, and compiled as that one is."""
+    # Its annotations leave out what it hands on to `jax.jit`.
+    compiled: Any = eqx.filter_jit
+    plain = compiled(function)
+
+    @functools.cache
+    def quick(unknown: frozenset[str]) -> Callable[..., Any]:
+        return compiled(function, compiler_options=_known(options, unknown))
+
+    @functools.wraps(function)
+    def call(*arguments):
+        leaves, tree = jax.tree.flatten(arguments)
+        # JAX refuses options of a program within a program.
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves) or is_tracing():
+            return plain(*arguments)
+        while True:
+            unknown = frozenset(_unknown)
+            try:
+                found = _found(function, _known(options, unknown), leaves, tree)
+                if found is not None:
+                    return found([leaf for leaf in leaves if eqx.is_array(leaf)])
+                with uncollected():
+                    return quick(unknown)(*arguments)
+            except jax.errors.JaxRuntimeError as error:
+                lacking = [name for name in options if f"{NO_OPTION}: '{name}'" in str(error)]
+                if not lacking:
+                    raise
+                _unknown.update(lacking)
+
+    return call
+
+
+def _known(options: dict[str, Any], unknown: frozenset[str]) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if name not in unknown}
+
+
+def _found(function: Callable, options: dict[str, Any], leaves: list, tree: Any) -> _Found | None:
+    """The program of such arguments; None where it is JAX's to keep, because no other process could
+    use it."""
+    if not _are_kept():
+        return None
+    kinds = tuple(jax.typeof(x) if eqx.is_array(x) else (type(x), x) for x in leaves)
+    form = function, tuple(options), tree, kinds
+    with _LOOKING:
+        found = _AT_HAND.get(form)
+        if found is not None:
+            _AT_HAND.move_to_end(form)
+    if found is None:
+        found = _kept_or_compiled(function, options, leaves, tree)
+        with _LOOKING:
+            _AT_HAND[form] = found
+            while len(_AT_HAND) > LATEST:
+                _AT_HAND.popitem(last=False)
+    return None if found is PRIVATE else found
+
+
+def _are_kept() -> bool:
+    """Whether programs are kept at all: those of one processor, of which nothing special is asked
+    that JAX alone does."""
+    settings: Any = jax.config
+    asked = settings.jax_debug_nans or settings.jax_debug_infs or settings.jax_disable_jit
+    if asked or cache_folder.place() is None or check.is_wanted():
+        return False
+    return jax.default_backend() == "cpu" and jax.local_device_count() == 1
+
+
+def _kept_or_compiled(function: Callable, options: dict[str, Any], leaves: list, tree: Any) -> Any:
+    try:
+        told = function_in_text(function), str(options), tree_in_text(tree)
+        kinds = [
+            f"{leaf.shape}{leaf.dtype}{jax.typeof(leaf).weak_type}"
+            if eqx.is_array(leaf)
+            else in_text(leaf)
+            for leaf in leaves
+        ]
+    except Untold:
+        return PRIVATE
+    key = cache_folder.key_of(*told, *kinds, surroundings())
+    found = _from_disk(key)
+    return _compiled(function, options, leaves, tree, key) if found is None else found
+
+
+def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: str) -> _Found:
+    """Traces and compiles a program, and leaves it on disk."""
+    form: list[Any] = []
+
+    def flat(*arrays):
+        own = iter(arrays)
+        given = [next(own) if eqx.is_array(leaf) else leaf for leaf in leaves]
+        out, structure = jax.tree.flatten(function(*jax.tree.unflatten(tree, given)))
+        places = [i for i, leaf in enumerate(out) if eqx.is_array(leaf)]
+        numbers = {i: Place(number) for number, i in enumerate(places)}
+        form[:] = [numbers.get(i, leaf) for i, leaf in enumerate(out)], structure
+        return [out[i] for i in places]
+
+    flat.__name__ = flat.__qualname__ = getattr(function, "__name__", "program")
+    with uncollected():
+        lowered = jax.jit(flat).lower(*(leaf for leaf in leaves if eqx.is_array(leaf)))
+        found = _Found(lowered.compile(compiler_options=options), *form)
+    try:
+        lapack = "lapack" in lowered.as_text()
+        content = pickle.dumps((_packed(found), lapack, verdicts.SENTENCES))
+    except Exception:
+        # Not every program can be kept: one that calls back into Python, for one.
+        return found
+    cache_folder.write(cache_folder.PROGRAM, key, content)
+    return found
+
+
+def _packed(found: _Found) -> tuple[bytes, int, int, Any]:
+    program, given, taken = serialize_executable.serialize(found.program)
+    whole = jax.tree.unflatten(found.structure, found.leaves)
+    return program, given.num_leaves, taken.num_leaves, whole
+
+
+def _from_disk(key: str) -> _Found | None:
+    content = cache_folder.read(cache_folder.PROGRAM, key)
+    if content is None:
+        return None
+    try:
+        (program, given, taken, whole), lapack, sentences = pickle.load(io.BytesIO(content))
+        dispatch.known_to_xla()
+        if lapack:
+            _begin_lapack()
+        trees = jax.tree.structure(((0,) * given, {})), jax.tree.structure([0] * taken)
+        loaded = serialize_executable.deserialize_and_load(program, *trees)
+    except Exception:
+        # Of another version, or without its kernels: as if it were not there.
+        return None
+    verdicts.SENTENCES.update(sentences)
+    return _Found(loaded, *jax.tree.flatten(whole))
+
+
+@functools.cache
+def _begin_lapack() -> None:
+    """jaxlib finds LAPACK when the first program that calls it is lowered, which one that is loaded
+    is not."""
+    jax.jit(jnp.linalg.cholesky).lower(jnp.eye(2))
+
+
+def compiled_for_kernels(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `equinox.filter_jit`, compiled as what runs `ONCE` if its time loops are kernels, and
+    otherwise `AROUND_A_KERNEL`: XLA then goes through them itself."""
+    soon = compiled_quickly(function, ONCE)
+    return kernels_or(soon, compiled_quickly(function, AROUND_A_KERNEL))
+
+
+def kernels_or(soon: Callable[..., Any], usual: Callable[..., Any]) -> Callable[..., Any]:
+    """A compiled function, and another in its place where its time loops are no kernels."""
+    refused: set[Any] = set()
+
+    @functools.wraps(usual)
+    def call(*arguments):
+        if refused and _kind(arguments) in refused:
+            return usual(*arguments)
+        try:
+            with only_kernels():
+                return soon(*arguments)
+        except NoKernel:
+            refused.add(_kind(arguments))
+        return usual(*arguments)
+
+    return call
+
+
+def _kind(arguments: Any) -> Any:
+    """What of arguments decides which program they are compiled to."""
+    leaves, structure = jax.tree.flatten(arguments)
+    shapes = (jax.typeof(x) if eqx.is_array(x) else x for x in leaves)
+    return structure, tuple(shapes)

@@ -1,0 +1,136 @@
+"""The form of a function's arguments as a text that every process writes alike: what decides which
+program they are compiled to.
+
+Told are trees, node by node, and what nodes hold that are no numbers: texts, whole numbers, classes
+and functions of this package and of the libraries under it. A tree with anything else in it (a
+function or a class of a user, whose code no name tells) has no such text: `Untold` is raised.
+"""
+
+import enum
+import functools
+import hashlib
+import os
+import platform
+import sys
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxclear.native import object_code
+
+# What is told by its name: its version is told beside it.
+LIBRARIES = ("jax", "jaxlib", "numpy", "equinox", "diffrax", "optimistix", "lineax", "jaxlie")
+OWN = ("jaxclear", "builtins", *LIBRARIES)
+# How the names of variables begin that say how programs are compiled.
+VARIABLES = ("JAXCLEAR_PLAIN", "XLA_", "JAX_")
+# Settings of JAX that no program hangs on have one of these in their names.
+APART = ("cache", "log", "explain", "traceback", "dump")
+
+
+class Untold(Exception):
+    """Something of which no text tells all."""
+
+
+def tree_in_text(tree: Any) -> str:
+    """The structure of a tree."""
+    return "".join(_nodes(tree))
+
+
+def _nodes(tree: Any) -> Iterator[str]:
+    data = tree.node_data()
+    if data is None:
+        yield "*"
+        return
+    kind, held = data
+    yield f"{_named(kind)}[{in_text(held)}]("
+    for child in tree.children():
+        yield from _nodes(child)
+        yield ","
+    yield ")"
+
+
+def in_text(thing: Any) -> str:
+    """A thing that is no number of a program. Raises `Untold`."""
+    if isinstance(thing, enum.Enum):
+        return f"{_named(type(thing))}.{thing.name}"
+    if thing is None or isinstance(thing, (bool, int, float, complex, str, bytes)):
+        return f"{_named(type(thing))}:{thing!r}"
+    if isinstance(thing, type):
+        return _named(thing)
+    if isinstance(thing, slice):
+        return f"slice{in_text((thing.start, thing.stop, thing.step))}"
+    if isinstance(thing, (tuple, list)):
+        return f"{_named(type(thing))}({','.join(map(in_text, thing))})"
+    if isinstance(thing, (set, frozenset)):
+        return f"{_named(type(thing))}({','.join(sorted(map(in_text, thing)))})"
+    if isinstance(thing, dict):
+        pairs = (f"{in_text(key)}={in_text(value)}" for key, value in thing.items())
+        return f"{_named(type(thing))}({','.join(pairs)})"
+    if isinstance(thing, (np.ndarray, np.generic, jax.Array)):
+        return _array(np.asarray(thing))
+    if isinstance(thing, np.dtype):
+        return f"kind {thing.str}"
+    if fields := getattr(type(thing), "__dataclass_fields__", ()):
+        held = (f"{name}={in_text(getattr(thing, name))}" for name in fields)
+        return f"{_named(type(thing))}({','.join(held)})"
+    if callable(thing):
+        return function_in_text(thing)
+    if not getattr(thing, "__dict__", True) or type(thing).__module__.startswith("equinox."):
+        # One of a kind, that holds nothing.
+        return _named(type(thing))
+    raise Untold(type(thing).__name__)
+
+
+def function_in_text(function: Callable) -> str:
+    """A function of a module, by the name under which it, or what is made of it, is there."""
+    name = _named(function)
+    module, path = name.split(":")
+    found: Any = sys.modules.get(module)
+    for part in path.split("."):
+        found = getattr(found, part, None)
+    if found is not function and getattr(found, "__wrapped__", None) is not function:
+        raise Untold(name)
+    return name
+
+
+def _named(thing: Any) -> str:
+    """The name of a class or function of a library."""
+    module, name = getattr(thing, "__module__", None), getattr(thing, "__qualname__", "<")
+    if not isinstance(module, str) or module.partition(".")[0] not in OWN or "<" in name:
+        raise Untold(name)
+    return f"{module}:{name}"
+
+
+def _array(values: np.ndarray) -> str:
+    if values.dtype == object:
+        raise Untold("an array of things")
+    digest = hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
+    return f"array{values.shape}{values.dtype}{digest}"
+
+
+def surroundings() -> str:
+    """All beside its arguments that a program hangs on: versions, the processor, settings."""
+    given = {name: value for name, value in os.environ.items() if name.startswith(VARIABLES)}
+    settings: Any = jax.config
+    names = [name for name in sorted(settings.values) if not any(part in name for part in APART)]
+    told = [(name, str(getattr(settings, name, settings.values[name]))) for name in names]
+    return f"{_installed()}{sorted(given.items())}{told}"
+
+
+@functools.cache
+def _installed() -> str:
+    """Versions, the processor, and of this package's files when they were written: one that is
+    being worked on changes within a version."""
+    versions = [(name, version(name)) for name in LIBRARIES]
+    root = Path(__file__).parents[1]
+    files = []
+    for folder, _, names in os.walk(root):
+        for name in names:
+            if name.endswith(".py"):
+                own = os.stat(os.path.join(folder, name))
+                files.append((os.path.relpath(folder, root), name, own.st_size, own.st_mtime_ns))
+    return f"{versions}{platform.python_version()}{object_code.processor()}{sorted(files)}"

@@ -1,0 +1,87 @@
+"""From LLVM code to machine code in this process, which other processes may find on disk.
+
+What is kept is the object code that LLVM makes of a text, under a key of that text, the processor
+and LLVM's version. Places in memory are filled in as it is loaded: that of the flag which stops all
+kernels, and those of C's functions.
+"""
+
+import functools
+from typing import Any
+
+from jaxclear.ground import cache_folder
+from jaxclear.native import stopping
+
+
+def compiled(text: str) -> Any:
+    """An engine that holds the machine code; the code lives as long as it does."""
+    import llvmlite.binding as llvm
+
+    return _engine(llvm.ObjectFileRef.from_data(_object_code(text)))
+
+
+def compiled_or_kept(text: str) -> tuple[Any, str]:
+    """As `compiled`, from disk where it is there; and the key under which it is there from now
+    on."""
+    key = cache_folder.key_of(text, processor())
+    engine = from_disk(key)
+    if engine is not None:
+        return engine, key
+    import llvmlite.binding as llvm
+
+    code = _object_code(text)
+    cache_folder.write(cache_folder.KERNEL, key, code)
+    return _engine(llvm.ObjectFileRef.from_data(code)), key
+
+
+def from_disk(key: str) -> Any:
+    """An engine that holds what is kept under a key; None where nothing is."""
+    import llvmlite.binding as llvm
+
+    code = cache_folder.read(cache_folder.KERNEL, key)
+    return None if code is None else _engine(llvm.ObjectFileRef.from_data(code))
+
+
+def _object_code(text: str) -> bytes:
+    import llvmlite.binding as llvm
+
+    module, machine = llvm.parse_assembly(text), _target()
+    options = llvm.create_pipeline_tuning_options(speed_level=2)
+    passes = llvm.create_pass_builder(machine, options)
+    passes.getModulePassManager().run(module, passes)
+    return machine.emit_object(module)
+
+
+def _engine(code: Any) -> Any:
+    import llvmlite.binding as llvm
+
+    machine = _target()
+    stopping.place_flag()
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    engine.add_object_file(code)
+    engine.finalize_object()
+    return engine
+
+
+@functools.cache
+def processor() -> str:
+    """The processor, and who writes code for it."""
+    import llvmlite
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    name, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    numbers = llvmlite.__version__, *llvm.llvm_version_info
+    return f"{llvm.get_process_triple()} {name} {features} {numbers}"
+
+
+def _target() -> Any:
+    """LLVM's description of this processor; an engine takes it over, so each needs its own."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    features = llvm.get_host_cpu_features().flatten()
+    target = llvm.Target.from_default_triple()
+    return target.create_target_machine(
+        opt=3, cpu=llvm.get_host_cpu_name(), features=features, jit=True
+    )

@@ -1,0 +1,155 @@
+"""What couplings with play or stiffness, and motors without a body, tell of a run: twist, torque,
+which flank presses."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxclear.components.acting import AbstractStateLoad
+from jaxclear.components.coupling import AbstractForceCoupling
+from jaxclear.formulations.loads_over_step import forces_of_means, impulse_of
+from jaxclear.formulations.model import Instant
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.argument_errors import answering
+from jaxclear.ground.table import as_table
+from jaxclear.multibody.forces import seen_coordinates, states_of
+from jaxclear.multibody.system import coordinate_loads, scale_of
+from jaxclear.multibody.topology import motor_name
+from jaxclear.results.histories import AbstractHistory, driving, measured, of_row, solved
+from jaxclear.results.state_history import StateHistory, check_known, over_time
+
+
+class CouplingHistory(AbstractHistory):
+    """A coupling with play or stiffness: its `twist` (lost motion and wind-up together) with its
+    `rate`, the `torque` that acts against it, and the power `lost` in it [W], where its play is
+    seen (m, m/s, N for a length). `flank`: 1 while the upper one presses, where the twist is
+    largest, -1 while the lower one does, 0 in the gap; 0 throughout without play."""
+
+    twist: Float[Array, " time"] = measured("rad")
+    rate: Float[Array, " time"] = measured("rad/s")
+    torque: Float[Array, " time"] = measured("N m")
+    lost: Float[Array, " time"] = measured("W")
+    flank: Int[Array, " time"] = measured("1")
+
+
+@answering
+def coupling(history: StateHistory, name: str) -> CouplingHistory:
+    """A coupling with play or stiffness over time."""
+    history.check_single()
+    every = history.mechanism.couplings
+    known = [n for n, own in every.items() if own.gives or own.play is not None]
+    check_known(name, known, "coupling with play or stiffness")
+    return _coupling(history, name) if every[name].gives else _seated(history, name)
+
+
+def _seated(history: StateHistory, name: str) -> CouplingHistory:
+    """A coupling whose flanks always press: its twist is half the play to the side that what it
+    transmits asks for, and what its stiffness winds up."""
+    own: Any = history.mechanism.couplings[name]
+    torque = -transmitted(history, name)
+    if name in history.mechanism.topology.couplings:
+        torque = torque * scale_of(history.mechanism, own)
+    play, none = own.play, jnp.zeros_like(torque)
+    flank = jnp.sign(torque)
+    twist = (0.0 if play.middle is None else play.middle) + 0.5 * play.play * flank
+    twist = twist if own.stiffness is None else twist + torque / own.stiffness
+    return CouplingHistory(twist, none, torque, none, flank.astype(int))
+
+
+def switchings(history: StateHistory, name: str) -> Any:
+    """Instants at which another flank of a coupling begins to press, as a pandas table (time [s],
+    from, to), read off a straight line between saving times."""
+    history.check_single()
+    torque, time = np.asarray(coupling(history, name).torque), np.asarray(history.time)
+    flanks = ("lower flank", "upper flank")
+    rows = []
+    for i in range(1, len(time)):
+        before, after = torque[i - 1], torque[i]
+        if before * after < 0:
+            instant = time[i - 1] + (time[i] - time[i - 1]) * before / (before - after)
+            rows.append((instant, flanks[int(before > 0)], flanks[int(after > 0)]))
+    return as_table(rows, columns=["time [s]", "from", "to"])
+
+
+@eqx.filter_jit
+def _coupling(history, name):
+    def one(now: Instant):
+        own = history.formulation.forces(now).pressing[name]
+        flank = jnp.zeros(())
+        if own.torques:
+            upper, lower = own.torques
+            flank = jnp.where(upper > 0, 1.0, 0.0) - jnp.where(lower > 0, 1.0, 0.0)
+        told = own.twist.value, own.twist.rate, own.torque, own.dissipated, flank
+        return tuple(jnp.asarray(each, float) for each in told)
+
+    *numbers, flank = over_time(history, one)
+    return CouplingHistory(*numbers, flank.astype(int))
+
+
+def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
+    """What a coupling transmits, or a drive or a load on a coordinate gives, over time [N m, N]."""
+    mechanism = history.mechanism
+    loads = [n for n, x in mechanism.loads.items() if isinstance(x, AbstractStateLoad)]
+    known = (*mechanism.couplings, *mechanism.driven, *loads)
+    check_known(name, known, "coupling, driven joint or load on a coordinate")
+    if name in loads and name not in (*mechanism.couplings, *mechanism.driven):
+        return _of_load(history, name)
+    if name not in mechanism.couplings:
+        return driving(history, name)
+    return (of_row if name in mechanism.topology.couplings else _given)(history, name)
+
+
+@eqx.filter_jit
+def _of_load(history: StateHistory, name: str) -> Float[Array, " time"]:
+    """What a load gives along its first coordinate [N m, N]; one whose force steps find as its mean
+    over each saving interval."""
+
+    def one(now: Instant):
+        found, load = forces_of_means(now), now.model.system.loads[name]
+        if impulse_of(name) in found:
+            return jnp.asarray(found[impulse_of(name)], float)
+        seen = seen_coordinates(now.model.system, now.motions, load, now.followed)
+        effect = load.effect(now.time, *seen, states_of(name, load, now.followed))
+        return jnp.asarray(effect.forces[0], float)
+
+    return over_time(history, one)
+
+
+@eqx.filter_jit
+def _given(history: StateHistory, name: str) -> Float[Array, " time"]:
+    """What a coupling that is no row transmits [N m, N]: of one with play or stiffness that on its
+    first coordinate; of a motor that turns with a joint what it gives this."""
+
+    def one(now: Instant):
+        own = history.mechanism.couplings[name]
+        if isinstance(own, AbstractForceCoupling):
+            system = now.model.system
+            seen = seen_coordinates(system, now.motions, own, now.followed)
+            states = states_of(name, own, now.followed)
+            return jnp.asarray(own.transmitted(own.effect(now.time, *seen, states)), float)
+        if own.gives:
+            return -jnp.asarray(history.formulation.forces(now).pressing[name].torque, float)
+        return _geared(history, now, name)
+
+    return over_time(history, one)
+
+
+def _geared(history: StateHistory, now: Instant, name: str) -> Any:
+    """The torque on the joint: what loads on the motor leave of its inertia."""
+    system, _, solution = solved(history, now)
+    motor = motor_name(name)
+    own = system.geared[motor]
+    branch = system.topology.branch_of(own.joint)
+    index = system.topology.branches.index(branch)
+    faster = own.ratio * solution.accelerations[index][0]
+    own_motor: Any = history.mechanism.couplings[name].motor
+    force = -own_motor.inertia * faster
+    for label, load in coordinate_loads(system):
+        if motor in load.coordinates():
+            seen = seen_coordinates(system, now.motions, load, now.followed)
+            acts = load.effect(now.time, *seen, states_of(label, load, now.followed))
+            force = sp.add(force, acts.forces[load.coordinates().index(motor)])
+    return jnp.asarray(own.ratio * force, float)

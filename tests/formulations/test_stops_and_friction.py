@@ -1,0 +1,315 @@
+"""Stops and dry friction on coordinates, and play with rigid flanks: closed forms, in every kind of
+step."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.laws.rebound import damping_ratio_of, restitution_of
+
+MASS, SPEED, GRAVITY = 2.0, 1.5, 10.0
+RIGID = jc.integrator.MoreauJean(1e-4)
+PERMANENT = jc.integrator.NonColliding(1e-3)
+
+
+def slide(*loads, speed=SPEED, start=-0.1, pull=0.0):
+    """A mass on a slide, 0.1 m before 0."""
+    return jc.Mechanism(
+        {"mass": jc.Body(MASS, 1e-3)},
+        {"slide": jc.Connection(jc.joint.Prismatic(), "ground", "mass", axis="x")},
+        {type(load).__name__: load for load in loads} | {"pull": jc.load.Gravity((pull, 0.0))},
+        start={"slide": start},
+        speeds={"slide": speed},
+    )
+
+
+def ran(rig, duration, integrator=RIGID, save=101):
+    return jc.simulate(rig, duration, save=save, integrator=integrator, balance=True, verify=False)
+
+
+def test_bounces_on_a_rigid_stop_end_with_the_geometric_series_of_their_times():
+    """t = t_1 + 2 e v / (g (1 - e)); the stop then carries the weight."""
+    share = 0.5
+    stop = jc.load.JointStop("slide", upper=0.0, restitution=share)
+    first = np.sqrt(2 * 0.1 / GRAVITY)
+    end = first + 2 * share * GRAVITY * first / (GRAVITY * (1 - share))
+    run = ran(slide(stop, speed=0.0, pull=GRAVITY), 0.6, save=601)
+    place, time = np.asarray(run.coordinate("slide")), np.asarray(run.time)
+    # An instant is off by a step of each bounce, their speeds by as much.
+    highest = [place[(time > a) & (time < b)].min() for a, b in ((0.15, 0.27), (0.28, 0.34))]
+    np.testing.assert_allclose(highest, [-0.1 * share**2, -0.1 * share**4], rtol=0.01)
+    assert np.abs(place[time > end + 0.005]).max() < 1e-6
+    assert place[time < end - 0.03][-1] < -1e-4
+    np.testing.assert_allclose(np.asarray(run.transmitted("JointStop"))[-1], -MASS * GRAVITY)
+    balance = run.energy_balance()
+    np.testing.assert_allclose(balance.damping_loss[-1], MASS * GRAVITY * 0.1, rtol=1e-4)
+    assert np.abs(balance.error).max() < 1e-10
+
+
+def test_what_runs_into_a_stop_in_permanent_contact_stays_there():
+    stop = jc.load.JointStop("slide", upper=0.0, restitution=0.5)
+    run = ran(slide(stop, speed=0.0, pull=GRAVITY), 0.6, PERMANENT, save=601)
+    place, time = np.asarray(run.coordinate("slide")), np.asarray(run.time)
+    landed = time > np.sqrt(2 * 0.1 / GRAVITY) + 1e-3
+    np.testing.assert_allclose(place[landed], 0.0, atol=1e-15)
+    np.testing.assert_allclose(place[~landed][:-2], -0.1 + 5 * time[~landed][:-2] ** 2, atol=1e-9)
+    np.testing.assert_allclose(np.asarray(run.transmitted("JointStop"))[-1], -MASS * GRAVITY)
+    assert np.abs(run.energy_balance().error).max() < 1e-12
+
+
+@pytest.mark.parametrize("integrator", [RIGID, PERMANENT], ids=["rigid", "permanent"])
+@pytest.mark.parametrize("stiffness", [1e5, 1e12])
+def test_a_stiff_stop_is_rigid_where_steps_do_not_follow_its_spring(integrator, stiffness):
+    """It gives way by its load over its stiffness at rest, or by less than a step's fall."""
+    damping = 2 * np.sqrt(stiffness * MASS)
+    stop = jc.load.JointStop("slide", upper=0.0, stiffness=stiffness, damping=damping)
+    run = ran(slide(stop, speed=0.5, pull=GRAVITY), 1.0, integrator)
+    assert run.succeeded
+    way = MASS * GRAVITY / stiffness
+    h = float(integrator.step)
+    np.testing.assert_allclose(
+        np.asarray(run.coordinate("slide"))[-1], way, atol=max(GRAVITY * h * h, 1e-3 * way)
+    )
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.9])
+@pytest.mark.parametrize("stiffness", [1e5, 1e7])
+def test_a_springy_stop_gives_back_the_share_it_is_asked_for(share, stiffness):
+    """Whatever its stiffness, and whatever turns with the coordinate."""
+    stop = jc.load.JointStop("slide", upper=0.0, restitution=share, stiffness=stiffness)
+    rig = slide(stop, jc.load.RotorInertia("slide", 3.0))
+    run = ran(rig, 0.2, jc.integrator.Adaptive(), save=3)
+    np.testing.assert_allclose(np.asarray(run.speed("slide"))[-1], -share * SPEED, rtol=1e-4)
+
+
+@pytest.mark.parametrize("ratio", [0.01, 0.3, 1.0, 4.0])
+def test_restitution_of_a_bounded_damper_is_that_of_its_equation(ratio):
+    """x'' = -clip(x + 2 zeta x', 0, 2 x) from x = 0, x' = 1, in short steps."""
+    found = ran(
+        slide(
+            jc.load.JointStop(
+                "slide", upper=0.0, stiffness=MASS * 1e4, damping=2 * ratio * MASS * 100.0
+            )
+        ),
+        0.25,
+        jc.integrator.FixedStep(1e-5),
+        save=3,
+    )
+    share = -np.asarray(found.speed("slide"))[-1] / SPEED
+    np.testing.assert_allclose(float(restitution_of(ratio)), share, rtol=1e-3)
+    np.testing.assert_allclose(float(damping_ratio_of(restitution_of(ratio))), ratio, rtol=2e-6)
+
+
+def test_derivatives_pass_through_the_bounces_of_a_rigid_stop():
+    """Behind the first bounce q = e (v t - a), a the way there: dq/dv = -e (t - a / v) + ..."""
+    stop = jc.load.JointStop("slide", upper=0.0, restitution=0.5)
+
+    def end(speed):
+        run = jc.simulate(
+            slide(stop, speed=speed),
+            0.12,
+            save=3,
+            integrator=jc.integrator.MoreauJean(1e-5),
+            throw=False,
+            verify=False,
+        )
+        return run.coordinate("slide")[-1]
+
+    place, slope = jax.jvp(end, (jnp.asarray(SPEED),), (jnp.ones(()),))
+    np.testing.assert_allclose(place, -0.5 * (SPEED * 0.12 - 0.1), rtol=1e-3)
+    np.testing.assert_allclose(slope, -0.5 * 0.12, rtol=1e-3)
+
+
+HOLDING = {
+    # Accuracy of the place beside what rigid friction gives, from where friction holds or slides.
+    "rigid": (jc.integrator.MoreauJean(1e-3), 1e-12),
+    "permanent": (PERMANENT, 1e-7),
+    "compliant": (jc.integrator.Adaptive(), 2e-4),
+}
+
+
+@pytest.mark.parametrize("kind", HOLDING)
+def test_friction_holds_under_a_ramp_and_breaks_away_at_its_torque(kind):
+    """5 N of friction under 2 t N: at rest up to 2.5 s, then m q'' = 2 t - 5."""
+    integrator, accuracy = HOLDING[kind]
+    ramp = jc.load.JointTorque("slide", lambda t: 2.0 * t)
+    rig = slide(jc.load.JointFriction("slide", 5.0), ramp, speed=0.0)
+    run = ran(rig, 3.5, integrator, save=36)
+    time = np.asarray(run.time)
+    way = np.asarray(run.coordinate("slide")) + 0.1
+    slid = np.maximum(time - 2.5, 0.0)
+    np.testing.assert_allclose(way, slid**3 / (3 * MASS), atol=max(accuracy, 5e-4))
+    np.testing.assert_allclose(way[time < 2.4], 0.0, atol=accuracy)
+    held = -np.asarray(run.transmitted("JointFriction"))
+    at = time - 0.05 if kind != "compliant" else time
+    np.testing.assert_allclose(held[1:24], 2.0 * at[1:24], atol=0.01)
+    np.testing.assert_allclose(held[-1], 5.0, rtol=1e-9)
+    assert np.abs(run.energy_balance().error).max() < 1e-5
+
+
+def test_friction_with_a_transition_speed_creeps_in_every_step():
+    friction = jc.load.JointFriction("slide", 5.0, 1e-2)
+    rig = slide(friction, jc.load.JointTorque("slide", 2.5), speed=0.0)
+    for integrator in (RIGID, PERMANENT, jc.integrator.Adaptive()):
+        speed = np.asarray(ran(rig, 1.0, integrator, save=3).speed("slide"))[-1]
+        np.testing.assert_allclose(speed, 1e-2 * np.arctanh(0.5), rtol=1e-4)
+
+
+TWO = {"inertias": (0.02, 0.05), "half": 2e-3, "damping": 0.3, "torque": (2.0, 30.0)}
+
+
+def two_masses(play, *loads, stiffness=None, damping=None, speed=0.0):
+    """A motor and its load, with play between them; the motor is shaken, or as the loads say."""
+    motor, load = TWO["inertias"]
+    size, rate = TWO["torque"]
+    shaken = (
+        jc.load.JointTorque("motor", lambda t: size * jnp.sin(rate * t)),
+        jc.load.JointSpring("motor", damping=TWO["damping"]),
+    )
+    turning = jc.joint.Revolute()
+    return jc.Mechanism(
+        {"rotor": jc.Body(1.0, motor), "wheel": jc.Body(1.0, load)},
+        {
+            "motor": jc.Connection(turning, "ground", "rotor"),
+            "load": jc.Connection(turning, "ground", "wheel"),
+        },
+        {f"load {i}": own for i, own in enumerate(loads or shaken)},
+        couplings={
+            "gear": jc.coupling.Ratio(
+                "load", "motor", 1.0, play=play, stiffness=stiffness, damping=damping
+            )
+        },
+        speeds={"motor": speed},
+    )
+
+
+# Angles of motor and load at these times [s], for flanks that keep this share of their speed: own
+# computation, event by event, pieces by matrix exponential (numpy, scipy; other scans of the
+# instants move them by 1e-13).
+FLANKS = {
+    0.0: (
+        0.8,
+        [
+            0.0,
+            0.08594771987,
+            0.14056215521,
+            0.16406499026,
+            0.20558275251,
+            0.19286391411,
+            0.23700309132,
+            0.20179807409,
+            0.2529810832,
+        ],
+        [
+            0.0,
+            0.08396505309,
+            0.14256215521,
+            0.16206499026,
+            0.20758275251,
+            0.19086391411,
+            0.23900309132,
+            0.19979807409,
+            0.2549810832,
+        ],
+    ),
+    0.7: (
+        0.3,
+        [
+            0.0,
+            0.01002809819,
+            0.04763101249,
+            0.10399490313,
+            0.14370267019,
+            0.1461589654,
+            0.13020952218,
+            0.13091224458,
+            0.16408290134,
+        ],
+        [
+            0.0,
+            0.00802809819,
+            0.04563101249,
+            0.10383400005,
+            0.14570267019,
+            0.1481589654,
+            0.12941176555,
+            0.12891224458,
+            0.16208290134,
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("share", FLANKS)
+def test_rigid_flanks_meet_as_exact_ones(share):
+    """To the first order of the steps: impacts are taken up to a step late."""
+    duration, motor, load = FLANKS[share]
+    play = jc.clearance.Backlash(2 * TWO["half"], restitution=share)
+    rig = two_masses(play, stiffness=1e5, damping=10.0, speed=0.2)
+    run = ran(rig, duration, jc.integrator.MoreauJean(1e-5), save=len(motor))
+    np.testing.assert_allclose(run.coordinate("motor"), motor, atol=1e-5)
+    np.testing.assert_allclose(run.coordinate("load"), load, atol=1e-5)
+    gear = run.coupling("gear")
+    assert np.abs(gear.twist).max() < TWO["half"] + 1e-6
+    assert set(np.asarray(gear.flank)[1:]) <= {-1, 0, 1}
+    assert np.abs(run.energy_balance().error).max() < 1e-5
+
+
+REVERSING = {
+    "compliant": (jc.integrator.Adaptive(rtol=1e-7, atol=1e-10), {}, 2e-5),
+    "rigid": (jc.integrator.MoreauJean(2e-4), {}, 1e-3),
+    "permanent": (PERMANENT, {}, 2e-6),
+}
+
+
+@pytest.mark.parametrize("kind", REVERSING)
+def test_reversal_value_of_a_load_held_by_friction_is_play_and_wind_up(kind):
+    """2 b + 2 t / k, with a servo that sees the motor."""
+    integrator, _, accuracy = REVERSING[kind]
+    stiffness, torque = 500.0, 0.4
+    play = jc.clearance.Backlash(2 * TWO["half"])
+    to_and_fro = jc.load.Servo(
+        "motor", lambda t: 0.05 * jnp.sin(0.5 * jnp.pi * t), kp=2000.0, kd=20.0
+    )
+    friction = jc.load.JointFriction("load", torque)
+    rig = two_masses(play, to_and_fro, friction, stiffness=stiffness, damping=1.0)
+    run = ran(rig, 8.0, integrator, save=801)
+    if kind == "permanent":
+        twist = np.asarray(run.coupling("gear").twist)
+    else:
+        twist = np.asarray(run.coordinate("load") - run.coordinate("motor"))
+    lost = twist[600] - twist[400]
+    np.testing.assert_allclose(lost, 2 * TWO["half"] + 2 * torque / stiffness, rtol=accuracy)
+    np.testing.assert_allclose(np.abs(run.transmitted("load 1")).max(), torque, rtol=1e-6)
+
+
+def test_another_flank_presses_where_what_is_transmitted_turns_round():
+    play = jc.clearance.Backlash(2 * TWO["half"])
+    run = ran(two_masses(play, stiffness=1e5, damping=10.0), 1.0, PERMANENT, save=1001)
+    gear, table = run.coupling("gear"), run.switchings("gear")
+    np.testing.assert_allclose(np.asarray(run.coordinate("load") - run.coordinate("motor")), 0.0)
+    sides = np.asarray(gear.twist)[1:] - np.asarray(gear.torque)[1:] / 1e5
+    np.testing.assert_allclose(np.abs(sides), TWO["half"])
+    turned = np.flatnonzero(np.diff(np.sign(np.asarray(gear.torque)[1:])))
+    assert len(table) == len(turned) > 5
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: jc.load.JointStop("slide", upper=0.0), "needs restitution"),
+        (
+            lambda: ran(
+                slide(jc.load.JointStop("slide", upper=0.0, restitution=0.5)),
+                0.1,
+                jc.integrator.Adaptive(),
+            ),
+            'load "JointStop" is a JointStop without stiffness, which is rigid',
+        ),
+    ],
+)
+def test_what_is_missing_is_said(make, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        make()

@@ -1,0 +1,379 @@
+"""Play, stiffness and motors of couplings: against the exact motion of two masses, and laws."""
+
+import json
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear import Scalar, quantity
+
+REFERENCE = json.loads(
+    (Path(__file__).parents[1] / "refdata/play_between_two_masses.json").read_text()
+)
+LAWS = {"stop": jc.flank.Stop(), "nordin": jc.flank.Nordin()}
+TIGHT = jc.integrator.Adaptive(rtol=1e-12, atol=1e-13)
+TURN = jc.joint.Revolute()
+
+
+def one_arm(loads=None, couplings=None, **more):
+    bodies = {"load": jc.Body(1.0, more.pop("inertia", 0.05))}
+    joints = {"L": jc.Connection(TURN, "ground", "load")}
+    return jc.Mechanism(bodies, joints, loads or {}, couplings=couplings or {}, **more)
+
+
+def two_masses(case, half=None, motor=True):
+    """The reference's motor and load; the motor a body of its own where it is no `Motor`."""
+    own = REFERENCE[case]["parameters"]
+    half = own["b"] if half is None else half
+    play = jc.clearance.Backlash(2 * half, law=LAWS[own["law"]])
+    more = {"play": play, "stiffness": own["k"], "damping": own["d"]}
+    turning, rate = own["motor"][1], own["rate"]
+    name = "G.motor" if motor else "M"
+    loads = {
+        "motor": jc.load.JointTorque(name, lambda t: turning * jnp.sin(rate * t)),
+        "damper": jc.load.JointSpring(name, damping=own["kd"]),
+    }
+    start = {"speeds": {name: REFERENCE[case]["start"]["motor_speed"], "L": 0.0}}
+    if motor:
+        gear = jc.coupling.Gear(jc.coupling.Motor(own["Jm"]), "L", 1.0, **more)
+        return one_arm(loads, {"G": gear}, inertia=own["Jl"], **start)
+    bodies = {"load": jc.Body(1.0, own["Jl"]), "motor": jc.Body(1.0, own["Jm"])}
+    joints = {n: jc.Connection(TURN, "ground", b) for n, b in (("L", "load"), ("M", "motor"))}
+    couplings = {"G": jc.coupling.Ratio("L", "M", 1.0, **more)}
+    return jc.Mechanism(bodies, joints, loads, couplings=couplings, **start)
+
+
+def missed(run, case, motor="G.motor"):
+    """By how much places and speeds are off, each beside nothing [rad, rad/s]."""
+    known = REFERENCE[case]
+    parts = ((run.coordinate, "motor", "load"), (run.speed, "motor_speed", "load_speed"))
+    return [
+        max(
+            np.max(np.abs(np.asarray(read(name)) - known[key]))
+            for name, key in ((motor, first), ("L", second))
+        )
+        for read, first, second in parts
+    ]
+
+
+@pytest.mark.parametrize("case", LAWS)
+def test_two_masses_move_exactly(case):
+    known = REFERENCE[case]
+    save = jc.Saving(np.array(known["time"]), events=20)
+    run = jc.simulate(two_masses(case), known["time"][-1], save=save, integrator=TIGHT)
+    assert max(missed(run, case)) < 1e-9
+    touches = run.events("G")
+    touches = touches[touches["event"] == "touch"]["time [s]"].to_numpy()
+    np.testing.assert_allclose(touches, known["touch_times"], rtol=0, atol=1e-9)
+    usual = jc.simulate(two_masses(case), known["time"][-1], save=np.array(known["time"]))
+    assert max(missed(usual, case)) < 1e-6
+
+
+@pytest.mark.parametrize("case", LAWS)
+def test_a_motor_moves_as_a_body_on_its_axis_does(case):
+    known = REFERENCE[case]
+    rig, times = two_masses(case, motor=False), np.array(known["time"])
+    assert max(missed(jc.simulate(rig, times[-1], save=times), case, "M")) < 1e-6
+
+
+@pytest.mark.parametrize("case", LAWS)
+@pytest.mark.parametrize("step", [jc.integrator.FixedStep(2e-5), jc.integrator.ImplicitStep(2e-5)])
+def test_fixed_steps_meet_it(case, step):
+    known = REFERENCE[case]
+    run = jc.simulate(
+        two_masses(case), known["time"][-1], save=np.array(known["time"]), integrator=step
+    )
+    # of order 1 in the steps in which a flank is met
+    places, speeds = missed(run, case)
+    assert places < 1e-6 and speeds < 2e-4
+
+
+def test_slope_by_the_play_is_that_of_the_motion():
+    known = REFERENCE["stop"]
+
+    def end(half):
+        run = jc.simulate(
+            two_masses("stop", half), known["time"][-1], save=2, integrator=TIGHT, throw=False
+        )
+        return jnp.stack([run.coordinate("G.motor")[-1], run.coordinate("L")[-1]])
+
+    found = jax.jacfwd(end)(known["parameters"]["b"])
+    np.testing.assert_allclose(found, known["slope"], rtol=0, atol=known["slope_disagreement"])
+
+
+class LoadServo(jc.load.AbstractStateLoad):
+    """Torque on a motor by the place of the load and the motor's own speed."""
+
+    kp: Scalar = quantity(unit="N m/rad", meaning="gain on the place")
+    kd: Scalar = quantity(unit="N m s/rad", meaning="gain on the speed")
+
+    def coordinates(self):
+        return ("G.motor", "L")
+
+    def states(self):
+        return ()
+
+    def effect(self, time, positions, speeds, states):
+        torque = -self.kp * positions[1] - self.kd * speeds[0]
+        return jc.load.CoordinateEffect((torque, 0.0), (), 0.0, 0.0, torque * speeds[0])
+
+
+def test_a_servo_hunts_in_its_play_with_the_known_period():
+    known = REFERENCE["hunting"]
+    own, state = known["parameters"], known["state"]
+    play = jc.clearance.Backlash(2 * own["b"], law=jc.flank.Stop())
+    gear = jc.coupling.Gear(
+        jc.coupling.Motor(own["Jm"]), "L", 1.0, play=play, stiffness=own["k"], damping=own["d"]
+    )
+    rig = one_arm(
+        {"servo": LoadServo(own["kp"], own["kd"])},
+        {"G": gear},
+        inertia=own["Jl"],
+        start={"G.motor": state["motor"], "L": state["motor"] + own["b"]},
+        speeds={"G.motor": state["motor_speed"], "L": state["load_speed"]},
+    )
+    period = known["period"]
+    run = jc.simulate(rig, 3 * period, save=jc.Saving(1501, events=10), integrator=TIGHT)
+    found = run.events("G")
+    upper = found[(found["event"] == "touch") & (found["contact"] == "upper")]["time [s]"]
+    # it touches three times before it stays
+    upper = upper.to_numpy()
+    np.testing.assert_allclose(upper[3:] - upper[:-3], period, rtol=1e-6)
+    for name, key in (("G.motor", "amplitude_motor"), ("L", "amplitude_load")):
+        places = np.asarray(run.coordinate(name))[-501:]
+        # between saving times a peak hides (pi / 500)^2 / 2 of itself at most
+        assert 0.5 * np.ptp(places) == pytest.approx(known[key], rel=3e-5)
+
+
+def driven_arm(coupling, load="G.motor"):
+    return one_arm({"T": jc.load.JointTorque(load, lambda t: 0.2 * jnp.sin(9 * t))}, coupling)
+
+
+def test_a_rigid_motor_is_its_inertia_times_the_ratio_squared():
+    ratio, inertia = 7.0, 3e-4
+    gear = jc.coupling.Gear(jc.coupling.Motor(inertia), "L", ratio)
+    rig = driven_arm({"L": gear}, "L.motor")
+    assert rig.topology.coordinate_count == 1 and not rig.topology.loops
+    told = one_arm(
+        {
+            "T": jc.load.JointTorque("L", lambda t: ratio * 0.2 * jnp.sin(9 * t)),
+            "rotor": jc.load.RotorInertia("L", ratio**2 * inertia),
+        }
+    )
+    step = jc.integrator.FixedStep(1e-3)
+    one, other = (jc.simulate(m, 1.0, save=11, integrator=step, balance=True) for m in (rig, told))
+    np.testing.assert_allclose(one.coordinate("L"), other.coordinate("L"), rtol=1e-12, atol=1e-15)
+    turned = np.asarray(one.coordinate("L.motor"))
+    np.testing.assert_allclose(turned, ratio * np.asarray(one.coordinate("L")), rtol=1e-14)
+    kinetic = np.asarray(one.energy_balance().kinetic)
+    np.testing.assert_allclose(kinetic, other.energy_balance().kinetic, rtol=1e-12, atol=1e-18)
+    # what the gear gives moves the load alone
+    given = np.asarray(one.transmitted("L"))
+    share = 0.05 / (0.05 + ratio**2 * inertia)
+    wanted = share * ratio * 0.2 * np.sin(9 * np.asarray(one.time))
+    np.testing.assert_allclose(given, wanted, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "coupling, ratio",
+    [
+        (lambda m, **k: jc.coupling.Gear(m, "L", 5.0, **k), 5.0),
+        (lambda m, **k: jc.coupling.Belt(m, "L", 0.02, 0.1, **k), 5.0),
+        (lambda m, **k: jc.coupling.Belt(m, "L", 0.02, 0.1, crossed=True, **k), -5.0),
+        (lambda m, **k: jc.coupling.Ratio("L", m, 0.2, **k), 5.0),
+        (lambda m, **k: jc.coupling.Ratio(m, "L", 5.0, **k), 5.0),
+        (lambda m, **k: jc.coupling.Rack(m, "L", 0.2, **k), 5.0),
+    ],
+)
+def test_what_is_stiff_moves_as_what_is_rigid(coupling, ratio):
+    motor = jc.coupling.Motor(1e-3)
+    rigid = jc.simulate(driven_arm({"G": coupling(motor)}), 0.5, save=11)
+    assert np.asarray(rigid.coordinate("G.motor")) == pytest.approx(
+        ratio * np.asarray(rigid.coordinate("L")), rel=1e-12
+    )
+    off = []
+    for stiffness in (1e3, 1e4):
+        rig = driven_arm({"G": coupling(motor, stiffness=stiffness, damping=0.3)})
+        run = jc.simulate(rig, 0.5, save=11)
+        off.append(np.max(np.abs(np.asarray(run.coordinate("L") - rigid.coordinate("L")))))
+    # wind-up falls with the stiffness
+    assert off[1] < 0.2 * off[0] < 1e-3
+
+
+def test_less_play_is_less_lost_motion():
+    """The way that is lost falls in proportion to the play."""
+    ways = []
+    for play in (4e-3, 2e-3, 1e-3):
+        gear = jc.coupling.Gear(
+            jc.coupling.Motor(1e-3), "L", 5.0, play=play, stiffness=1e5, damping=30.0
+        )
+        run = jc.simulate(driven_arm({"G": gear}), 1.0, save=301)
+        twist = np.asarray(run.coupling("G").twist)
+        ways.append(np.ptp(twist))
+    np.testing.assert_allclose(ways, [4e-3, 2e-3, 1e-3], rtol=0.03)
+
+
+@pytest.mark.parametrize("law", [jc.flank.Nordin, jc.flank.Stop, jc.flank.ElastoBacklash])
+def test_the_energy_balance_closes(law):
+    play = jc.clearance.Backlash(4e-3, middle=1e-3, law=law())
+    gear = jc.coupling.Gear(
+        jc.coupling.Motor(1e-3), "L", 3.0, play=play, stiffness=800.0, damping=0.4
+    )
+    run = jc.simulate(driven_arm({"G": gear}), 1.0, save=21, balance=True, integrator=TIGHT)
+    energy = run.energy_balance()
+    assert np.max(np.asarray(energy.damping_loss)) > 1e-4
+    assert np.all(np.diff(np.asarray(energy.damping_loss)) > -1e-9)
+    # energies follow a motion that is held; that of a spring which the other part leaves ends in a
+    # kink within a step
+    allowed = 1e-9 if law is jc.flank.Nordin else 1e-5
+    assert np.max(np.abs(np.asarray(energy.error))) < allowed
+
+
+def wheels(**more):
+    """Two wheels, the second held, a torque on the first."""
+    held = jc.joint.Revolute(jc.drive.Held(0.0))
+    bodies = {"a": jc.Body(0.1, 1e-4), "b": jc.Body(0.2, 4e-4)}
+    joints = {
+        "A": jc.Connection(TURN, "ground", "a"),
+        "B": jc.Connection(held, jc.Marker("ground", (0.09, 0.0)), jc.Marker("b")),
+    }
+    loads = {
+        "T": jc.load.JointTorque("A", 0.3),
+        "rest": jc.load.JointSpring("A", damping=0.05),
+    }
+    gear = jc.coupling.Gear("A", "B", 2.0, **more)
+    return jc.Mechanism(bodies, joints, loads, couplings={"mesh": gear})
+
+
+def test_wheels_wind_up_by_torque_and_play():
+    """At rest: torque on b over the stiffness, and half the play, both seen at b; the force acts at
+    the pitch point."""
+    rig = wheels(play=jc.clearance.Backlash(2e-3), stiffness=500.0, damping=2.0)
+    run = jc.simulate(rig, 3.0, save=3)
+    ratio, torque = 2.0, 0.3
+    wanted = ratio * (ratio * torque / 500.0 + 1e-3)
+    assert float(run.coordinate("A")[-1]) == pytest.approx(wanted, rel=1e-6)
+    assert abs(float(run.coupling("mesh").torque[-1])) == pytest.approx(ratio * torque, rel=1e-6)
+    radius = 0.09 / 3
+    force = np.asarray(run.reaction("mesh").force)[-1]
+    assert np.linalg.norm(force) == pytest.approx(torque / radius, rel=1e-6)
+    bearing = np.asarray(run.reaction("A").force)[-1]
+    assert np.linalg.norm(bearing) == pytest.approx(torque / radius, rel=1e-6)
+
+
+class Integrating(jc.load.AbstractStateLoad):
+    """A torque that is what a coordinate has gathered over time, times a gain."""
+
+    joint: str = eqx.field(static=True)
+    gain: Scalar = quantity(unit="N m/(rad s)", meaning="gain")
+
+    def coordinates(self):
+        return (self.joint,)
+
+    def states(self):
+        return (jc.load.LoadState("sum", "rad s", 0.5),)
+
+    def effect(self, time, positions, speeds, states):
+        force = -self.gain * states[0]
+        return jc.load.CoordinateEffect((force,), (positions[0],), 0.0, 0.0, force * speeds[0])
+
+
+@pytest.mark.parametrize(
+    "integrator, off",
+    [
+        (jc.integrator.Adaptive(), 1e-6),
+        (jc.integrator.FixedStep(1e-3), 1e-9),
+        (jc.integrator.ImplicitStep(1e-3), 1e-3),
+        (jc.integrator.MoreauJean(1e-3), 1e-2),
+        (jc.integrator.NonColliding(1e-3), 1e-2),
+    ],
+)
+def test_a_load_with_a_state_is_carried_by_every_integrator(integrator, off):
+    """J q'' = -g y, y' = q: y''' = -(g / J) y."""
+    gain = 0.4
+    rig = one_arm({"I": Integrating("L", gain)}, start={"L": 0.1}, speeds={"L": 0.0})
+    run = jc.simulate(rig, 0.8, save=5, integrator=integrator)
+    system = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-gain / 0.05, 0.0, 0.0]])
+    values, vectors = np.linalg.eig(system)
+    shares = np.linalg.solve(vectors, np.array([0.5, 0.1, 0.0]))
+    moved = ((vectors * shares) @ np.exp(np.outer(values, np.asarray(run.time)))).real
+    np.testing.assert_allclose(run.coordinate("L"), moved[1], rtol=0, atol=off)
+    # a run goes on where it has ended, its states too
+    half = jc.simulate(rig, 0.4, save=3, integrator=integrator)
+    on = jc.simulate(rig, 0.4, save=3, integrator=integrator, state=half.state())
+    np.testing.assert_allclose(on.coordinate("L")[-1], moved[1][-1], rtol=0, atol=off)
+
+
+def test_motors_are_coordinates_and_no_bodies():
+    rig = two_masses("nordin")
+    assert tuple(rig.bodies) == ("load",)
+    told = rig.parameters()
+    assert 'couplings["G"].a.inertia' in set(told["name"])
+    assert "Motor" in str(rig) and "Nordin" in str(rig)
+    run = jc.simulate(rig, 0.1, save=5)
+    data = run.to_dataset()
+    assert data["G"].twist.shape == (5,) and data["G.motor"].coordinate.shape == (5,)
+    assert "motor" not in data and "load" in data
+    with pytest.raises(ValueError, match="no coupling"):
+        run.coupling("L")
+
+
+def test_scenes_keep_their_play(tmp_path):
+    gear = jc.coupling.Gear(
+        jc.coupling.Motor(1e-3), "L", 3.0, play=1e-3, stiffness=9.0, damping=1.0
+    )
+    rig = one_arm(couplings={"G": gear})
+    jc.write_scene(jc.Scene(rig, 1.0), tmp_path / "arm.yaml")
+    again = jc.read_scene(tmp_path / "arm.yaml").mechanism
+    assert jax.tree.structure(again) == jax.tree.structure(rig)
+    assert eqx.tree_equal(again.couplings["G"], gear)
+
+
+MOTOR = jc.coupling.Motor
+
+
+@pytest.mark.parametrize(
+    "build, says",
+    [
+        (lambda: jc.clearance.Backlash(-1e-3), "play = -0.001"),
+        (lambda: MOTOR(0.0), "inertia = 0"),
+        (lambda: jc.coupling.Gear(MOTOR(1.0), MOTOR(1.0), 2.0), "more than one of its ends"),
+        (lambda: jc.coupling.Gear("A", "B", 2.0, damping=1.0), "neither stiffness nor play"),
+        (lambda: jc.coupling.Hold("L"), "neither play nor stiffness"),
+        (
+            lambda: jc.coupling.Gear(MOTOR(1.0), "L", 2.0, pressure_angle=0.3),
+            "no body that teeth",
+        ),
+        (
+            lambda: one_arm(couplings={"L": jc.coupling.Hold("L", stiffness=1.0)}),
+            "a coupling and a joint",
+        ),
+        (
+            lambda: one_arm({"T": jc.load.JointTorque("G.motor", 1.0)}),
+            'no joint "G.motor"',
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused(build, says):
+    with pytest.raises(ValueError, match=says):
+        build()
+
+
+@pytest.mark.parametrize(
+    "integrator, more, says",
+    [
+        (jc.integrator.Adaptive(), {}, "without stiffness"),
+        (jc.integrator.Adaptive(), {"stiffness": 9.0}, "give damping, or take flank.Stop"),
+        (jc.integrator.MoreauJean(1e-3), {"stiffness": 9.0}, "knows no flanks"),
+        (jc.integrator.NonColliding(1e-3), {"stiffness": 9.0}, "knows no flanks"),
+    ],
+)
+def test_flanks_that_an_integrator_cannot_serve_are_refused(integrator, more, says):
+    gear = jc.coupling.Gear(MOTOR(1e-3), "L", 3.0, play=1e-3, **more)
+    with pytest.raises(ValueError, match=says):
+        jc.simulate(one_arm(couplings={"G": gear}), 0.1, integrator=integrator)

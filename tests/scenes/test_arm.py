@@ -1,0 +1,112 @@
+"""The robot arm: its numbers beside those of the file and of another program, and its path."""
+
+import importlib.metadata
+import json
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.scenes.arm import (
+    FASTEST,
+    HINGES,
+    JOINTS,
+    TIP,
+    arm,
+    gravity_torques,
+    pick_and_place,
+)
+
+REFERENCE = json.loads((Path(__file__).parents[1] / "refdata" / "xarm7.json").read_text())
+TOLERANCE = REFERENCE["tolerance"]
+
+
+def bare(drives):
+    """The arm without tool, servos, damping and friction, a drive at each joint."""
+    whole, connections = arm(), {}
+    for name, drive in zip(JOINTS, drives, strict=True):
+        _, *ends = vars(whole.connections[name]).values()
+        connections[name] = jc.Connection(jc.joint.Revolute(drive=drive), *ends)
+    bodies = {name: body for name, body in whole.bodies.items() if name != "tool"}
+    return jc.Mechanism(bodies, connections, {"gravity": whole.loads["gravity"]})
+
+
+class Parabola(eqx.Module):
+    """An angle [rad] over time by its value, speed and acceleration at time 0."""
+
+    angle: float
+    speed: float
+    acceleration: float
+
+    def __call__(self, time):
+        return self.angle + time * (self.speed + 0.5 * time * self.acceleration)
+
+
+def test_torques_along_motions_are_those_of_another_program():
+    """Every mass, centre, inertia, place and axis takes part in them."""
+    for told in REFERENCE["cases"]:
+        told = {name: np.array(values) for name, values in told.items()}
+        own = np.stack([told[name] for name in ("angle", "speed", "acceleration")], 1)
+        rig = bare([jc.drive.Position(Parabola(*numbers)) for numbers in own])
+        step = jc.integrator.FixedStep(1e-3)
+        run = jc.simulate(rig, 1e-3, save=2, integrator=step, verify=False)
+        axes = {name: run.body(f"link{k}").rotation[0, :, 2] for k, name in enumerate(JOINTS, 1)}
+        torques = [run.reaction(name).torque[0] @ axes[name] for name in JOINTS]
+        np.testing.assert_allclose(torques, told["torque"], atol=TOLERANCE["torque"])
+        flange = run.body("link7")
+        np.testing.assert_allclose(flange.origin[0], told["flange"], atol=TOLERANCE["flange"])
+        np.testing.assert_allclose(axes["joint7"], told["axis"], atol=TOLERANCE["axis"])
+
+
+def test_what_servos_are_told_of_gravity_is_that_of_another_program():
+    for told in REFERENCE["cases"]:
+        found = gravity_torques(told["angle"], tool_mass=0.0)
+        np.testing.assert_allclose(found, told["at rest"], atol=TOLERANCE["torque"])
+
+
+def urdf():
+    """The file where example-robot-data is installed."""
+    try:
+        files = importlib.metadata.files("example-robot-data") or []
+    except importlib.metadata.PackageNotFoundError:
+        files = []
+    found = [file.locate() for file in files if file.name == "xarm7.urdf"]
+    return found[0] if found else None
+
+
+@pytest.mark.skipif(urdf() is None, reason="example-robot-data is not installed")
+@pytest.mark.filterwarnings("ignore")
+def test_numbers_are_those_of_the_file():
+    read, ours = jc.read_urdf(urdf()), arm()
+    for k, (name, hinge) in enumerate(zip(JOINTS, HINGES, strict=True), 1):
+        for field in ("mass", "com", "inertia"):
+            own, told = (getattr(one.bodies[f"link{k}"], field) for one in (ours, read))
+            np.testing.assert_allclose(own, told, rtol=1e-9, atol=1e-18)
+        own, told = (one.connections[name].parent.pose() for one in (ours, read))
+        np.testing.assert_allclose(jnp.array(own.rotation), jnp.array(told.rotation), atol=4e-6)
+        np.testing.assert_allclose(own.translation, told.translation, atol=1e-12)
+        stop, loads = read.loads[f"{name} limits"], (ours.loads, read.loads)
+        np.testing.assert_allclose((stop.lower, stop.upper), (hinge.lower, hinge.upper))
+        assert loads[0][f"{name} damping"].damping == loads[1][f"{name} spring"].damping
+        assert loads[0][f"{name} friction"].torque == loads[1][f"{name} friction"].torque
+
+
+def test_the_way_keeps_to_limits_of_angle_and_speed():
+    way = pick_and_place()
+    speeds = np.gradient(way.angles, way.times, axis=0)
+    for k, hinge in enumerate(HINGES):
+        assert hinge.lower < way.angles[:, k].min() and way.angles[:, k].max() < hinge.upper
+    assert np.abs(speeds).max() < FASTEST
+
+
+def test_servos_follow_the_way_and_come_to_rest_at_its_end():
+    run = jc.simulate(arm(), pick_and_place().times[-1], save=136)
+    for k, name in enumerate(JOINTS):
+        away = np.abs(np.asarray(run.coordinate(name)) - pick_and_place().angles[:, k])
+        assert away.max() < 5e-3 and away[-1] < 1e-4
+    commanded = jc.simulate(arm(driven=True), pick_and_place().times[-1], save=136, verify=False)
+    last = np.asarray(run.marker(TIP).position - commanded.marker(TIP).position)[-1]
+    assert np.linalg.norm(last) < 2e-5

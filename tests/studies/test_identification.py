@@ -1,0 +1,260 @@
+"""What a record tells: the regression where the answer is known, what is asked wrongly, and one
+small machine with a hidden clearance.
+"""
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.studies.identification import laws, regression, result
+from jaxclear.studies.identification.sample import check_identifiable
+
+LOSS = jc.contact.dissipation
+B = lambda rig: rig.connections["B"].joint
+
+
+def statistics(shares, rng, noise=0.02):
+    """Ten numbers of the first unknown, of the sum of the second and third, and of noise."""
+    first, both = shares[:, 0], shares[:, 1] + shares[:, 2]
+    found = [np.sin(2 * first), first**2, both, both**2]
+    found = np.stack(found, axis=1) + noise * rng.standard_normal((len(shares), 4))
+    return np.column_stack([found, rng.standard_normal((len(shares), 6))])
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    rng = np.random.default_rng(4)
+    shares = rng.random((256, 3))
+    return regression.regression(statistics(shares, rng), shares)
+
+
+def test_intervals_hold_what_they_promise_and_no_more(fitted):
+    rng = np.random.default_rng(5)
+    shares = rng.random((400, 3))
+    held = np.zeros((400, 3))
+    width = np.zeros((400, 3))
+    for i, own in enumerate(statistics(shares, rng)):
+        for k, one in enumerate(regression.told(fitted, own)):
+            held[i, k] = one.low <= shares[i, k] <= one.high
+            width[i, k] = one.high - one.low
+    # One sample serves all: its own scatter beside that of 400 trials.
+    assert np.all(np.abs(held.mean(0) - 0.95) < 0.03)
+    assert np.median(width[:, 0]) < 0.2
+    assert np.all(np.abs(regression.calibration(fitted).mean(0) - 0.95) < 0.02)
+
+
+def test_what_is_told_together_is_named(fitted):
+    names = "first", "second", "third"
+    verdicts = result.IDENTIFIED, result.PARTLY, result.NOT
+    (sentence,) = result.together(names, fitted, verdicts)
+    assert sentence.startswith("second and third are identified only together")
+    assert " + 1 x third" in sentence or " + 0.9" in sentence
+
+
+@pytest.mark.parametrize("together", [1, 4])
+def test_residuals_are_those_of_runs_that_were_not_seen(together):
+    rng = np.random.default_rng(6)
+    parts, unknowns = rng.standard_normal((24, 3)), rng.random((24, 2))
+    groups = np.arange(24) // together
+    kernel, ridge = regression._kernel(parts, parts, 1.0), 0.1
+    values, vectors = np.linalg.eigh(kernel)
+    inverse = 1 / (values + ridge)
+    mean = unknowns.mean(0)
+    weights = vectors @ (inverse[:, None] * (vectors.T @ (unknowns - mean)))
+    given = None if together == 1 else groups
+    found = regression._left_out(vectors, inverse, weights, given)
+    for group in np.unique(groups):
+        out = groups == group
+        seen = np.linalg.solve(
+            kernel[np.ix_(~out, ~out)] + ridge * np.eye((~out).sum()), (unknowns - mean)[~out]
+        )
+        expected = (unknowns - mean)[out] - kernel[np.ix_(out, ~out)] @ seen
+        np.testing.assert_allclose(found[out], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [39, 60, 256])
+def test_the_order_statistics_are_those_of_one_more(count):
+    """Of count + 1 exchangeable numbers the last is beyond either end in 2.5 % at the most."""
+    low, high = regression.conformal(np.arange(count, dtype=float), 0.95)
+    beyond = (count - high) / (count + 1)
+    assert beyond <= 0.025 < beyond + 1 / (count + 1)
+    assert low == count - 1 - high
+
+
+def test_a_record_unlike_any_run_is_noticed(fitted):
+    rng = np.random.default_rng(7)
+    like = statistics(rng.random((50, 3)), rng)
+    assert np.mean([fitted.distance(own) < 0.01 for own in like]) < 0.1
+    strange = like[0].copy()
+    strange[0] += 3.0
+    assert fitted.distance(strange) < 0.01
+
+
+def test_a_number_chooses_the_law():
+    rig = jc.scenes.slider_crank()
+    found = laws.ensemble(rig, None)
+    assert found.names[laws.DISSIPATION] == ("LankaraniNikravesh", "Flores", "HuntCrossley")
+    assert found.names[laws.FRICTION] == ("Ambrosio", "CoulombTanh")
+    joint = B(found.mechanism)
+    for number, name in enumerate(found.names[laws.DISSIPATION]):
+        variable = found.variables[laws.DISSIPATION]
+        chosen = B(variable.put(found.mechanism, float(number))).contact
+        law = getattr(LOSS, name)(restitution=chosen.restitution)
+        assert float(chosen.dissipation.relative_damping(0.1, 0.2)) == pytest.approx(
+            float(law.relative_damping(0.1, 0.2)), rel=1e-12
+        )
+    for number, name in enumerate(found.names[laws.FRICTION]):
+        variable = found.variables[laws.FRICTION]
+        chosen = B(variable.put(found.mechanism, float(number))).friction
+        law = getattr(jc.friction, name)(mu_kinetic=0.03)
+        assert float(chosen.coefficient(1.0)) == pytest.approx(float(law.coefficient(1.0)))
+    # Where an unknown stood it still stands.
+    moved = eqx.tree_at(lambda rig: B(rig).friction.mu_kinetic, found.mechanism, 0.2)
+    assert float(B(moved).friction.coefficient(1.0)) == pytest.approx(0.2)
+    assert joint.contact.restitution == B(rig).contact.restitution
+    alone = laws.ensemble(rig, ())
+    assert not alone.variables
+    assert jax.tree.structure(alone.mechanism) == jax.tree.structure(rig)
+    assert laws.ensemble(rig, (LOSS.Gonthier, LOSS.HuGuo)).names == {
+        laws.DISSIPATION: ("LankaraniNikravesh", "Gonthier", "HuGuo")
+    }
+    with pytest.raises(ValueError, match="laws of identify hold"):
+        laws.ensemble(rig, (jc.contact.Flores,))
+
+
+def test_a_sample_is_a_distribution():
+    own = np.random.default_rng(8).normal(2.0, 0.5, 400)
+    found = jc.distribution.Empirical(own, low=0.0)
+    shares = np.linspace(0.01, 0.99, 50)
+    np.testing.assert_allclose(found.quantile(shares), np.quantile(own, shares), atol=0.05)
+    at = np.array([1.5, 2.0, 2.6])
+    np.testing.assert_allclose(found.of_score(found.score(at)), at, atol=1e-9)
+    assert float(found.quantile(np.array(0.0))) >= 0.0
+    with pytest.raises(ValueError, match="two different"):
+        jc.distribution.Empirical([1.0, 1.0])
+
+
+TURNS, SPEED, PER = 8, 150.0, 128
+
+
+def machine(clearance, contact=None, friction=True, integrator=None):
+    rig = jc.scenes.slider_crank(
+        clearance=clearance, crank_speed=SPEED, contact=contact, friction=friction
+    )
+    unknowns = {
+        "clearance B": jc.Variable(lambda rig: B(rig).clearance, jc.distribution.Uniform(0.15e-3)),
+        "restitution B": jc.Variable(
+            lambda rig: B(rig).contact.restitution, jc.distribution.Uniform(0.09)
+        ),
+    }
+    return jc.Problem(
+        rig,
+        jc.response.FinalCoordinate("O"),
+        unknowns,
+        duration=2 * np.pi / SPEED * TURNS,
+        integrator=integrator or jc.integrator.FixedStep(4e-6),
+    )
+
+
+def sensors():
+    gain = jc.Dimension(1.0, jc.distribution.Normal(0.03), unit="1")
+    slider = jc.sensor.Accelerometer("slider", "x", noise=20.0, gain=gain)
+    return {"a": slider, "angle": jc.sensor.Encoder("O")}
+
+
+def record(clearance):
+    """The last six turns of a machine with another dissipation law, friction law and integrator
+    than the fit's."""
+    steel = jc.Material(young_modulus=207e9, poisson_ratio=0.3)
+    law = jc.contact.Gonthier(stiffness=jc.stiffness.HertzStiffness(steel, steel), restitution=0.85)
+    rub = jc.friction.CoulombTanh(mu_kinetic=0.03, transition_speed=1e-2)
+    own = machine(clearance, law, rub)
+    run = jc.simulate(own.mechanism, float(own.duration), save=TURNS * PER + 1, verify=False)
+    rng, rate = np.random.default_rng(9), PER * SPEED / (2 * np.pi)
+    shown = {name: one.sensed(one(run), rate, rng)[0] for name, one in sensors().items()}
+    first = 2 * PER
+    return jc.Measurement(
+        np.asarray(run.time)[first:],
+        {name: own[first:] for name, own in shown.items()},
+        sensors(),
+        turn="angle",
+    )
+
+
+def test_a_hidden_clearance_is_found_and_restitution_is_not(tmp_path):
+    data, problem = record(0.25e-3), machine(0.2e-3)
+    found = jc.identify(problem, data, runs=128, store=tmp_path)
+    gap, loss = found["clearance B"], found["restitution B"]
+    assert gap.low < 0.25e-3 < gap.high
+    assert gap.verdict == "identified" and loss.verdict == "not identified"
+    assert (loss.low, loss.high) == (loss.prior_low, loss.prior_high)
+    assert found.explains
+    assert "clearance B is 0.0002" in found.sentence()
+    assert "restitution B is not identified: its interval is the prior's" in found.sentence()
+    tree = found.to_dataset()
+    assert tree["posterior clearance B"].dims == ("draw",)
+    posterior = found.posterior()
+    assert float(posterior.nominal()[0]) == pytest.approx(gap.estimate, rel=0.02)
+    drawn = posterior.inputs.values(np.random.default_rng(0).standard_normal((500, 2)))[:, 0]
+    assert np.mean((np.asarray(drawn) > gap.low) & (np.asarray(drawn) < gap.high)) > 0.9
+    # The same sample, which need not run again, with another noise.
+    pieces = sorted(tmp_path.rglob("*.npz"))
+    noisier = {"a": jc.sensor.Accelerometer("slider", "x", noise=40.0), "angle": sensors()["angle"]}
+    again = jc.Measurement(data.time, data.signals, noisier, turn="angle")
+    assert jc.identify(problem, again, runs=128, store=tmp_path)["clearance B"].verdict
+    assert sorted(tmp_path.rglob("*.npz")) == pieces
+
+
+def bare(**changed):
+    time = np.linspace(0, 0.3, 301)
+    given = {"signals": {"a": np.sin(time)}, "sensors": {"a": sensors()["a"]}, "turn": 0.0419}
+    return jc.Measurement(time, **(given | changed))
+
+
+def test_ideal_motion_is_refused_by_name():
+    problem = machine(0.2e-3, integrator=jc.integrator.NonColliding())
+    with pytest.raises(ValueError, match="NonColliding moves bodies as ideal joints do"):
+        jc.identify(problem, bare())
+
+
+def test_what_is_no_record_or_question_is_named():
+    problem = machine(0.2e-3)
+    with pytest.raises(ValueError, match=r"sensors none|each signal needs its sensor"):
+        bare(sensors={})
+    with pytest.raises(ValueError, match="must rise"):
+        jc.Measurement([0.0, 0.0], {"a": [1, 2]}, {"a": sensors()["a"]})
+    with pytest.raises(ValueError, match="has 2 samples"):
+        bare(signals={"a": [1.0, 2.0]})
+    with pytest.raises(ValueError, match="finite numbers in a row"):
+        bare(signals={"a": [np.nan] * 301})
+    with pytest.raises(ValueError, match="turn of a Measurement"):
+        bare(turn=-1.0)
+    long = jc.Measurement(np.linspace(0, 3, 301), {"a": np.zeros(301)}, {"a": sensors()["a"]})
+    with pytest.raises(ValueError, match="give the problem a longer duration"):
+        check_identifiable(problem, long)
+    elsewhere = {"a": jc.sensor.Gyroscope("piston")}
+    with pytest.raises(ValueError, match="piston"):
+        check_identifiable(problem, bare(sensors=elsewhere))
+    with pytest.raises(ValueError, match="runs of identify"):
+        jc.identify(problem, bare(), runs=10)
+    with pytest.raises(ValueError, match='statistic "mine"'):
+        jc.identify(problem, bare(), statistics={"mine": 3})
+
+
+def test_a_record_is_read_from_files(tmp_path):
+    import pandas
+
+    data = bare(turn=None)
+    file = tmp_path / "record.csv"
+    pandas.DataFrame({"t": data.time, "a": data.signals["a"]}).to_csv(file, index=False)
+    found = jc.Measurement.read_csv(file, time="t", signals={"a": sensors()["a"]})
+    np.testing.assert_allclose(found.signals["a"], data.signals["a"])
+    assert found.rate == pytest.approx(1000.0)
+    with pytest.raises(ValueError, match='column "b"'):
+        jc.Measurement.read_csv(file, time="t", signals={"b": sensors()["a"]})
+    tree = pandas.read_csv(file).set_index("t").to_xarray()
+    again = jc.Measurement.from_dataset(tree, {"a": sensors()["a"]}, time="t")
+    np.testing.assert_allclose(again.time, data.time)
+    assert len(data.part(0.1, 0.2).time) == 101
