@@ -230,7 +230,7 @@ def _tellers(
 def _joint(fitted: Regression, here: np.ndarray, open_: list[bool]) -> np.ndarray:
     """Shares (runs, unknowns) that the unknowns may have together: the estimates and what they
     miss, run by run; of unknowns that are not identified, their own."""
-    at = fitted.estimates(here)[0]
+    at = np.clip(fitted.estimates(here)[0], 0.0, 1.0)
     found = np.clip(at + fitted.missed(at), 0.0, 1.0)
     return np.where(open_, fitted.unknowns, found)
 
