@@ -109,6 +109,7 @@ def identify(
     check_known("way", how, WAYS, " of identify")
     check_flags("identify", progress_bar=progress_bar)
     models = models_of(problem, records)
+    records = [record.compared for record in records]
     for own in [own for every in models.values() for own in every]:
         check_sampled(own, runs, seed)
     if how == "signal":

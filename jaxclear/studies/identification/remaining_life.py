@@ -15,7 +15,6 @@ import scipy
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_number, expect
-from jaxclear.ground.printing import number_in_words
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
 from jaxclear.studies.identification.result import Identified
 
@@ -64,14 +63,14 @@ class RemainingLife(AbstractAnswer):
 
     def sentence(self) -> str:
         """Growth, cycle of failure and what is left, in words."""
-        words = lambda told: [number_in_words(x) if np.isfinite(x) else "no end" for x in told]
+        words = lambda told: [f"{x:.3g}" if np.isfinite(x) else "no end" for x in told]
         share = f"{100 * self.level:g} %"
         rate, low, high = words(self.band(self.rate))
         ends, first, last = words(self.failure_band)
         left = words(self.left)
         return (
             f"{self.name} grows by {rate} {self.unit} a cycle, {low} to {high} with {share}, and "
-            f"reaches {number_in_words(self.limit)} {self.unit} after {ends} cycles, {first} to "
+            f"reaches {self.limit:.4g} {self.unit} after {ends} cycles, {first} to "
             f"{last}: {left[1]} to {left[2]} are left after the last of {len(self.cycles)} records."
         )
 
