@@ -112,7 +112,7 @@ INNER = {
     "AsNeeded",
     "CylinderMap",
     "ImpactMemory",
-    "MotorServo",
+    "_ServoOnMotor",
     "PeriodicTorque",
     "SphereMap",
     "StepTorque",
@@ -124,6 +124,8 @@ INNER |= {"RecordedProblem", "StateGroup"}
 INNER |= {"AbstractMechanismProblem"}
 # Laws of which a number says which acts, in the sample of an identification; what sensors are.
 INNER |= {"ChosenDissipation", "ChosenFriction", "AbstractSignal"}
+# A load as steps see it that find its force themselves.
+INNER |= {"OverStep"}
 
 
 def family_classes():

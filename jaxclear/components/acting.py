@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 
-from jaxclear.ground.quantity import AbstractQuantified, Scalar
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 
 
 class AbstractLoad(AbstractQuantified):
@@ -48,13 +48,13 @@ class Side(NamedTuple):
         return self.sign * (self.place - position)
 
 
-class MotorEnd(eqx.Module):
+class MotorEnd(AbstractQuantified):
     """The motor behind a joint: its `coordinate`, which is `ratio` times that of the joint and an
     `offset` (None: 0) where nothing lies between."""
 
     coordinate: str = eqx.field(static=True)
-    ratio: Any
-    offset: Any
+    ratio: Scalar = quantity(unit="1", meaning="turns of the motor for one of the joint")
+    offset: Scalar | None = quantity(None, "rad", "angle of the motor where the joint's is 0")
 
 
 class AbstractStateLoad(AbstractLoad):

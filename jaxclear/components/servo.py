@@ -122,7 +122,7 @@ class Servo(AbstractStateLoad):
 
     def behind(self, motors):
         end = motors.get(self.joint)
-        return self if end is None else MotorServo(self, end)
+        return self if end is None else _ServoOnMotor(self, end)
 
     def acting(self, time: Scalar, position: Any, speed: Any, states: tuple) -> tuple[Any, tuple]:
         """(torque at the joint [N m], rates of the states) where the encoder reads a position and a
@@ -150,7 +150,7 @@ class Servo(AbstractStateLoad):
         return limited, jnp.where(winding, 0.0, error)
 
 
-class MotorServo(AbstractStateLoad):
+class _ServoOnMotor(AbstractStateLoad):
     """A `servo` on the motor behind its joint: what it becomes in a mechanism that has one."""
 
     servo: Servo

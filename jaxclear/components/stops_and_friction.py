@@ -171,11 +171,11 @@ class JointFriction(AbstractStateLoad):
         if self.transition_speed is not None:
             force = -self.torque * smooth_sign(jnp.asarray(speed, float), self.transition_speed)
             return CoordinateEffect((force,), (), 0, -force * speed, 0)
-        own = holding(states[0], speed, self.presliding)
-        share = own.share + self.settling_time * speed / self.presliding
-        friction = self.torque * jnp.clip(share, -1.0, 1.0)
-        stored = 0.5 * self.torque * self.presliding * own.share * own.share
-        wound = jnp.where(jnp.abs(own.share) < 1, self.torque * own.share * speed, 0.0)
+        own = holding(states[0], speed, self.presliding, self.settling_time)
+        friction = self.torque * own.share
+        elastic = jnp.clip(states[0] / self.presliding, -1.0, 1.0)
+        stored = 0.5 * self.torque * self.presliding * elastic * elastic
+        wound = jnp.where(jnp.abs(elastic) < 1, self.torque * elastic * own.rate, 0.0)
         return CoordinateEffect((-friction,), (own.rate,), stored, friction * speed - wound, 0)
 
     def reads_position(self):

@@ -198,8 +198,10 @@ def gives_way(model: Any, joints: list[str], loads: dict[str, Any]) -> Iterator[
 
 def _stop_gives_way(model: Any, k: int, name: str, stop: JointStop, unit: str) -> Iterator[str]:
     soft, inertia = limit_is_soft(model, k), _inertia(model, k)
+    given: Any = stop.stiffness
+    stiffness = float(given)
     found = [
-        Given(force / float(stop.stiffness), sag(soft, force, inertia), force)
+        Given(force / stiffness, sag(soft, force, inertia), force)
         for force in pressing(model, k)
         if force > 0
     ]

@@ -112,21 +112,17 @@ def clearance_contact(instant: Instant, report: JointReport, name: str) -> Conta
 
 def check_play(mechanism: Mechanism, integrator: str, rigid: bool) -> None:
     """Raises `ValueError` with a sentence for a coupling whose play the formulation cannot serve:
-    where flanks are `rigid` none does."""
+    where flanks may be `rigid` those with a restitution need nothing else."""
     for name, coupling in mechanism.couplings.items():
-        if coupling.play is None:
+        if coupling.play is None or (rigid and coupling.play.restitution is not None):
             continue
         kind = f'coupling "{name}" is a {type(coupling).__name__} with play'
-        if rigid:
-            raise ValueError(
-                f"{kind}, and integrator.{integrator.removeprefix('integrator.')} knows no flanks: "
-                "take Adaptive, FixedStep or ImplicitStep, or leave the play out."
-            )
         law = type(coupling.play.law).__name__
         if coupling.stiffness is None:
             raise ValueError(
                 f"{kind} and without stiffness; for {integrator} give that of its shaft or teeth, "
-                "from which its flanks press."
+                "from which its flanks press"
+                + (", or the restitution of rigid ones." if rigid else ".")
             )
         if coupling.play.law.needs_damping and (
             coupling.damping is None or concrete(coupling.damping) == 0

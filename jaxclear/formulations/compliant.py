@@ -172,10 +172,13 @@ class CompliantContact(AbstractFormulation):
         moving = [(point.indentation, point.rate) for point in points]
         return sp.stack(rates), _stacked([*moving, *_flanks_of(forces.pressing)])
 
-    def contacts(self, model: Model, time: Any, state: State, flanks: Any = None) -> ContactMotion:
+    def contacts(
+        self, model: Model, time: Any, state: State, flanks: Any = None, exact: bool = False
+    ) -> ContactMotion:
         """Indentation and its rate of every possible contact, from the geometry alone; of the
-        flanks of play behind them depth and rate [rad, m], by the torque where a shaft's far end
-        presses. `flanks`: which count as touching (None: as their places have it)."""
+        flanks of play behind them depth and rate [rad, m]. `flanks`: which count as pressing (None:
+        as their places have it); `exact`: the rates of those that are left by their torque are
+        those of their depth, for which the equations of motion are solved."""
         motion = unpack_motion(model.system, model.entries(state))
         motions = kinematics.link_motions(model.system, *motion, time)
         calls = []
@@ -188,7 +191,7 @@ class CompliantContact(AbstractFormulation):
             return _stacked(points)
         depths = lambda time, state: _flank_motion(model, time, state, flanks)
         own = depths(time, state)
-        if any(one.left_by_torque for one in model.system.transmissions.values()):
+        if exact and any(one.left_by_torque for one in model.system.transmissions.values()):
             flow = self.rate(model, time, state, None, flanks)[0]
             rates = jax.jvp(lambda *now: depths(*now).depths, (time, state), (1.0, flow))[1]
             own = own._replace(rates=rates)
@@ -263,8 +266,9 @@ class CompliantContact(AbstractFormulation):
         entries = within_gaps(model.system, model.layout, entries)
         if all(place is None for place in places):
             return sp.stack(entries)
-        count = model.layout.joint_contacts
-        before, after = (ContactMotion(*(x[:count] for x in own)) for own in (before, after))
+        if model.layout.plays:
+            count = model.layout.joint_contacts
+            before, after = (ContactMotion(*(x[:count] for x in own)) for own in (before, after))
         held = sp.stack([0 if place is None else entries[place] for place in places])
         speeds = remembered(held, before, after, length)
         for i, place in enumerate(places):
@@ -348,8 +352,7 @@ def _flank_motion(model: Model, time: Any, state: State, flanks: Any) -> Contact
     entries = model.entries(state)
     motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
     followed = unpack_followed(model.layout, entries, flanks)
-    pressing = {n: pressing_of(model.system, motions, n, followed) for n in model.layout.plays}
-    return _stacked(_flanks_of(pressing))
+    return _stacked(_flanks_of(pressing_of(model.system, motions, followed)))
 
 
 def _flanks_of(pressing: dict[str, Pressing]) -> list:

@@ -22,6 +22,7 @@ from jaxclear.formulations.laws_over_step import Averaging, SlipAtStart
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.permanent_reactions import Reaction
 from jaxclear.formulations.rubbing_over_step import JointOverStep, friction, rubbed
+from jaxclear.formulations.shafts_over_step import ShaftOverStep
 from jaxclear.formulations.state_rate import (
     Passive,
     followed_rates,
@@ -62,6 +63,7 @@ class Step(NamedTuple):
     contacts: list[ContactOverStep]
     equations: ImplicitContact
     joints: tuple[JointOverStep, ...] = ()
+    shafts: tuple[ShaftOverStep, ...] = ()
 
     def reaches(self) -> list:
         """Change of each row's rate by the acceleration that contact adds to it [s]."""
@@ -70,7 +72,8 @@ class Step(NamedTuple):
             others = contact.point.active - 1
             out.append(self.averaging.reach)
             out += [contact.braking.reach] * others if others else []
-        return out + [joint.reach for joint in self.joints for _ in joint.rows]
+        out += [joint.reach for joint in self.joints for _ in joint.rows]
+        return out + [self.averaging.reach for _ in self.shafts]
 
     def per_joint(self, values: Any) -> list[tuple]:
         """One value per row with a force, as one tuple per ideal joint that rubs."""

@@ -29,6 +29,7 @@ from jaxclear.formulations.permanent_report import pressing, report
 from jaxclear.formulations.permanent_wear import ends_that_wear, wear_rates
 from jaxclear.formulations.state_rate import Passive, link_accelerations
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part
 from jaxclear.multibody import dynamics
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
@@ -154,20 +155,22 @@ def moved_to_stops(
     loads: LoadsInStep, end: LoadsInStep, response: FrictionResponse, forces: list, h: Any
 ) -> Moved:
     """Where coordinates at the `end` of a step of length h [s] are moved, in the metric of the
-    masses, so that those that rigid stops have pressed with these `forces` [N m, N] touch them."""
+    masses, so that those that rigid stops have pressed with these `forces` [N m, N] touch them; of
+    one with a stiffness as far beyond as that gives way under what presses all the time."""
     first = len(response.units) - len(loads.rows)
     units, rows = response.units[first:], loads.rows[: len(loads.stops)]
     free = response.without.accelerations
-    matrix, rules = [], []
+    matrix, rules, gaps = [], [], [-stop.beyond for stop in end.stops]
     for k, stop in enumerate(loads.stops):
         matrix.append([h * along(rows[k], unit.accelerations) for unit in units[: len(rows)]])
         held = forces[k] > 0
         if stop.side.stop.restitution is None:
             held = held & ~stop.followed(matrix[k][k] / h, h)
+            struck = positive_part(-stop.opening) / matrix[k][k]
+            gaps[k] = gaps[k] + positive_part(forces[k] - struck) / stop.side.stop.stiffness
         most = jnp.where(held, jnp.inf, 0.0)
         rules.append(Between(-most, most))
     alone = lambda *_: [(1.0, 0.0, 0.0)]
-    gaps = [-stop.beyond for stop in end.stops]
     problem = JointFriction(matrix, gaps, tuple(rules), alone, [0.0] * len(rows))
     found = SETTINGS.solver().iterate(problem).z
     each = list(zip([h * found[k] for k in range(len(rows))], units, strict=False))

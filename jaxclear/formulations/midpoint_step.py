@@ -35,6 +35,7 @@ from jaxclear.formulations.laws_over_step import Averaging, PastSlip
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import Reaction
 from jaxclear.formulations.rubbing_over_step import damping, joints_over_step
+from jaxclear.formulations.shafts_over_step import shafts_over_step
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_alike
@@ -82,10 +83,13 @@ def step(
     averaging = Averaging(h, settings.bias)
     accelerations = [a + b for a, b in zip(last.smooth, last.contact, strict=True)]
     middle = contact_rows.middle_of_step(model, time_step, entries, accelerations)
+    shafts, free_motion = shafts_over_step(model, middle.free_motion, middle.v, h)
+    middle = middle._replace(free_motion=free_motion)
     joints = joints_over_step(model, middle, last.reactions, averaging)
-    equations = implicit_contact(middle.free_motion, [x for joint in joints for x in joint.rows])
+    further = [x for joint in joints for x in joint.rows] + [shaft.row for shaft in shafts]
+    equations = implicit_contact(middle.free_motion, further)
     contacts = _contacts_at_start(model, averaging, middle, equations.free, entries, last)
-    whole = Step(model, time_step, averaging, middle, contacts, equations, joints)
+    whole = Step(model, time_step, averaging, middle, contacts, equations, joints, shafts)
     solution = _iterate(whole, last.contact, settings.newton_iterations)
     free, caused = equations.free, solution.accelerations
     mean = [
@@ -193,6 +197,10 @@ def _first_rates(whole: Step, last: list) -> tuple[list, list, list]:
             for x, row in zip(unmoved[len(first) :], joint.rows, strict=True)
         ]
         forces += [0.0] * len(joint.rows)
+    for shaft in whole.shafts:
+        unmoved.append(shaft.begun + 0.5 * h * along(shaft.row, free))
+        first.append(unmoved[-1] + whole.averaging.reach * along(shaft.row, last))
+        forces.append(0.0)
     return unmoved, first, forces
 
 
@@ -248,6 +256,9 @@ def _linear_laws(whole: Step, rates: list, forces: list) -> LinearLaws:
     for joint, own in zip(whole.joints, whole.per_joint(rates), strict=True):
         dampings += [damping(joint, own)] * len(own) if own else []
         forces, about = forces + [0.0] * len(own), about + [0.0] * len(own)
+    for shaft, rate in zip(whole.shafts, rates[len(forces) :], strict=True):
+        force, falls = shaft.law(rate)
+        forces, dampings, about = [*forces, force], [*dampings, falls], [*about, rate]
     return LinearLaws(forces, dampings, about)
 
 
@@ -270,7 +281,7 @@ def _settle(whole: Step, solution: ContactSolution, q: list, v: list) -> tuple[l
         closed = (true > 0) | (assumed > 0)
         weights += [jnp.where(closed, STIFFNESS * contact.mass, 0.0), *others]
         unmoved += [true - assumed, *others]
-    further = [0.0] * sum(len(joint.rows) for joint in whole.joints)
+    further = [0.0] * (sum(len(joint.rows) for joint in whole.joints) + len(whole.shafts))
     unmoved, weights = unmoved + further, weights + further
     nothing = [0.0] * len(unmoved)
     ones = [1.0] * len(unmoved)

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from jaxclear.components.body import Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint
-from jaxclear.formulations.base import AbstractFormulation, check_play
+from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.joint_friction import (
     NonCollidingSettings,
@@ -135,7 +135,6 @@ class PermanentContact(AbstractFormulation):
 
     def check(self, mechanism, integrator):
         check_friction(mechanism, integrator)
-        check_play(mechanism, integrator, rigid=True)
 
     def seen(self, mechanism):
         return fit(mechanism)

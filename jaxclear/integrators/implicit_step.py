@@ -1,6 +1,5 @@
 """Implicit steps through stiff contacts: their length follows the motion, not the stiffness."""
 
-from collections.abc import Iterable
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -26,7 +25,7 @@ from jaxclear.integrators.variational import (
     trusted_beside,
 )
 from jaxclear.multibody.state import unpack_motion
-from jaxclear.multibody.system import Bearing, prepare
+from jaxclear.multibody.system import System, prepare
 
 # Newton iterations on the contact laws: where force and damping grow with the indentation alike,
 # and where a damper beside the spring grows on its own.
@@ -56,7 +55,7 @@ class ImplicitStep(AbstractIntegrator):
     Speeds at saving times are those with which places change; within a step they lack that damping.
 
     Loads that oscillate by themselves (stiff springs, dampers) are explicit: step < 2 / omega of
-    them. A step should move the parts by less than a clearance, and by less than a cell of a worn
+    them; couplings with stiffness or play are not. A step should move the parts by less than a clearance, and by less than a cell of a worn
     surface, or forces at the saved instants are far off, though the motion stays bounded.
     Impact speeds are those at the touch within a step, to order 2. `steps_per_save` fixes the
     number of steps between saving times: reverse-mode derivatives then go backwards through the
@@ -144,7 +143,7 @@ class ImplicitStep(AbstractIntegrator):
 
         def plain(arrays, clock, y, last, met):
             model, own = eqx.combine(arrays, rest)
-            how = own._bias, own._iterations(model.system.bearings.values())
+            how = own._bias, own._iterations(model.system)
             end, now = own.formulation.implicit_step(model, TimeStep(*clock), y, last, *how)
             end = closed(model, sum(clock), end, clock[1])
             if met is None:
@@ -197,14 +196,17 @@ class ImplicitStep(AbstractIntegrator):
 
     def evaluations(self, mechanism):
         """The middle of a step, and the iterations on its contacts."""
-        bearings = prepare(mechanism).bearings.values()
-        return 1 + (self._iterations(bearings) if bearings else 0)
+        system = prepare(mechanism)
+        acting = system.bearings or system.transmissions
+        return 1 + (self._iterations(system) if acting else 0)
 
-    def _iterations(self, bearings: Iterable[Bearing]) -> int:
-        """Iterations on the contact laws of these bearings."""
+    def _iterations(self, system: System) -> int:
+        """Iterations on the contact laws, and on couplings that give."""
         if self.newton_iterations is not None:
             return self.newton_iterations
-        laws = [own.contact for bearing in bearings for own in bearing.contact_laws]
+        if any(own.coupling.play is not None for own in system.transmissions.values()):
+            return DAMPED_ITERATIONS
+        laws = [own.contact for bearing in system.bearings.values() for own in bearing.contact_laws]
         return DAMPED_ITERATIONS if any(law.restitution is None for law in laws) else ITERATIONS
 
     def advance(self, model, interval, state, warm_start):

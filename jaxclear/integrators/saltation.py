@@ -112,9 +112,12 @@ def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
     def counted(arrays, shares, time, y):
         return formulation.rate(eqx.combine(arrays, rest), time, y, shares)[0]
 
+    # Of joints rates follow from the geometry alone.
+    how = {"exact": True} if rest.layout.plays else {}
+
     @jax.jit
     def contacts(arrays, time, y):
-        return formulation.contacts(eqx.combine(arrays, rest), time, y)
+        return formulation.contacts(eqx.combine(arrays, rest), time, y, **how)
 
     @jax.jit
     def slips(arrays, time, y):
@@ -127,7 +130,7 @@ def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
     @jax.jit
     def by_shares(arrays, time, y, shares):
         flanks = shares[rest.layout.joint_contacts :]
-        return formulation.contacts(eqx.combine(arrays, rest), time, y, flanks)
+        return formulation.contacts(eqx.combine(arrays, rest), time, y, flanks, **how)
 
     sided = any(own.left_by_torque for own in rest.system.transmissions.values())
     seen = by_shares if sided else lambda arrays, time, y, _: contacts(arrays, time, y)

@@ -124,12 +124,12 @@ def applied_forces(
         rates |= {label: found.rates} if found.rates else {}
         stored, damping = sp.add(stored, found.stored), sp.add(damping, found.dissipated)
         external = sp.add(external, found.external)
-    pressed: dict[str, Pressing] = {}
+    pressed = pressing_of(system, motions, followed)
     for name, giving in system.transmissions.items():
-        pressed[name] = pressing_of(system, motions, name, followed)
-        give(system, motions, giving, pressed[name].torque, acting)
+        torque = pressed[name].torque
+        give(system, motions, giving, torque, acting)
         moved = (pressed[name].end_rate,) if giving.has_twist else ()
-        rubbed = _rubbed(system, motions, name, pressed[name].torque, followed, acting)
+        rubbed = _rubbed(system, motions, name, torque, followed, acting)
         if moved or rubbed is not None:
             rates[name] = moved if rubbed is None else (*moved, rubbed.rate)
         damping = damping if rubbed is None else sp.add(damping, rubbed.lost)
@@ -197,15 +197,18 @@ def _rubbed(
 
 
 def pressing_of(
-    system: System, motions: tuple[Motion, ...], name: str, followed: Followed
-) -> Pressing:
-    """What a coupling with play or stiffness does."""
-    own = system.transmissions[name]
-    twist, end = transmissions.twist_of(system, motions, own), None
-    if own.has_twist:
-        known = followed.states.get(name)
-        end = transmissions.end_at_start(own, twist) if known is None else known[0]
-    return transmissions.pressing(own, twist, end, followed.shares.get(name))
+    system: System, motions: tuple[Motion, ...], followed: Followed
+) -> dict[str, Pressing]:
+    """What couplings with play or stiffness do, by name; alike ones are traced once."""
+    calls = []
+    for name, own in system.transmissions.items():
+        twist, end = transmissions.twist_of(system, motions, own), None
+        if own.has_twist:
+            known = followed.states.get(name)
+            end = transmissions.end_at_start(own, twist) if known is None else known[0]
+        calls.append((transmissions.between(own), twist, end, followed.shares.get(name)))
+    found = map_alike(transmissions.pressing, calls)
+    return dict(zip(system.transmissions, found, strict=True))
 
 
 def states_of(name: str, load: AbstractStateLoad, followed: Followed) -> tuple:
@@ -275,7 +278,7 @@ def seen_at(system: System, motions: tuple[Motion, ...], name: str, followed: Fo
 
 def give(system, motions, own, torque, acting) -> None:
     """Adds the torque of a coupling."""
-    for link, force in transmissions.on_coordinates(own, torque):
+    for link, force in transmissions.on_coordinates(motions, own, torque):
         acting.along(link, force)
     for closure, pose, wrench, joint in transmissions.on_closures(motions, own, torque):
         add_action_and_reaction(acting.wrenches, closure, pose, *wrench)

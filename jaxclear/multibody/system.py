@@ -181,6 +181,7 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
         if coupling.gives:
             own = _row(mechanism, name, places, frames)
             scale = scale_of(mechanism, coupling)
+            _check_error(name, coupling, own)
             end = _driving_end(mechanism, name, scale)
             transmissions[name] = Transmission(own, scale, coupling, end)
     measured = _measured(mechanism, places)
@@ -190,6 +191,17 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     if not topology.depend:
         return system
     return dataclasses.replace(system, arm=longest_arm(system))
+
+
+def _check_error(name: str, coupling: Any, own: Closure) -> None:
+    """Raises `ValueError` for a transmission error of a joint whose turn nobody counts."""
+    summed = isinstance(own.reading, CoordinateSum)
+    if summed and coupling.transmission_error is not None and own.reading.terms[0].link is None:
+        raise ValueError(
+            f'coupling "{name}" has a transmission_error, a function of the turn of joint '
+            f'"{own.reading.terms[0].joint}", which closes a loop or has clearance; only a joint '
+            "that the tree carries can have one behind a coupling.Motor."
+        )
 
 
 def acting_in(mechanism: Mechanism) -> dict[str, Any]:

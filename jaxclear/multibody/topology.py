@@ -245,10 +245,11 @@ def grow(
             order.append((outer, None, GROUND, False))
             inner = GROUND
         depth[outer] = depth[inner] + 1
-    return _lay_out(order, unused, bodies, connections, couplings or {})
+    return _lay_out(order, unused, bodies, connections, couplings)
 
 
-def _lay_out(order, closing, bodies, connections, couplings):
+def _lay_out(order, closing, bodies, connections, couplings=None):
+    couplings = couplings or {}
     children: dict[str, list] = {}
     for entry in order:
         children.setdefault(entry[2], []).append(entry)

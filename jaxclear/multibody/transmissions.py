@@ -16,12 +16,15 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from jaxclear.components.function_of_angle import value_and_slope
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import positive_part
+from jaxclear.ground.numerics import positive_part, safe_divide
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import constant
+from jaxclear.laws.transmission import one_sided
 from jaxclear.multibody import kinematics, pose_rows
 from jaxclear.multibody.coordinate_sums import outer_wrenches, sum_equation
+from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.loops import Closure, CoordinateSum
 from jaxclear.multibody.state import Layout
 from jaxclear.multibody.system import TWIST, System, Transmission
@@ -61,15 +64,69 @@ def twist_of(system: System, motions: tuple[Motion, ...], own: Transmission) -> 
         (residual,), (slope,) = pose_rows.gradients(closure.reading, pose)
         residual = closure.reading.counted(residual, pose, motions)
         rate = pose_rows.rate(slope, pose, relative.velocity, relative.spin)
-    return Twist(residual / own.scale, rate / own.scale)
+    value, fast = residual / own.scale, rate / own.scale
+    wobble = _wobble(motions, own)
+    if wobble is None:
+        return Twist(value, fast)
+    return Twist(value + wobble.value, fast + wobble.slope * wobble.speed)
 
 
-def pressing(own: Transmission, twist: Twist, end: Any = None, shares: Any = None) -> Pressing:
+class Wobble(NamedTuple):
+    """What a transmission error adds to a twist [rad], its derivative by the coordinate on which it
+    hangs [1], and the speed of this [rad/s]."""
+
+    value: Any
+    slope: Any
+    speed: Any
+
+
+def _wobble(motions: tuple[Motion, ...], own: Transmission) -> Wobble | None:
+    """The transmission error of a coupling with a motor; None of one without."""
+    error, reading = own.coupling.transmission_error, own.closure.reading
+    if error is None or not isinstance(reading, CoordinateSum):
+        return None
+    moving = motions[reading.terms[0].link]
+    value, slope = value_and_slope(error, moving.coordinates[0])
+    share = 1 / own.coupling.ratio
+    return Wobble(share * value, share * slope, moving.speeds[0])
+
+
+def row_of(system: System, motions: tuple[Motion, ...], own: Transmission) -> JacobianRow:
+    """How fast it twists by unit speeds, by their index."""
+    closure = own.closure
+    if isinstance(closure.reading, CoordinateSum):
+        row = sum_equation(system, motions, closure.reading)[2]
+    else:
+        pose = kinematics.relative_motion(closure, motions)[1]
+        (slope,) = pose_rows.gradients(closure.reading, pose)[1]
+        rates = lambda *moving: (pose_rows.rate(slope, *moving),)
+        (row,) = kinematics.relative_jacobian(system, motions, closure, pose, rates)
+    return {j: entry / own.scale for j, entry in row.items()}
+
+
+class Between(NamedTuple):
+    """What lies between the two sides of a transmission: play, stiffness, damping; of a belt the
+    twist at which one strand goes `slack` (None: neither does)."""
+
+    play: Any
+    stiffness: Any
+    damping: Any
+    slack: Any = None
+
+
+def between(own: Transmission) -> Between:
+    """What lies between the two sides of a transmission."""
+    coupling = own.coupling
+    return Between(coupling.play, coupling.stiffness, coupling.damping, coupling.slack_twist())
+
+
+def pressing(own: Between, twist: Twist, end: Any = None, shares: Any = None) -> Pressing:
     """What a transmission does at a twist. `end`: where the shaft's far end is from the middle of
     the gap (None: its law has none); `shares` of the upper and the lower flank that count as
     touching, 1 or 0 (None: as their places have it)."""
-    coupling = own.coupling
-    play, stiffness, damping = coupling.play, coupling.stiffness, coupling.damping
+    play, stiffness, damping, slack = own
+    if slack is not None:
+        return _of_strands(own, twist)
     if play is None:
         viscous = 0 if damping is None else damping * twist.rate
         lost = sp.mul(viscous, twist.rate)
@@ -106,11 +163,22 @@ def pressing(own: Transmission, twist: Twist, end: Any = None, shares: Any = Non
     return Pressing(*told, depths, rates, tuple(acting))
 
 
-def _with_end(own: Transmission, twist: Twist, places: tuple, flanks: tuple) -> Pressing:
+def _of_strands(own: Between, twist: Twist) -> Pressing:
+    """The same of a belt whose two strands share its stiffness, and pull alone."""
+    half = None if own.damping is None else 0.5 * own.damping
+    pulls = [
+        one_sided(own.slack + sign * twist.value, sign * twist.rate, 0.5 * own.stiffness, half)
+        for sign in (1.0, -1.0)
+    ]
+    stored, lost = (sp.add(*(getattr(x, part) for x in pulls)) for part in ("stored", "dissipated"))
+    return Pressing(pulls[0].force - pulls[1].force, None, stored, lost, twist)
+
+
+def _with_end(own: Between, twist: Twist, places: tuple, flanks: tuple) -> Pressing:
     """The same of a shaft in series with the gap: `places` (from the middle of the gap, half of it,
     far end), `flanks` (torques as if touching, shares)."""
     (place, half, end), (torques, shares), rate = places, flanks, twist.rate
-    stiffness, damping = own.coupling.stiffness, own.coupling.damping
+    _, stiffness, damping, _ = own
     gaps = (end - half, -end - half)
     met = [(gap >= 0) & (torque >= 0) for gap, torque in zip(gaps, torques, strict=True)]
     natural = [jnp.where(each, 1.0, 0.0) for each in met]
@@ -136,6 +204,36 @@ def _with_end(own: Transmission, twist: Twist, places: tuple, flanks: tuple) -> 
         rates.append(sign * end_rate)
     told = (torque, end_rate, stored, lost, twist)
     return Pressing(*told, tuple(depths), tuple(rates), tuple(acting))
+
+
+def mean_torque(own: Between, twist: Twist, end: Any, length: Any) -> Any:
+    """Mean torque over a step of a `length` [s] that begins at a twist and has a mean rate; `end`
+    as of `pressing`, at the start. A spring's is what it takes of energy over its way (the discrete
+    gradient), a damper acts on the share of the way on which the flank is touched.
+
+    Source: Gonzalez 1996, J. Nonlinear Sci. 6, 449, doi:10.1007/BF02440162.
+    """
+    play, stiffness, damping = own
+    if play is None:
+        viscous = 0 if damping is None else damping * twist.rate
+        return sp.add(stiffness * (twist.value + 0.5 * length * twist.rate), viscous)
+    half = 0.5 * play.play
+    place = sp.sub(twist.value, 0 if play.middle is None else play.middle)
+    torques = []
+    for sign in (1.0, -1.0):
+        depth, way = sign * place - half, sign * length * twist.rate
+        if end is not None:
+            # A shaft that has let go is met where its end is.
+            gap = sign * end - half
+            depth = jnp.where(gap >= 0, depth, gap)
+        first, last = positive_part(depth), positive_part(depth + way)
+        touched = jnp.where(
+            way == 0, jnp.where(depth > 0, 1.0, 0.0), safe_divide(last - first, way)
+        )
+        elastic = 0.5 * stiffness * (first + last) * touched
+        viscous = 0.0 if damping is None else damping * touched * sign * twist.rate
+        torques.append(positive_part(play.law.torque(elastic, viscous)))
+    return torques[0] - torques[1]
 
 
 def end_at_start(own: Transmission, twist: Twist) -> Any:
@@ -181,14 +279,20 @@ class Acting(NamedTuple):
     joint: str | None
 
 
-def on_coordinates(own: Transmission, torque: Any) -> list[tuple[int, Any]]:
+def on_coordinates(
+    motions: tuple[Motion, ...], own: Transmission, torque: Any
+) -> list[tuple[int, Any]]:
     """(link, generalised force) of a torque against the twist on coordinates that the tree
     carries."""
     reading = own.closure.reading
     if not isinstance(reading, CoordinateSum):
         return []
     along = -torque / own.scale
-    return [(t.link, t.factor * along) for t in reading.terms if t.link is not None]
+    found = [(t.link, t.factor * along) for t in reading.terms if t.link is not None]
+    wobble = _wobble(motions, own)
+    if wobble is not None:
+        found.append((reading.terms[0].link, -torque * wobble.slope))
+    return found
 
 
 def on_closures(motions: tuple[Motion, ...], own: Transmission, torque: Any) -> list[Acting]:

@@ -145,8 +145,8 @@ def _geared(history: StateHistory, now: Instant, name: str) -> Any:
     branch = system.topology.branch_of(own.joint)
     index = system.topology.branches.index(branch)
     faster = own.ratio * solution.accelerations[index][0]
-    own_motor: Any = history.mechanism.couplings[name].motor
-    force = -own_motor.inertia * faster
+    coupling: Any = history.mechanism.couplings[name]
+    force = -coupling.motor.inertia * faster
     for label, load in coordinate_loads(system):
         if motor in load.coordinates():
             seen = seen_coordinates(system, now.motions, load, now.followed)

@@ -342,7 +342,9 @@ def positions(
     """A mechanism at rest at positions of its drives, without time.
 
     `positions`: coordinates [rad, m] by joint, as many of each; every drive must be among them. {}
-    for a mechanism without drives, which then stands once. `start` and `guess` of the mechanism
+    for a mechanism without drives, which then stands once. A motor behind play or stiffness is held
+    by its own name (its coupling's and ".motor"): the joint then rests on the flank on which loads
+    press it, wound up by them. `start` and `guess` of the mechanism
     choose between ways to assemble. Loads are quasi-static, as at 0 s; they act without friction
     and inertia, and contacts are rigid. `both_ways`: also under reversed loads (`.reversed`), for
     lost motion; springs and stops stay as they are.

@@ -201,6 +201,8 @@ class Positions(AbstractShown):
         return columns
 
     def _unit(self, name: str) -> str:
+        if name in self.scene.motors:
+            return "rad"
         joint: Any = self.scene.mechanism.connections[name].joint
         return joint.units[0]
 

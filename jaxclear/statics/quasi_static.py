@@ -24,8 +24,10 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
+from jaxclear.components.acting import AbstractStateLoad
 from jaxclear.components.body import Connection
 from jaxclear.components.clearance import AbstractClearance, AbstractPermanentJoint
+from jaxclear.components.coupling import Hold, Motor
 from jaxclear.components.drive import Held
 from jaxclear.components.joint.base import AbstractDrivenJoint, drive_of
 from jaxclear.formulations.permanent_reactions import Reaction, reaction_through
@@ -38,11 +40,12 @@ from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.exchange import at_rest_under
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.given import speed_scales
-from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.newton import shortened
 from jaxclear.multibody.start_equations import retract
 from jaxclear.multibody.state import Followed, unpack_motion
-from jaxclear.multibody.system import System, longest_arm, prepare
+from jaxclear.multibody.system import System, acting_in, longest_arm, prepare
+from jaxclear.multibody.topology import motor_name
 from jaxclear.multibody.tree import NOTHING, Motion
 from jaxclear.native import while_loop
 
@@ -50,17 +53,27 @@ from jaxclear.native import while_loop
 SEAT = 5
 
 
+class HeldMotor(eqx.Module):
+    """A motor that is held: its `coupling` then holds the joint behind it at `rest` and the
+    `factor` times the motor's angle."""
+
+    coupling: str = eqx.field(static=True)
+    factor: Any
+    rest: Any
+
+
 class Posed(eqx.Module):
     """A mechanism whose drives hold their joints and whose joints are ideal, with the clearance
     joints that these stand for (`gaps`, by connection); or, `loose`, one that has its clearance
     joints itself. `rows`: those rows of all loops that determine it, where the others follow from
-    them; None for all."""
+    them; None for all. `motors`: those that are held, by name."""
 
     mechanism: Mechanism
     gaps: dict[str, AbstractClearance]
     held: tuple[str, ...] = eqx.field(static=True)
     rows: tuple[int, ...] | None = eqx.field(static=True, default=None)
     loose: bool = eqx.field(static=True, default=False)
+    motors: dict[str, HeldMotor] = eqx.field(default_factory=dict)
 
     def of(self, mechanism: Mechanism) -> "Posed":
         """The same of a mechanism with other numbers."""
@@ -68,12 +81,23 @@ class Posed(eqx.Module):
 
     def at(self, position: Any) -> "Posed":
         """The same at other positions of the drives, in the order of `held` [rad, m]."""
-        places = lambda posed: [
-            posed.mechanism.connections[n].joint.drive.position for n in posed.held
-        ]
         if not self.held:
             return self
-        return eqx.tree_at(places, self, [position[i] for i in range(len(self.held))])
+
+        def places(posed):
+            own = posed.mechanism
+            return [
+                own.couplings[self.motors[n].coupling].place
+                if n in self.motors
+                else own.connections[n].joint.drive.position
+                for n in self.held
+            ]
+
+        found = [position[i] for i in range(len(self.held))]
+        for i, name in enumerate(self.held):
+            if name in self.motors:
+                found[i] = self.motors[name].rest + self.motors[name].factor * found[i]
+        return eqx.tree_at(places, self, found)
 
     def determining(self, values: list) -> list:
         """Of values of all rows of loops those of the rows that determine the mechanism."""
@@ -111,11 +135,18 @@ def posed(
     loose: bool = False,
     rows: tuple[int, ...] | None = None,
 ) -> Posed:
-    """The mechanism with these joints held; `loose`: with its clearance joints, not with ideal ones
-    in their place. Raises `ValueError`, naming the joint, for what has no place under a load or
-    cannot be held."""
+    """The mechanism with these joints and motors held; `loose`: with its clearance joints, not with
+    ideal ones in their place. Raises `ValueError`, naming the joint or coupling, for what has no
+    place under a load or cannot be held."""
+    for name, own in mechanism.couplings.items():
+        if own.gives and own.stiffness is None:
+            raise ValueError(
+                f'coupling "{name}" has play and no stiffness, by which its flanks would press '
+                "where the mechanism rests; give that of its shaft or teeth."
+            )
+    mechanism, motors = _with_motors_held(mechanism, held)
     for name in held:
-        if name not in mechanism.connections:
+        if name not in mechanism.connections and name not in motors:
             raise ValueError(unknown("joint", name, mechanism.connections, " to be held"))
     others = [name for name in mechanism.driven if name not in held]
     if others:
@@ -144,7 +175,43 @@ def posed(
     bare = Mechanism(
         mechanism.bodies, connections, loads, couplings=mechanism.couplings, guess=start | guess
     )
-    return Posed(bare, gaps, held, rows, loose)
+    return Posed(bare, gaps, held, rows, loose, motors)
+
+
+def _with_motors_held(
+    mechanism: Mechanism, held: tuple[str, ...]
+) -> tuple[Mechanism, dict[str, HeldMotor]]:
+    """The mechanism whose couplings of motors that are held hold the joints behind these, and no
+    load acts on the motors; raises `ValueError` for one that cannot."""
+    named = {motor_name(name): name for name in mechanism.couplings}
+    found, couplings = {}, dict(mechanism.couplings)
+    for motor in held:
+        own: Any = couplings.get(named.get(motor, ""))
+        if own is None or own.motor is None or motor in mechanism.connections:
+            continue
+        first, *others = own.terms()
+        if not own.gives or isinstance(first.joint, Motor) or len(others) != 1:
+            raise ValueError(
+                f'motor "{motor}" cannot be held apart from what it turns: coupling '
+                f'"{named[motor]}" has neither play nor stiffness along the joint behind it. Hold '
+                "joints instead."
+            )
+        total = own.total()
+        found[motor] = HeldMotor(named[motor], -others[0].factor, 0.0 if total is None else total)
+        given = {"play": own.play, "stiffness": own.stiffness, "damping": own.damping}
+        couplings[named[motor]] = Hold(str(first.joint), 0.0, **given)
+    if not found:
+        return mechanism, {}
+    acting = acting_in(mechanism)
+    loads = {
+        name: load
+        for name, load in mechanism.loads.items()
+        if not isinstance(load, AbstractStateLoad) or not {*acting[name].coordinates()} & {*found}
+    }
+    told = ("start", "guess", "speeds")
+    begun = {what: _free(mechanism.given[what], tuple(found)) for what in told}
+    bare = rebuilt(mechanism, couplings=couplings, loads=loads, **begun)
+    return bare, found
 
 
 def _free(given: dict[str, tuple], held: tuple[str, ...]) -> dict[str, tuple]:
@@ -246,14 +313,16 @@ def acting(
     angles: dict[str, Any] | None = None,
 ) -> tuple[System, Forces]:
     """What acts on a mechanism at rest, and the mechanism with gravity as it acts; `side` -1
-    reverses loads, but neither springs nor stops. `angles` [rad]: those near which coordinates
-    outside the tree are read."""
+    reverses loads, but neither springs nor stops nor couplings that give. `angles` [rad]: those
+    near which coordinates outside the tree are read."""
     ask = lambda own: applied_forces(own, motions, {}, places, rates, 0.0, Followed(angles or {}))
     if isinstance(side, float) and side == 1.0:
         return system, ask(system)
     springs = {name: load for name, load in system.loads.items() if load.springs_back()}
     loads = {name: load for name, load in system.loads.items() if name not in springs}
-    kept, turned = (ask(dataclasses.replace(system, loads=own)) for own in (springs, loads))
+    # Couplings that give are springs.
+    kept = ask(dataclasses.replace(system, loads=springs))
+    turned = ask(dataclasses.replace(system, loads=loads, transmissions={}))
     add = lambda a, b: sp.add(a, sp.mul(side, b))
     wrenches = jax.tree.map(add, kept.wrenches, turned.wrenches)
     forces = jax.tree.map(add, kept.coordinate_forces, turned.coordinate_forces)

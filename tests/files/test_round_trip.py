@@ -76,6 +76,12 @@ TOGETHER = {
     "number": 3,
 }
 # Of one class only.
+ONE_TURN = {
+    "kind": "TimeTable",
+    "times": [0.0, 2.0, 4.0, 2 * np.pi],
+    "values": [0.0, 1.0, 0.5, 0.0],
+    "beyond": "repeated",
+}
 # Surfaces of ideal joints have no worn radius.
 ARCHARD_WEAR = {
     "kind": "Wearing",
@@ -86,6 +92,12 @@ OWN = {
     ("Slideway", "wear"): ARCHARD_WEAR,
     ("BallJoint", "wear"): ARCHARD_WEAR,
     ("KelvinVoigt", "stiffness"): "number",
+    ("Cam", "profile"): ONE_TURN,
+    ("Gear", "transmission_error"): ONE_TURN,
+    ("Rope", "over"): ["crank", "rod"],
+    ("Servo", "reference"): 0.5,
+    ("Servo", "encoder"): "load",
+    ("Motor", "inertia"): 0.5,
     ("Position", "function"): {"kind": "PeriodicTorque", "amplitude": 0.5},
     ("Force", "value"): [1.0, 2.0, 3.0],
     ("Connection", "axis"): None,

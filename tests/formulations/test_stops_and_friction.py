@@ -103,7 +103,7 @@ def test_restitution_of_a_bounded_damper_is_that_of_its_equation(ratio):
 
 
 def test_derivatives_pass_through_the_bounces_of_a_rigid_stop():
-    """Behind the first bounce q = e (v t - a), a the way there: dq/dv = -e (t - a / v) + ..."""
+    """Behind the first bounce q = -e (v t - a), a the way to the stop."""
     stop = jc.load.JointStop("slide", upper=0.0, restitution=0.5)
 
     def end(speed):
@@ -313,3 +313,40 @@ def test_another_flank_presses_where_what_is_transmitted_turns_round():
 def test_what_is_missing_is_said(make, sentence):
     with pytest.raises(ValueError, match=sentence):
         make()
+
+
+def test_lost_motion_of_play_is_that_of_both_flanks():
+    """A lever on a motor's gear: on the flank on which its weight presses it, wound up by it; under
+    the reversed weight on the other."""
+    half, stiffness, lever = 2e-3, 500.0, 0.1
+    gear = jc.coupling.Gear(
+        jc.coupling.Motor(2e-5),
+        "hinge",
+        100.0,
+        play=jc.clearance.Backlash(2 * half),
+        stiffness=stiffness,
+        damping=1.0,
+    )
+    rig = jc.Mechanism(
+        {"lever": jc.Body(1.0, 0.05, (lever, 0.0))},
+        {"hinge": jc.Connection(jc.joint.Revolute(), "ground", "lever")},
+        {
+            "gravity": jc.load.Gravity((0.0, -GRAVITY)),
+            "servo": jc.load.Servo("hinge", 0.5, kp=10.0),
+        },
+        couplings={"gear": gear},
+    )
+    held = np.array([0.0, 30.0])
+    found = jc.positions(rig, {"gear.motor": held}, both_ways=True)
+    # The servo acts on the motor, which is held. On gears the joint turns the other way.
+    for side, own in ((-1, found), (1, found.reversed)):
+        angle = np.asarray(own.coordinate("hinge"))
+        wound = GRAVITY * lever * np.cos(angle) / stiffness
+        np.testing.assert_allclose(angle, held / 100 + side * (half + wound), atol=1e-9)
+    with pytest.raises(ValueError, match='coupling "gear" has play and no stiffness'):
+        jc.positions(rig.with_coupling("gear", LOOSE), {"hinge": [0.0]})
+
+
+LOOSE = jc.coupling.Gear(
+    jc.coupling.Motor(2e-5), "hinge", 100.0, play=jc.clearance.Backlash(1e-3, restitution=0.0)
+)

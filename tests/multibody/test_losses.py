@@ -1,6 +1,7 @@
 """What transmissions lose: efficiency by the direction of power, and threads against the
 textbook."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -133,6 +134,52 @@ def test_one_that_does_not_lets_it_down():
     assert abs(float(run.coordinate("A")[-1])) > 0.3
 
 
+def test_a_slack_strand_gives_up_its_share():
+    radius, stiffness, pull = 0.02, 40.0, 100.0
+    place = []
+    # up to 2 r F_0 = 4 N m both strands pull
+    for torque in (1.0, 4.0, 9.0):
+        belt = jc.coupling.Belt(
+            "A", "B", radius, 0.04, pretension=pull, stiffness=stiffness, damping=0.05
+        )
+        rig = jc.Mechanism(
+            {"a": jc.Body(0.3, 1e-3), "b": jc.Body(1.0, 2e-3)},
+            {
+                "A": jc.Connection(TURN, "ground", "a"),
+                "B": jc.Connection(
+                    jc.joint.Revolute(jc.drive.Held(0.0)),
+                    jc.Marker("ground", (0.2, 0.0)),
+                    jc.Marker("b"),
+                ),
+            },
+            {"t": jc.load.JointTorque("A", torque)},
+            couplings={"belt": belt},
+        )
+        run = jc.simulate(rig, 3.0, save=2, balance=True, integrator=ADAPTIVE)
+        place.append(float(run.coordinate("A")[-1]))
+        # of 1 J; steps pass over the kink where a strand goes slack
+        np.testing.assert_allclose(run.energy_balance().error, 0.0, atol=1e-3)
+    np.testing.assert_allclose(place, [1 / 40, 4 / 40, 4 / 40 + 5 / 20], rtol=1e-5)
+
+
+def test_a_motor_behind_a_gear_with_an_error_moves_its_load_by_it():
+    error = lambda turn: 0.02 * jnp.sin(2 * turn)
+    gear = jc.coupling.Gear(
+        jc.coupling.Motor(1e-4), "A", RATIO, stiffness=4e3, damping=4.0, transmission_error=error
+    )
+    rig = jc.Mechanism(
+        {"a": jc.Body(1.0, 0.05)},
+        {"A": jc.Connection(TURN, "ground", "a")},
+        couplings={"gear": gear},
+        speeds={"A": 3.0, "gear.motor": 3.0 * RATIO * (1 + 2 * 0.02 / RATIO)},
+    )
+    run = jc.simulate(rig, 2.0, save=41, balance=True, integrator=ADAPTIVE)
+    turned, motor = np.asarray(run.coordinate("A")), np.asarray(run.coordinate("gear.motor"))
+    # the shaft is a thousandth of what the error is
+    np.testing.assert_allclose(motor, RATIO * turned + error(turned), atol=5e-5)
+    np.testing.assert_allclose(run.energy_balance().error, 0.0, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("build", "sentence"),
     [
@@ -143,6 +190,7 @@ def test_one_that_does_not_lets_it_down():
         ),
         (lambda: jc.coupling.Screw("S", 8e-3, friction=0.1), "friction and diameter together"),
         (lambda: jc.coupling.Efficiency(1.2), "at most 1"),
+        (lambda: jc.coupling.Belt("A", "B", 0.1, 0.1, pretension=9.0), "pretension, and needs"),
     ],
 )
 def test_what_cannot_be_is_said(build, sentence):

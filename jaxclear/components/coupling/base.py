@@ -14,6 +14,7 @@ torque along the same gradient. s is seen at the slow side b of a `Gear`, at the
 
 import dataclasses
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -101,6 +102,16 @@ class AbstractCoupling(AbstractQuantified):
     @property
     def efficiency(self) -> Efficiency | None:
         """What of the power comes out; None unless a class has this field (`efficiency_field`)."""
+        return None
+
+    @property
+    def transmission_error(self) -> Callable | None:
+        """What is added to `ratio` times the turn of b [rad]; None unless a class has this
+        field."""
+        return None
+
+    def slack_twist(self) -> Any:
+        """The twist at which one strand goes slack; None, as unless overridden: none does."""
         return None
 
     @property

@@ -68,6 +68,11 @@ class Gear(AbstractBodyCoupling):
                 "coupling.Gear has pressure_angle = 0; leave it out, and the force is across the "
                 "line of centres."
             )
+        if self.motor is not None and self.transmission_error is not None and not self.gives:
+            raise ValueError(
+                "coupling.Gear has a coupling.Motor and a transmission_error, and neither "
+                "stiffness nor play; give its stiffness, behind which the error is felt."
+            )
         if self.motor is not None and self.pressure_angle is not None:
             raise ValueError(
                 "coupling.Gear has a coupling.Motor and a pressure_angle; a motor has no body that "
@@ -128,9 +133,12 @@ class Belt(AbstractBodyCoupling):
     :math:`r_b` of a, the same way round, or the other way where it is `crossed`.
 
     It acts on the bodies by the difference of its two strands' forces along them, of half each, so
-    that pulleys of one size do not load their bearings by it; the pretension, which does, is a load
-    of your own. Strands do not stretch and do not slip. With a `Motor` as an end it acts on the
-    coordinate of the other alone.
+    that pulleys of one size do not load their bearings by it; that of the pretension on bearings is
+    a load of your own. Strands do not slip. Without stiffness they do not stretch; with it, which
+    both share, as it is seen at a, and a `pretension` [N] of each, a strand pulls and does not
+    push: beyond a torque of :math:`2 r_a F_0` at a the slack one gives up its share, and half the
+    stiffness is left. Without pretension, as of a chain that is taut both ways, both go on. With a
+    `Motor` as an end it acts on the coordinate of the other alone.
     """
 
     a: str | Motor = end()
@@ -138,9 +146,24 @@ class Belt(AbstractBodyCoupling):
     radius_a: Scalar = quantity(unit="m", meaning="radius of pulley a", above=0)
     radius_b: Scalar = quantity(unit="m", meaning="radius of pulley b", above=0)
     crossed: bool = eqx.field(static=True, default=False, kw_only=True)
+    pretension: Scalar | None = quantity(
+        None, "N", "pull F_0 of each strand at rest", at_least=0, kw_only=True
+    )
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
     damping: Scalar | None = damping_field()
+
+    def __check_init__(self):
+        if self.pretension is not None and (self.stiffness is None or self.play is not None):
+            raise ValueError(
+                "coupling.Belt has pretension, and needs stiffness, by which its strands stretch, "
+                "and no play beside it."
+            )
+
+    def slack_twist(self):
+        if self.pretension is None:
+            return None
+        return 2 * self.pretension * self.radius_a / self.stiffness
 
     def joints(self):
         return named(self.a, self.b)

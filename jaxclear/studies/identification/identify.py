@@ -26,6 +26,7 @@ from jaxclear.studies.identification.models import (
 )
 from jaxclear.studies.identification.regression import Regression, regression, told, told_alone
 from jaxclear.studies.identification.result import (
+    LEVEL,
     NOT,
     ONE_RECORD,
     Evidence,
@@ -57,9 +58,11 @@ WAYS = ("statistics", "signal")
 WHAT = "the sample of an identification"
 # Runs below which residuals say nothing of an interval of 95 %.
 LEAST_RUNS = 64
-# A kind of statistics tells an unknown where its left-out residuals are below this share of the
-# prior's deviation.
+# Statistics tell an unknown where their left-out residuals are below this share of the prior's
+# deviation; beyond it, an interval that is narrower at some estimate is so by chance.
 TELLS = 0.9
+# Of a prior [1]: its middle and its interval.
+NOTHING = (0.5, 0.5 * (1 - LEVEL), 0.5 * (1 + LEVEL))
 
 
 @answering
@@ -192,9 +195,13 @@ def answered(known: Fit, record: Measurement) -> Identified:
     own = {name: values[None] for name, values in record.signals.items()}
     shown = statistics_of(as_signals(own, record, known.cut), known.statistics)
     here = np.concatenate([one[0] for one in shown.values()])
+    rows = [
+        (row.estimate, row.low, row.high) if scatter < TELLS else NOTHING
+        for row, scatter in zip(told(fitted, here), fitted.scatter, strict=True)
+    ]
     unknowns = tuple(
-        unknown_of(problem, name, (row.estimate, row.low, row.high), known.tellers[name])
-        for name, row in zip(problem.names, told(fitted, here), strict=True)
+        unknown_of(problem, name, row, known.tellers[name])
+        for name, row in zip(problem.names, rows, strict=True)
     )
     joint = _joint(fitted, here, [own.verdict == NOT for own in unknowns])
     values = [prior_quantiles(problem, n, joint[:, i]) for i, n in enumerate(problem.names)]

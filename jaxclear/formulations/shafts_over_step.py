@@ -1,0 +1,60 @@
+"""Couplings with stiffness over an implicit step, so that no step is too long for a stiff one.
+
+What acts is the mean over the step at a mean rate (`transmissions.mean_torque`): springs give back
+what they have taken. It is found with what contacts do (`LinearLaws`); the torque at the predicted
+place, which the equations of motion know, is taken out of them.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxclear.formulations.contact_rows import FreeMotion
+from jaxclear.formulations.model import Model
+from jaxclear.ground import sparse as sp
+from jaxclear.multibody import transmissions
+from jaxclear.multibody.kinematics import JacobianRow, along
+from jaxclear.multibody.transmissions import Between, Twist
+
+
+class ShaftOverStep(NamedTuple):
+    """A coupling over a step of a `length` [s]: what lies between its sides, its row, its rate and
+    twist as the step begins, and where a shaft's far end is (None: it has none)."""
+
+    between: Between
+    row: JacobianRow
+    begun: Any
+    twist: Any
+    end: Any
+    length: Any
+
+    def law(self, rate: Any) -> tuple[Any, Any]:
+        """Force along the row at a mean rate, and by how much it falls with that."""
+        torque = lambda rate: transmissions.mean_torque(
+            self.between, Twist(self.twist, rate), self.end, self.length
+        )
+        rate = jnp.asarray(rate, float)
+        found, slope = jax.jvp(torque, (rate,), (jnp.ones_like(rate),))
+        return -found, jnp.maximum(slope, 0.0)
+
+
+def shafts_over_step(
+    model: Model, free_motion: FreeMotion, speeds: list, length: Any
+) -> tuple[tuple[ShaftOverStep, ...], FreeMotion]:
+    """The couplings with stiffness over a step of this length [s] from these speeds, and the free
+    motion without them."""
+    system, forces = model.system, free_motion.forces
+    found, right = [], list(free_motion.right)
+    for name, own in system.transmissions.items():
+        pressing = forces.pressing[name]
+        known = forces.followed.states.get(name)
+        end = known[0] if own.has_twist and known is not None else None
+        row = transmissions.row_of(system, forces.motions, own)
+        begun = along(row, speeds)
+        start = pressing.twist.value - 0.5 * length * begun
+        between = transmissions.between(own)
+        found.append(ShaftOverStep(between, row, begun, start, end, length))
+        for j, entry in row.items():
+            right[j] = sp.add(right[j], sp.mul(pressing.torque, entry))
+    return tuple(found), free_motion._replace(right=tuple(right)) if found else free_motion
