@@ -15,7 +15,7 @@ import jax
 import jaxclear as jc
 from jaxclear.commands import antenna, arm, design, flap, four_bar, guide, parallel_3rsr, wear_life
 from jaxclear.commands.cache import cache
-from jaxclear.commands.own_scene import example, monte_carlo, parameters, run
+from jaxclear.commands.own_scene import example, identify, monte_carlo, parameters, run
 from jaxclear.commands.report import report
 from jaxclear.ground import cache_folder
 from jaxclear.studies.ledger.ledger import OtherStudy
@@ -38,6 +38,7 @@ WORTH_KEEPING = 0.5
 COMMANDS: dict[str, Callable[..., None]] = {
     "run": run,
     "monte-carlo": monte_carlo,
+    "identify": identify,
     "report": report,
     "example": example,
     "parameters": parameters,
