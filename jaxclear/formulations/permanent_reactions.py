@@ -283,7 +283,7 @@ class ReactionNotUnique(ValueError):
 def check_unique(system: System) -> None:
     """Raises `ReactionNotUnique` where friction would hang on a reaction that is not unique.
 
-    Source: Wojtyra 2017, Multibody Syst. Dyn. 39, 337, doi:10.1007/s11044-016-9535-4.
+    Source: Wojtyra 2017, Multibody Syst. Dyn. 39, 337, doi:10.1007/s11044-016-9535-6.
     """
     redundancy = system.topology.redundancy
     for held in touching(system):
