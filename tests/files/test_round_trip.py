@@ -92,6 +92,7 @@ OWN = {
     ("Slideway", "wear"): ARCHARD_WEAR,
     ("BallJoint", "wear"): ARCHARD_WEAR,
     ("KelvinVoigt", "stiffness"): "number",
+    ("Belt", "play"): None,
     ("Cam", "profile"): ONE_TURN,
     ("Gear", "transmission_error"): ONE_TURN,
     ("Rope", "over"): ["crank", "rod"],
