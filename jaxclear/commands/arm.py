@@ -147,8 +147,8 @@ def twist(run: Any, name: str) -> np.ndarray:
 
 
 def slopes(problem: jc.Problem) -> pandas.DataFrame:
-    """The tip's error by each play [mm/arcmin], exact derivatives, and its share of the error:
-    slope times play over the sum."""
+    """The tip's error by each play [mm/arcmin], by derivatives of one run, and its share of the
+    error: slope times play over the sum."""
     by_play = jax.jit(jax.jacfwd(lambda plays: problem.evaluate(plays).responses["tip error"]))
     nominal = problem.nominal()
     found = np.asarray(by_play(nominal))
@@ -252,7 +252,7 @@ def budget_figure(table: pandas.DataFrame) -> Figure:
     axes.bar(table["joint"], table["slope [mm/arcmin]"], color="C0")
     axes.axhline(0.0, color="k", lw=0.6)
     axes.set_ylabel("tip error by the play of a reducer [mm/arcmin]")
-    axes.set_title("Slopes by all seven plays: exact derivatives of one run")
+    axes.set_title("Slopes by all seven plays, from one run")
     return figure
 
 
