@@ -350,3 +350,24 @@ def test_lost_motion_of_play_is_that_of_both_flanks():
 LOOSE = jc.coupling.Gear(
     jc.coupling.Motor(2e-5), "hinge", 100.0, play=jc.clearance.Backlash(1e-3, restitution=0.0)
 )
+
+
+@pytest.mark.parametrize("integrator", [RIGID, PERMANENT], ids=["rigid", "permanent"])
+def test_losses_beside_rigid_flanks_are_refused(integrator):
+    play = jc.clearance.Backlash(1e-3, restitution=0.0)
+    loses = jc.coupling.Gear(
+        jc.coupling.Motor(2e-5),
+        "slide",
+        100.0,
+        play=play,
+        stiffness=500.0,
+        damping=1.0,
+        efficiency=0.9,
+    )
+    rig = jc.Mechanism(
+        {"lever": jc.Body(1.0, 0.05)},
+        {"slide": jc.Connection(jc.joint.Revolute(), "ground", "lever")},
+        couplings={"gear": loses},
+    )
+    with pytest.raises(ValueError, match="has play and loses power to friction"):
+        jc.simulate(rig, 0.1, integrator=integrator)
