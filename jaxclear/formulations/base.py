@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 
 from jaxclear.components.clearance import CarryingEnd
+from jaxclear.components.coupling import AbstractCoupling
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import concrete
@@ -114,7 +115,10 @@ def check_play(mechanism: Mechanism, integrator: str, rigid: bool) -> None:
     """Raises `ValueError` with a sentence for a coupling whose play the formulation cannot serve:
     where flanks may be `rigid` those with a restitution need nothing else."""
     for name, coupling in mechanism.couplings.items():
-        if coupling.play is None or (rigid and coupling.play.restitution is not None):
+        if coupling.play is None:
+            continue
+        if rigid and coupling.play.restitution is not None:
+            check_lossless(name, coupling, f"{integrator} takes the flanks of its play as rigid")
             continue
         kind = f'coupling "{name}" is a {type(coupling).__name__} with play'
         law = type(coupling.play.law).__name__
@@ -131,6 +135,15 @@ def check_play(mechanism: Mechanism, integrator: str, rigid: bool) -> None:
                 f"{kind} by flank.{law}, whose shaft relaxes by its damping, and has none; give "
                 "damping, or take flank.Stop."
             )
+
+
+def check_lossless(name: str, coupling: AbstractCoupling, why: str) -> None:
+    """Raises `ValueError` for a coupling that loses power, where its play is one of rows."""
+    if coupling.efficiency is not None or coupling.thread is not None:
+        raise ValueError(
+            f'coupling "{name}" has play and loses power to friction, and {why}, of which nothing '
+            "is lost: take Adaptive, FixedStep or ImplicitStep, or leave play or losses out."
+        )
 
 
 def model_of(

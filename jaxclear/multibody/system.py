@@ -219,7 +219,8 @@ def motor_ends(mechanism: Mechanism) -> dict[str, MotorEnd]:
     ends: dict[str, MotorEnd] = {}
     for name, coupling in mechanism.couplings.items():
         joints = coupling.joints()
-        if coupling.motor is not None and coupling.gives and len(joints) == 1:
+        twists = coupling.play is not None or coupling.stiffness is not None
+        if coupling.motor is not None and twists and len(joints) == 1:
             ends[joints[0]] = _motor_end(mechanism, name)
     return ends
 

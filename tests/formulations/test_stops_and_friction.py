@@ -285,6 +285,36 @@ def test_reversal_value_of_a_load_held_by_friction_is_play_and_wind_up(kind):
     np.testing.assert_allclose(np.abs(run.transmitted("load 1")).max(), torque, rtol=1e-6)
 
 
+def test_seated_play_is_the_ideal_motion_and_the_lost_one():
+    """A lever that a servo on its motor swings: where it stands in compliant steps is where it
+    stands without play and what is lost."""
+    gear = jc.coupling.Gear(
+        jc.coupling.Motor(2e-5),
+        "hinge",
+        100.0,
+        play=jc.clearance.Backlash(4e-3),
+        stiffness=500.0,
+        damping=5.0,
+    )
+    rig = jc.Mechanism(
+        {"lever": jc.Body(1.0, 0.05, (0.1, 0.0))},
+        {"hinge": jc.Connection(jc.joint.Revolute(), "ground", "lever")},
+        {
+            "gravity": jc.load.Gravity((0.0, -GRAVITY)),
+            "servo": jc.load.Servo("hinge", lambda t: 0.3 * jnp.sin(3 * t), kp=900.0, kd=60.0),
+        },
+        couplings={"gear": gear},
+    )
+    compliant, seated = (
+        ran(rig, 1.0, own, save=11) for own in (jc.integrator.Adaptive(), PERMANENT)
+    )
+    told, known = seated.coupling("gear"), compliant.coupling("gear")
+    place = np.asarray(seated.coordinate("hinge")) + np.asarray(told.twist)
+    np.testing.assert_allclose(place[4:], compliant.coordinate("hinge")[4:], atol=2e-5)
+    np.testing.assert_allclose(told.torque[4:], known.torque[4:], rtol=5e-3)
+    np.testing.assert_array_equal(told.flank[4:], known.flank[4:])
+
+
 def test_another_flank_presses_where_what_is_transmitted_turns_round():
     play = jc.clearance.Backlash(2 * TWO["half"])
     run = ran(two_masses(play, stiffness=1e5, damping=10.0), 1.0, PERMANENT, save=1001)
@@ -350,3 +380,24 @@ def test_lost_motion_of_play_is_that_of_both_flanks():
 LOOSE = jc.coupling.Gear(
     jc.coupling.Motor(2e-5), "hinge", 100.0, play=jc.clearance.Backlash(1e-3, restitution=0.0)
 )
+
+
+@pytest.mark.parametrize("integrator", [RIGID, PERMANENT], ids=["rigid", "permanent"])
+def test_losses_beside_rigid_flanks_are_refused(integrator):
+    play = jc.clearance.Backlash(1e-3, restitution=0.0)
+    loses = jc.coupling.Gear(
+        jc.coupling.Motor(2e-5),
+        "slide",
+        100.0,
+        play=play,
+        stiffness=500.0,
+        damping=1.0,
+        efficiency=0.9,
+    )
+    rig = jc.Mechanism(
+        {"lever": jc.Body(1.0, 0.05)},
+        {"slide": jc.Connection(jc.joint.Revolute(), "ground", "lever")},
+        couplings={"gear": loses},
+    )
+    with pytest.raises(ValueError, match="has play and loses power to friction"):
+        jc.simulate(rig, 0.1, integrator=integrator)
