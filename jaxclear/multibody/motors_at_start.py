@@ -21,7 +21,7 @@ def turned(
 ) -> tuple[Array, Array]:
     """Coordinates and speeds with those of motors that are not given."""
     names, given = motors(mechanism.couplings), {*mechanism.start, *mechanism.guess}
-    free = [
+    free: list[tuple[Any, str]] = [
         (system.topology.branch_of(motor), coupling)
         for motor, coupling in names.items()
         if coupling in system.transmissions

@@ -213,7 +213,10 @@ def mean_torque(own: Between, twist: Twist, end: Any, length: Any) -> Any:
 
     Source: Gonzalez 1996, J. Nonlinear Sci. 6, 449, doi:10.1007/BF02440162.
     """
-    play, stiffness, damping = own
+    play, stiffness, damping, slack = own
+    if slack is not None:
+        middle = Twist(twist.value + 0.5 * length * twist.rate, twist.rate)
+        return _of_strands(own, middle).torque
     if play is None:
         viscous = 0 if damping is None else damping * twist.rate
         return sp.add(stiffness * (twist.value + 0.5 * length * twist.rate), viscous)
