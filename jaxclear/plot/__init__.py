@@ -5,6 +5,7 @@ a page of a run that moves.
 
 from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.plot.animation import animate
+from jaxclear.plot.identification import identification
 from jaxclear.plot.life import design, design_front, settled, wear_life, wear_lives
 from jaxclear.plot.motion import (
     angular_velocity,
@@ -46,6 +47,7 @@ __all__ = [
     "end_centres",
     "error_budget",
     "hysteresis",
+    "identification",
     "journal_ends",
     "journal_orbit",
     "modes",

@@ -9,6 +9,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import described, listed
 from jaxclear.plot.canvas import check_run, key, panels, readable, warned
+from jaxclear.plot.identification import identification
 from jaxclear.plot.life import design, settled, wear_life, wear_lives
 from jaxclear.plot.motion import pointing_budget
 from jaxclear.plot.signal import reached
@@ -34,6 +35,7 @@ from jaxclear.studies.advice import Advice
 from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.design.result import Design
 from jaxclear.studies.fidelity.result import MultiFidelity
+from jaxclear.studies.identification.result import Identified
 from jaxclear.studies.life.result import WearLife
 from jaxclear.studies.life.settled import Settled
 from jaxclear.studies.life.wear_life import WearLives
@@ -135,6 +137,7 @@ FIGURES: dict[type, Callable] = {
     Campaign: lambda found, **how: monte_carlo(found.sample, **how),
     Corrected: corrected,
     Design: design,
+    Identified: identification,
     MonteCarlo: monte_carlo,
     MultiFidelity: multi_fidelity,
     PointingError: pointing_budget,

@@ -14,6 +14,7 @@ import jaxclear as jc
 from jaxclear import plot
 from jaxclear.ground.datasets import Column, dataset
 from jaxclear.plot.overview import FIGURES
+from tests.plot.identified import identified
 
 # Where a run begins is no result that could be drawn.
 NO_RESULTS = {"State"}
@@ -40,8 +41,11 @@ def sized():
 
 TOO_LONG = jc.limit_state.Above("sum", 3.03e-3)
 CHEAPER = problem(lambda a, b: {"sum": a + 0.9 * b, "product": a * b})
+
+
 # A result of each kind that a function of dimensions gives.
 STUDIES = {
+    "Identified": lambda folder: identified(problem()),
     "MonteCarlo": lambda folder: jc.monte_carlo(problem(), 128),
     "Campaign": lambda folder: jc.campaign(problem(), 128, folder=folder),
     "Sensitivity": lambda folder: jc.sensitivity(problem(), sample=128, difference_samples=64),

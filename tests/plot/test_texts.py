@@ -29,6 +29,7 @@ from jaxclear.studies.life.result import WearLife
 from jaxclear.studies.life.settled import Settled
 from jaxclear.studies.life.wear_life import WearLives
 from jaxclear.studies.sensitivity.derivative import Derivative, Estimate, Sensitivity
+from tests.plot.identified import identified
 
 CRANK, ROD, SLIDER = (
     f"{one} of the second stage of the pump" for one in ("crank", "rod", "slider")
@@ -290,6 +291,7 @@ CASES = {
         lambda: plot.monte_carlo(narrow(3)),
         lambda: plot.monte_carlo(narrow(3000)),
     ],
+    "identification": [lambda: plot.identification(identified(problem()))],
     "multi_fidelity": [
         lambda: plot.multi_fidelity(
             jc.multi_fidelity(problem(), problem(lambda **sizes: stack(**sizes)), 256)

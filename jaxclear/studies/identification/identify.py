@@ -26,6 +26,8 @@ from jaxclear.studies.identification.models import (
 )
 from jaxclear.studies.identification.regression import Regression, regression, told, told_alone
 from jaxclear.studies.identification.result import (
+    LEVEL,
+    NOT,
     ONE_RECORD,
     Evidence,
     Identified,
@@ -56,9 +58,11 @@ WAYS = ("statistics", "signal")
 WHAT = "the sample of an identification"
 # Runs below which residuals say nothing of an interval of 95 %.
 LEAST_RUNS = 64
-# A kind of statistics tells an unknown where its left-out residuals are below this share of the
-# prior's deviation.
+# Statistics tell an unknown where their left-out residuals are below this share of the prior's
+# deviation; beyond it, an interval that is narrower at some estimate is so by chance.
 TELLS = 0.9
+# Of a prior [1]: its middle and its interval.
+NOTHING = (0.5, 0.5 * (1 - LEVEL), 0.5 * (1 + LEVEL))
 
 
 @answering
@@ -108,6 +112,7 @@ def identify(
     check_known("way", how, WAYS, " of identify")
     check_flags("identify", progress_bar=progress_bar)
     models = models_of(problem, records)
+    records = [record.compared for record in records]
     for own in [own for every in models.values() for own in every]:
         check_sampled(own, runs, seed)
     if how == "signal":
@@ -190,11 +195,15 @@ def answered(known: Fit, record: Measurement) -> Identified:
     own = {name: values[None] for name, values in record.signals.items()}
     shown = statistics_of(as_signals(own, record, known.cut), known.statistics)
     here = np.concatenate([one[0] for one in shown.values()])
+    rows = [
+        (row.estimate, row.low, row.high) if scatter < TELLS else NOTHING
+        for row, scatter in zip(told(fitted, here), fitted.scatter, strict=True)
+    ]
     unknowns = tuple(
-        unknown_of(problem, name, (row.estimate, row.low, row.high), known.tellers[name])
-        for name, row in zip(problem.names, told(fitted, here), strict=True)
+        unknown_of(problem, name, row, known.tellers[name])
+        for name, row in zip(problem.names, rows, strict=True)
     )
-    joint = _joint(fitted, here)
+    joint = _joint(fitted, here, [own.verdict == NOT for own in unknowns])
     values = [prior_quantiles(problem, n, joint[:, i]) for i, n in enumerate(problem.names)]
     remarks = (
         *together(problem.names, fitted, [own.verdict for own in unknowns]),
@@ -226,11 +235,12 @@ def _tellers(
     return found
 
 
-def _joint(fitted: Any, here: np.ndarray) -> np.ndarray:
+def _joint(fitted: Regression, here: np.ndarray, open_: list[bool]) -> np.ndarray:
     """Shares (runs, unknowns) that the unknowns may have together: the estimates and what they
-    miss, run by run."""
-    at = fitted.estimates(here)[0]
-    return np.clip(at + fitted.missed(at), 0.0, 1.0)
+    miss, run by run; of unknowns that are not identified, their own."""
+    at = np.clip(fitted.estimates(here)[0], 0.0, 1.0)
+    found = np.clip(at + fitted.missed(at), 0.0, 1.0)
+    return np.where(open_, fitted.unknowns, found)
 
 
 def _laws_in_words(laws: Ensemble) -> tuple[str, ...]:

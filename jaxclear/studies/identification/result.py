@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.studies.answer import DATASET, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution import Empirical
@@ -156,11 +156,11 @@ class Identified(AbstractAnswer):
             return {}
         return dict(zip(self.problem.names, self.evidence.held().mean(0).tolist(), strict=True))
 
-    def posterior(self) -> Problem | FunctionProblem:
+    def posterior(self, duration: float | None = None) -> Problem | FunctionProblem:
         """The problem whose variables follow what the record leaves of their priors, with the
-        correlation of their normal scores; its mechanism stands at the medians. Any study takes
-        it."""
-        return posterior_of(self.problem, self.posterior_values)
+        correlation of their normal scores; its mechanism stands at the medians. Any study takes it.
+        `duration` [s] of its runs, by default that of the problem's: lives want one period."""
+        return posterior_of(self.problem, self.posterior_values, duration)
 
     def sentence(self) -> str:
         """Each unknown in words, and what else is to be known of the answer."""
@@ -206,9 +206,12 @@ class Identified(AbstractAnswer):
 
 
 def posterior_of(
-    problem: Problem | FunctionProblem, values: np.ndarray
+    problem: Problem | FunctionProblem, values: np.ndarray, duration: float | None = None
 ) -> Problem | FunctionProblem:
-    """The problem with variables that follow a sample of `values` (samples, variables)."""
+    """The problem with variables that follow a sample of `values` (samples, variables), its runs of
+    a `duration` [s]."""
+    if duration is not None:
+        check_number("duration of a posterior", duration, "s", above=0)
     middle = np.median(values, axis=0)
     correlation = score_correlation(values)
     ends = np.stack([prior_quantiles(problem, n, np.array([0.0, 1.0])) for n in problem.names])
@@ -224,6 +227,7 @@ def posterior_of(
     if isinstance(problem, FunctionProblem):
         units = problem.units()
         return FunctionProblem(problem.function, known, units=units, correlation=correlation)
+    lasts = float(problem.duration if duration is None else duration)
     varied = list(problem.variables.values())
     named: list[Any] = [own for own in varied if isinstance(own, Variable)]
     at = [value for value, own in zip(moved, varied, strict=True) if isinstance(own, Variable)]
@@ -231,9 +235,9 @@ def posterior_of(
         with_values(problem.mechanism, named, jnp.asarray(at)),
         problem.response,
         known,
-        duration=float(problem.duration),
+        duration=lasts,
         integrator=problem.integrator,
-        save=np.asarray(problem.shares * problem.duration),
+        save=np.asarray(problem.shares) * lasts,
         state=problem.state,
         correlation=correlation,
     )
