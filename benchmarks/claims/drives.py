@@ -22,7 +22,7 @@ from benchmarks.measure import report, sign
 
 # Beyond 18 links XLA factorises the mass matrix, and compiles the step for minutes.
 LINKS, QUICK_LINKS = (1, 3, 7, 15), (1, 3)
-PLAY, STEP, STEPS, REPEATS = 6e-4, 2e-5, 400_000, 3
+PLAY, STEP, STEPS, REPEATS = 6e-4, 2e-5, 400_000, 5
 TIP_STEPS = (1000, 2000, 4000, 8000)
 EXACT = jc.integrator.Adaptive(rtol=1e-12, atol=1e-13)
 
@@ -61,15 +61,24 @@ def cpu(run: Callable[[], Any]) -> float:
     return time.process_time() - begun
 
 
-def step_cost(links: int, plays: Any) -> dict[str, float]:
-    """CPU time of the first, short run, and of a step [ns]."""
-    rig, step = arm(links, plays), jc.integrator.FixedStep(STEP)
-    run = lambda steps: jc.simulate(rig, steps * STEP, save=3, integrator=step, verify=False)
-    first = cpu(lambda: run(50))
-    short = min(cpu(lambda: run(50)) for _ in range(REPEATS))
-    steps = STEPS // links**2
-    long = min(cpu(lambda: run(steps)) for _ in range(REPEATS))
-    return {"first run [s]": first, "a step [ns]": 1e9 * (long - short) / (steps - 50)}
+def step_cost(links: int) -> dict[str, float]:
+    """CPU time of the first, short run, and of a step [ns], without play and with: the least of
+    some rounds in which both take turns."""
+    step, steps = jc.integrator.FixedStep(STEP), STEPS // links**2
+    rigs = {"without": arm(links), "with play": arm(links, (PLAY,) * links)}
+    run = lambda name, count: cpu(
+        lambda: jc.simulate(rigs[name], count * STEP, save=3, integrator=step, verify=False)
+    )
+    row: dict[str, float] = {"links": links}
+    row |= {f"first run [s], {name}": run(name, 50) for name in rigs}
+    rounds = [
+        {(name, count): run(name, count) for name in rigs for count in (50, steps)}
+        for _ in range(REPEATS)
+    ]
+    least = {which: min(each[which] for each in rounds) for which in rounds[0]}
+    for name in rigs:
+        row[f"a step [ns], {name}"] = 1e9 * (least[name, steps] - least[name, 50]) / (steps - 50)
+    return row | {"ratio": row["a step [ns], with play"] / row["a step [ns], without"]}
 
 
 def tip(run: Any, links: int) -> np.ndarray:
@@ -134,13 +143,8 @@ def slope(links: int) -> dict[str, float]:
 
 def main() -> None:
     asked = options()
-    links, costs = QUICK_LINKS if asked.quick else LINKS, []
-    for count in links:
-        without, loose = step_cost(count, None), step_cost(count, (PLAY,) * count)
-        row = {"links": count} | {f"{what}, without": x for what, x in without.items()}
-        row |= {f"{what}, with play": x for what, x in loose.items()}
-        costs.append(row | {"ratio": loose["a step [ns]"] / without["a step [ns]"]})
-        print(costs[-1], flush=True)
+    links = QUICK_LINKS if asked.quick else LINKS
+    costs = [step_cost(count) for count in links]
     report("drives: a Runge-Kutta step with play and without", costs, asked)
     tips = [row for count in links[:2] for row in tip_error(count)]
     report("drives: the place of the tip for its cost", tips, asked)
