@@ -30,6 +30,7 @@ from jaxclear.multibody import (
 )
 from jaxclear.multibody.assembly_modes import Beginning, Mode, Nominal, at_guess
 from jaxclear.multibody.mechanism import Mechanism, loosened, ungiven, with_redundancy
+from jaxclear.multibody.motors_at_start import turned
 from jaxclear.multibody.newton import Near, closed, least, nearer
 from jaxclear.multibody.start_equations import (
     GIVEN,
@@ -122,7 +123,7 @@ def _solved(asked: Ask, q: Array, v: Array, time: Any) -> Start:
     # The second time for rounding only: rates are linear in the speeds.
     for _ in range(2):
         v = v - least(asked, speed_blocks(asked, q, v, time)).change
-    return _started(asked, q, v, time)
+    return _started(asked, *turned(mechanism, asked.system, q, v, time), time)
 
 
 def closest(asked: Ask, q: Array, time: Any) -> Array:

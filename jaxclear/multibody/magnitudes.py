@@ -268,6 +268,8 @@ def _starts(mechanism: Any) -> Iterator[str]:
     """Angles of many turns."""
     for what in ("start", "guess"):
         for name, values in getattr(mechanism, what).items():
+            if name in mechanism.topology.motors:
+                continue
             for value, unit in zip(values, coordinate_units(mechanism, name), strict=False):
                 angle = concrete(value)
                 if unit == "rad" and angle is not None and abs(angle) > MOST_TURNS:

@@ -19,6 +19,7 @@ from jaxclear.multibody import constraints, given, kinematics
 from jaxclear.multibody.given import at_start
 from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.motors_at_start import turned
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, motor_ends, prepare
 from jaxclear.multibody.tree import Motion
@@ -122,7 +123,7 @@ def guess(mechanism: Mechanism) -> tuple[Array, Array]:
             own, fast = at_start(branch, link.joint, own, fast)
             q.extend(own)
             v.extend(fast)
-    return sp.stack(q), sp.stack(v)
+    return turned(mechanism, system, sp.stack(q), sp.stack(v), 0.0)
 
 
 def retract(system: System, q: Array, step: Array) -> Array:

@@ -124,7 +124,9 @@ def _check_end(trajectory: Trajectory) -> None:
 def is_all_kernel(mechanism: Mechanism, integrator: AbstractIntegrator, told: bool = False) -> bool:
     """Whether next to all work of a run is that of its kernels, if it has any and its progress is
     not `told`: then XLA need not optimise the rest, of however many cells worn surfaces are."""
-    small = mechanism.topology.coordinate_count <= FEW_COORDINATES
+    # A motor has an equation of its own, whatever the others do.
+    own = (branch for branch in mechanism.topology.branches if not branch.motor)
+    small = sum(branch.coordinate_count for branch in own) <= FEW_COORDINATES
     ready = has_kernels() and integrator.in_kernels
     return small and ready and not told and integrator.steps_between_saves is None
 

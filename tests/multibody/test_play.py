@@ -327,6 +327,19 @@ def test_a_load_with_a_state_is_carried_by_every_integrator(integrator, off):
     np.testing.assert_allclose(on.coordinate("L")[-1], moved[1][-1], rtol=0, atol=off)
 
 
+def test_a_motor_of_which_nothing_is_told_starts_along_with_its_joint():
+    play = jc.clearance.Backlash(1e-3, middle=2e-4)
+    gear = jc.coupling.Gear(
+        jc.coupling.Motor(1e-3), "L", 50.0, play=play, stiffness=1e4, damping=9.0
+    )
+    rig = one_arm(couplings={"G": gear}, start={"L": 0.4}, speeds={"L": -0.1})
+    start = jc.assemble(rig)
+    np.testing.assert_allclose(start.coordinates, [0.4, 50 * (0.4 - 2e-4)], rtol=1e-12)
+    np.testing.assert_allclose(start.speeds, [-0.1, -5.0], rtol=1e-12)
+    run = jc.simulate(rig, 0.5, save=3)
+    assert float(run.coordinate("L")[-1]) == pytest.approx(0.35, rel=1e-9)
+
+
 def test_motors_are_coordinates_and_no_bodies():
     rig = two_masses("nordin")
     assert tuple(rig.bodies) == ("load",)

@@ -1,0 +1,44 @@
+"""Where motors stand as a run begins of which nothing is told: so that what they drive through play
+or stiffness is in the middle of its play and not wound up, and moves along."""
+
+from typing import Any
+
+from jaxtyping import Array, Float
+
+from jaxclear.multibody import kinematics, transmissions
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.state import unpack_motion
+from jaxclear.multibody.system import System
+from jaxclear.multibody.topology import motors
+
+
+def turned(
+    mechanism: Mechanism,
+    system: System,
+    q: Float[Array, " q"],
+    v: Float[Array, " v"],
+    time: Any,
+) -> tuple[Array, Array]:
+    """Coordinates and speeds with those of motors that are not given."""
+    names, given = motors(mechanism.couplings), {*mechanism.start, *mechanism.guess}
+    free: list[tuple[Any, str]] = [
+        (system.topology.branch_of(motor), coupling)
+        for motor, coupling in names.items()
+        if coupling in system.transmissions
+    ]
+    if not free:
+        return q, v
+    own = unpack_motion(system, [*(q[i] for i in range(len(q))), *(v[i] for i in range(len(v)))])
+    motions = kinematics.link_motions(system, *own, time)
+    for branch, coupling in free:
+        giving: Any = system.transmissions[coupling]
+        twist = transmissions.twist_of(system, motions, giving)
+        (factor,) = (x.factor for x in giving.closure.reading.terms if x.joint == branch.name)
+        share = giving.scale / factor
+        middle = 0 if giving.coupling.play is None else giving.coupling.play.middle
+        if branch.name not in given:
+            amiss = twist.value - (0 if middle is None else middle)
+            q = q.at[branch.coordinates.start].add(-share * amiss)
+        if branch.name not in mechanism.speeds:
+            v = v.at[branch.speeds.start].add(-share * twist.rate)
+    return q, v
