@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import ndtr, ndtri
+import scipy
 
 from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.studies.answer import DATASET, VARIABLE, AbstractAnswer, Column, Stated
@@ -93,7 +93,7 @@ def prior_shares(problem: AbstractProblem, values: np.ndarray) -> np.ndarray:
     """Values (runs, variables) as shares of their priors."""
     nominal = np.asarray(problem.nominal())
     found = [
-        ndtr(np.asarray(problem.variables[name].distribution.score(jnp.asarray(own))))
+        scipy.special.ndtr(np.asarray(problem.variables[name].distribution.score(jnp.asarray(own))))
         for name, own in zip(problem.names, (values - nominal).T, strict=True)
     ]
     return np.stack(found, axis=1)
@@ -249,7 +249,7 @@ def score_correlation(values: np.ndarray) -> np.ndarray | None:
     if count < 2:
         return None
     ranks = np.argsort(np.argsort(values, axis=0, kind="stable"), axis=0) + 0.5
-    found = np.corrcoef(ndtri(ranks / len(values)).T)
+    found = np.corrcoef(scipy.special.ndtri(ranks / len(values)).T)
     # Of few draws nearly dependent columns are possible; a little less than that is positive.
     least = np.linalg.eigvalsh(found)[0]
     if least < 10 * LEAST_EIGENVALUE:
