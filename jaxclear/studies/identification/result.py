@@ -262,7 +262,7 @@ def together(names: Sequence[str], fitted: Regression, verdicts: Sequence[str]) 
     """A sentence for each combination of unknowns that is told better than any of them."""
     scatter = fitted.scatter
     open_ = [k for k, verdict in enumerate(verdicts) if verdict != IDENTIFIED]
-    if len(open_) < 2:
+    if len(open_) < 2 or not np.all(np.isfinite(fitted.residuals)):
         return ()
     # Shares of a uniform prior have a variance of 1/12.
     covariance = 12 * np.cov(fitted.residuals[:, open_].T)
