@@ -77,6 +77,7 @@ from jaxclear.studies.fidelity.multi_fidelity import multi_fidelity
 from jaxclear.studies.function_problem import Dimension, FunctionProblem
 from jaxclear.studies.identification.identify import identify
 from jaxclear.studies.identification.measurement import Measurement
+from jaxclear.studies.identification.remaining_life import remaining_life
 from jaxclear.studies.life.derivative import wear_life_derivatives
 from jaxclear.studies.life.life_problem import AbstractLifeResponse, LifeEnd, LifeProblem, LifeUntil
 from jaxclear.studies.life.settled import settled
@@ -186,6 +187,7 @@ __all__ = [
     "read_shapes",
     "read_urdf",
     "reliability",
+    "remaining_life",
     "response",
     "scene_schema",
     "scenes",

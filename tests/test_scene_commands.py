@@ -80,6 +80,23 @@ MISTAKES = {
         ["report", ".", "--to", "no/a.html"],
         "in a folder that is there",
     ),
+    "no record": (["identify", "scene.yaml", "--signal", "a=accelerometer:rod"], "RECORD is miss"),
+    "no such sensor": (
+        ["identify", "scene.yaml", "records/run.csv", "--signal", "a=acelerometer:rod"],
+        'no sensor "acelerometer".*Did you mean "accelerometer"',
+    ),
+    "no place of a sensor": (
+        ["identify", "scene.yaml", "records/run.csv", "--signal", "a=encoder"],
+        "must say where its sensor is",
+    ),
+    "no number of a sensor": (
+        ["identify", "scene.yaml", "records/run.csv", "--signal", "a=accelerometer:rod:x:noise=no"],
+        'noise of signal "a" is "no"; it must be one number',
+    ),
+    "no such column": (
+        ["identify", "scene.yaml", "records/run.csv", "--signal", "b=accelerometer:rod:x"],
+        'no column "b"',
+    ),
 }
 
 
@@ -107,6 +124,8 @@ def test_a_mistake_with_a_file_ends_in_a_sentence(mistake, here, capsys):
     (here / "other.yaml").write_text(text.replace("joint: pin", "joint: pni"))
     (here / "unit.yaml").write_text(text.replace("clearance: 0.0002", "clearance: 0.2 mm"))
     jc.write_scene(standing(), here / "positions.yaml")
+    (here / "records").mkdir()
+    (here / "records" / "run.csv").write_text("time,a\n0,0\n0.01,1\n0.02,0\n")
     given, sentence = MISTAKES[mistake]
     with pytest.raises(SystemExit) as ended:
         main(given)
@@ -122,6 +141,23 @@ def test_an_example_can_be_run_and_asked(name, here, capsys):
     (here / "example.yaml").write_text(capsys.readouterr().out)
     scene = jc.read_scene(here / "example.yaml")
     assert scene.duration and scene.problem().response_names == tuple(scene.responses)
+
+
+@pytest.mark.slow
+def test_a_record_is_identified_and_reported(here, capsys):
+    """A record that is a run of the scene with another clearance."""
+    run = jc.simulate(pendulum().mechanism, 0.02, save=401)
+    shown = np.asarray(jc.sensor.Accelerometer("rod", axis="x")(run))
+    shown = shown + 0.5 * np.random.default_rng(0).standard_normal(401)
+    pandas.DataFrame({"time": run.time, "a": shown}).to_csv("record.csv", index=False)
+    asked = ["--signal", "a=accelerometer:rod:x:noise=0.5", "--runs", "64", "--quiet"]
+    main(["identify", "scene.yaml", "record.csv", *asked])
+    assert "clearance" in capsys.readouterr().out
+    table = pandas.read_csv("scene_identified/identified.csv")
+    assert list(table["unknown"]) == ["clearance"]
+    assert table["low"][0] < table["high"][0] and table["width"][0] > 0.01
+    main(["report", "scene_identified"])
+    assert "Identification of scene.yaml" in (here / "scene_identified/report.html").read_text()
 
 
 def test_every_example_is_offered():

@@ -1,5 +1,6 @@
-"""What the command line does with a scene file: a run of it, a campaign over what varies of it, a
-list of its numbers, what is kept of these in a folder; and files of ready scenes to begin with.
+"""What the command line does with a scene file: a run of it, a campaign over what varies of it,
+what records tell of that, a list of its numbers, what is kept of these in a folder; and files of
+ready scenes to begin with.
 """
 
 import contextlib
@@ -19,6 +20,7 @@ import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.study import DOTS_PER_INCH, report_samples, report_warnings
 from jaxclear.files.scene import scene_text
+from jaxclear.ground.arguments import check_known
 from jaxclear.ground.datasets import told_versions
 from jaxclear.ground.table import as_table
 from jaxclear.plot.canvas import canvas, key, readable, warned
@@ -261,6 +263,76 @@ def run(
     click.echo(f"Data set, figures and tables in {folder.resolve()}; jaxclear report {folder}")
     if not found.succeeded:
         raise click.ClickException(found.result)
+
+
+SENSORS = {
+    "accelerometer": jc.sensor.Accelerometer,
+    "gyroscope": jc.sensor.Gyroscope,
+    "displacement": jc.sensor.Displacement,
+    "force": jc.sensor.ForceGauge,
+    "encoder": jc.sensor.Encoder,
+}
+
+
+def sensor_of(text: str) -> tuple[str, Any]:
+    """The column and the sensor of a signal as it is typed:
+    a_x=accelerometer:slider:x:noise=0.3:bandwidth=1500. Raises `ValueError` with a sentence."""
+    column, _, told = text.partition("=")
+    kind, *parts = told.split(":")
+    check_known("sensor", kind, SENSORS, f' for signal "{column}"')
+    numbers = dict(part.split("=", 1) for part in parts if "=" in part)
+    places = [part for part in parts if "=" not in part]
+    if not 1 <= len(places) <= 2:
+        raise ValueError(
+            f'signal "{text}" must say where its sensor is, as in '
+            "a_x=accelerometer:slider:x:noise=0.3."
+        )
+    known = ("noise", "bandwidth", "gain", "delay", "sampling")
+    found = {}
+    for name, value in numbers.items():
+        check_known("number", name, known, f' of the sensor of signal "{column}"')
+        try:
+            found[name] = float(value)
+        except ValueError:
+            sentence = f'{name} of signal "{column}" is "{value}"; it must be one number.'
+            raise ValueError(sentence) from None
+    axis = {"axis": places[1]} if len(places) > 1 else {}
+    return column, SENSORS[kind](places[0], **axis, **found)
+
+
+def identify(
+    scene: Path,
+    record: tuple[Path, ...],
+    signal: tuple[str, ...],
+    time: str = "time",
+    turn: str | None = None,
+    runs: int = 256,
+    how: str = "statistics",
+    folder: Path | None = None,
+    seed: int = 0,
+    show: bool = True,
+) -> None:
+    """What records tell of what varies of a scene: prints each number's interval and whether it is
+    identified; table, data set and figure go to `folder` (by default named after the scene).
+    `signal`: columns with their sensors; `turn`: the column of an encoder, or the period [s]."""
+    folder = Path(f"{scene.stem}_identified") if folder is None else folder
+    with _mistakes():
+        asked = _read(scene)
+        signals = dict(map(sensor_of, signal))
+        with contextlib.suppress(TypeError, ValueError):
+            turn = float(turn)  # type: ignore[arg-type,assignment]
+        records = [
+            jc.Measurement.read_csv(path, time=time, signals=signals, turn=turn) for path in record
+        ]
+        found = jc.identify(asked.problem(), records, runs, how=how, seed=seed, progress_bar=show)
+    click.echo(str(found))
+    folder.mkdir(parents=True, exist_ok=True)
+    found.table().to_csv(folder / "identified.csv")
+    plot.identification(found).savefig(folder / "identified.png", dpi=DOTS_PER_INCH)
+    found.to_dataset().to_netcdf(folder / "identified.nc", engine="scipy")
+    told = {"result": found.sentence(), "warnings": list(found.warned), "checks": str(found)}
+    _tell(asked, folder, {"title": f"Identification of {scene.name}", **told})
+    click.echo(f"Table, data set and figure in {folder.resolve()}; jaxclear report {folder}")
 
 
 def monte_carlo(

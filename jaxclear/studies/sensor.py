@@ -289,9 +289,11 @@ class Encoder(AbstractSensor):
 
 class Series(AbstractSensor):
     """A series that the function of a `jaxclear.FunctionProblem` returns under this `name`, in its
-    own unit."""
+    own unit. `given`: whether it was given to the machine, as the motion of a drive, and is for
+    functions that make a problem of a record; it is not compared."""
 
     name: str = eqx.field(static=True)
+    given: bool = eqx.field(static=True, default=False)
     noise: Drawn = noise_field()
     bandwidth: Drawn | None = bandwidth_field()
     gain: Drawn = gain_field()
@@ -314,6 +316,11 @@ def check_sensor(name: str, sensor: Any, mechanism: Any) -> None:
     the mechanism has not."""
     wanted = 'one of jaxclear.sensor, such as Accelerometer("slider", axis="x")'
     expect(sensor, AbstractSensor, f'the sensor of signal "{name}"', wanted)
+    if isinstance(sensor, Series):
+        raise ValueError(
+            f'signal "{name}" has a Series as its sensor, which is of a FunctionProblem; of a '
+            f"mechanism it must be {wanted}."
+        )
     if isinstance(sensor, Encoder):
         coordinate_units(mechanism, sensor.joint)
     elif isinstance(sensor, ForceGauge):

@@ -27,6 +27,11 @@ def compared(record, stiffening=False):
 
 @pytest.fixture(scope="module")
 def one_record():
+    return by_signal({"linear": [compared(FITTED)]})
+
+
+@pytest.fixture(scope="module")
+def two_models():
     both = {name: [compared(FITTED, name == "rising")] for name in ("linear", "rising")}
     return by_signal(both)
 
@@ -50,24 +55,26 @@ def test_first_peaks_are_underestimated_by_a_fifth_to_a_third(one_record):
         assert -0.32 < force.max() / np.abs(record.force).max() - 1 < -0.18
 
 
-def test_the_gap_is_told_only_with_an_assumption_on_the_spring(one_record):
-    linear, rising = (one_record.fits[name][0].unknowns["gap"] for name in ("linear", "rising"))
-    assert one_record.kept.models == ("rising", "linear")
+@pytest.mark.slow
+def test_the_gap_is_told_only_with_an_assumption_on_the_spring(two_models):
+    linear, rising = (two_models.fits[name][0].unknowns["gap"] for name in ("linear", "rising"))
+    assert two_models.kept.models == ("rising", "linear")
     assert linear.low > 1.9 and linear.high < 2.7
     # A spring that stiffens explains the record with any gap from none on.
     assert rising.low == 0.0 and 1.7 < rising.high < 2.4
-    both = one_record.unknowns["gap"]
+    both = two_models.unknowns["gap"]
     assert both.low == 0.0 and both.high == pytest.approx(linear.high)
     # Not below 0.8 of what the prior knows: partly told at best, never to the last digit.
     assert both.width > 0.5 and linear.width < 0.2
 
 
-def test_lost_motion_at_load_is_told_by_both(one_record):
-    own = [fits[0].answers["lost motion"] for fits in one_record.fits.values()]
+@pytest.mark.slow
+def test_lost_motion_at_load_is_told_by_both(two_models):
+    own = [fits[0].answers["lost motion"] for fits in two_models.fits.values()]
     for told in own:
         assert told.value == pytest.approx(4.07, abs=0.06)
         assert told.high - told.low < 0.5
-    assert one_record.answers["lost motion"].high < 4.3
+    assert two_models.answers["lost motion"].high < 4.3
 
 
 @pytest.mark.slow

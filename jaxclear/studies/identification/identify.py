@@ -112,6 +112,7 @@ def identify(
     check_known("way", how, WAYS, " of identify")
     check_flags("identify", progress_bar=progress_bar)
     models = models_of(problem, records)
+    records = [record.compared for record in records]
     for own in [own for every in models.values() for own in every]:
         check_sampled(own, runs, seed)
     if how == "signal":
@@ -237,7 +238,7 @@ def _tellers(
 def _joint(fitted: Regression, here: np.ndarray, open_: list[bool]) -> np.ndarray:
     """Shares (runs, unknowns) that the unknowns may have together: the estimates and what they
     miss, run by run; of unknowns that are not identified, their own."""
-    at = fitted.estimates(here)[0]
+    at = np.clip(fitted.estimates(here)[0], 0.0, 1.0)
     found = np.clip(at + fitted.missed(at), 0.0, 1.0)
     return np.where(open_, fitted.unknowns, found)
 

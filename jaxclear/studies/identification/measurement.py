@@ -11,7 +11,7 @@ from jaxclear.ground.arguments import check_known, check_number, expect
 from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described, listed
-from jaxclear.studies.sensor import AbstractSensor, Encoder
+from jaxclear.studies.sensor import AbstractSensor, Encoder, Series
 
 # Times that stand equally but for this share of their interval are equally spaced.
 EVEN = 0.01
@@ -118,6 +118,15 @@ class Measurement(AbstractShown):
     def lasts(self) -> float:
         """From its first to its last sample [s]."""
         return float(self.time[-1] - self.time[0])
+
+    @property
+    def compared(self) -> "Measurement":
+        """Without the signals that were given to the machine."""
+        given = [n for n, own in self.sensors.items() if isinstance(own, Series) and own.given]
+        if not given:
+            return self
+        signals = {name: own for name, own in self.signals.items() if name not in given}
+        return Measurement(self.time, signals, {n: self.sensors[n] for n in signals}, self.turn)
 
     def part(self, begin: float, end: float) -> "Measurement":
         """What lies between two times [s]."""

@@ -24,8 +24,11 @@ WIDER = 4.0
 # none.
 ENOUGH, LEAST = 400.0, 60.0
 LEAST_ROUNDS, MOST_ROUNDS = 3, 8
-# Above this share of the draws' weight beyond it the end of an interval is that of the prior.
-AT_END = 0.005
+# An end of the prior whose density is above this share of the largest is not excluded: twice the
+# logarithm of their ratio is what chi-square with one degree of freedom exceeds in 5 %.
+AT_END = float(np.exp(-0.5 * scipy.stats.chi2.isf(0.05, 1)))
+# Parts of an interval in which densities are compared.
+PARTS = 10
 
 
 class Proposal(NamedTuple):
@@ -145,7 +148,7 @@ def shortest_interval(
     shares: np.ndarray, weights: np.ndarray, content: float = 0.95
 ) -> tuple[float, float]:
     """The shortest interval of the prior's shares (draws,) [1] that holds `content` [1] of the
-    weight: where nothing speaks against an end of the prior, it reaches that end."""
+    weight: where little speaks against an end of the prior, it reaches that end."""
     order = np.argsort(shares)
     own, reached = shares[order], np.cumsum(weights[order])
     before = reached - weights[order]
@@ -154,6 +157,13 @@ def shortest_interval(
     length = own[last[first]] - own[first]
     start = first[np.argmin(length)]
     end = last[start]
-    low = 0.0 if before[start] <= AT_END else own[start]
-    high = 1.0 if 1.0 - reached[end] <= AT_END else own[end]
-    return float(low), float(high)
+    low, high = float(own[start]), float(own[end])
+    edges = np.linspace(low, high, PARTS + 1)
+    step = edges[1] - edges[0]
+    most = np.histogram(own, edges, weights=weights[order])[0].max()
+    at_end = weights[order][own <= step].sum(), weights[order][own >= 1.0 - step].sum()
+    low, high = (
+        limit if found >= AT_END * most else known
+        for limit, found, known in zip((0.0, 1.0), at_end, (low, high), strict=True)
+    )
+    return low, high

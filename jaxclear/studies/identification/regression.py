@@ -229,7 +229,8 @@ class Told(NamedTuple):
 
 def told(fitted: Regression, statistics: np.ndarray, level: float = 0.95) -> list[Told]:
     """What the statistics (statistics,) of a record say of each unknown."""
-    estimates = fitted.estimates(statistics)[0]
+    # One beyond an end of the prior stands at the end, with an interval of its usual width.
+    estimates = np.clip(fitted.estimates(statistics)[0], 0.0, 1.0)
     found = []
     for estimate, missed in zip(estimates, fitted.missed(estimates).T, strict=True):
         low, high = conformal(missed, level)

@@ -9,6 +9,7 @@ import click
 
 from jaxclear_command.declared import (
     Command,
+    Read,
     flag,
     number,
     one_of,
@@ -21,6 +22,8 @@ from jaxclear_command.declared import (
 )
 
 EXAMPLES = ("slider-crank", "four-bar", "antenna")
+WAYS = ("statistics", "signal")
+TEXT_OF = Read("text", str)
 
 
 SCENE = click.Argument(["scene"], type=readable_file)
@@ -63,6 +66,31 @@ SCENE_FILES = {
         [
             "jaxclear monte-carlo scene.yaml --samples 1e5 --out store",
             "jaxclear monte-carlo scene.yaml --samples 64 --quiet",
+        ],
+    ),
+    "identify": Offer(
+        "what records of sensors (CSV) tell of what varies of a scene file",
+        [
+            SCENE,
+            click.Argument(["record"], type=readable_file, nargs=-1, required=True),
+            click.Option(
+                ["--signal"],
+                multiple=True,
+                required=True,
+                help="a column and its sensor, COLUMN=SENSOR:PLACE:AXIS:noise=NUMBER; SENSOR is "
+                "accelerometer, gyroscope or displacement of a body, force or encoder of a joint",
+            ),
+            flag("--time", "column of the time [s]", TEXT_OF, "time"),
+            flag("--turn", "column of an encoder, or the period [s]", TEXT_OF),
+            flag("--runs", "runs that the records are compared with", whole(64), 256),
+            flag("--how", "statistics of signals, or signals", one_of(WAYS), "statistics"),
+            out(None, "folder for table and figure (default SCENE_identified)"),
+            flag("--seed", "of the runs", whole(0), 0, "0"),
+            quiet(),
+        ],
+        [
+            "jaxclear identify scene.yaml run3.csv --signal a_x=accelerometer:slider:x:noise=0.3 "
+            "--turn 0.042",
         ],
     ),
     "report": Offer(
@@ -182,7 +210,20 @@ STUDIES = {
 }
 
 
-HEADINGS = {"Your own scene": SCENE_FILES, "Studies of ready scenes": STUDIES}
+KEPT = {
+    "cache": Offer(
+        "the compiled programs that are kept between runs, in $JAXCLEAR_CACHE (0: none are)",
+        [click.Option(["--clear"], is_flag=True, help="remove them all")],
+        ["jaxclear cache", "jaxclear cache --clear"],
+    ),
+}
+
+
+HEADINGS = {
+    "Your own scene": SCENE_FILES,
+    "Studies of ready scenes": STUDIES,
+    "Compiled programs": KEPT,
+}
 
 
 def offered(answered: Callable[[str], Callable[..., None]]) -> dict[str, list[click.Command]]:
