@@ -216,7 +216,8 @@ def posterior_of(
     correlation = score_correlation(values)
     ends = np.stack([prior_quantiles(problem, n, np.array([0.0, 1.0])) for n in problem.names])
     nominal, known, moved = np.asarray(problem.nominal()), {}, []
-    for i, (name, own) in enumerate(problem.variables.items()):
+    varied = [problem.variables[name] for name in problem.names]
+    for i, (name, own) in enumerate(zip(problem.names, varied, strict=True)):
         # What is no number of the mechanism keeps its nominal value.
         centre = middle[i] if isinstance(own, (Variable, Dimension)) else nominal[i]
         moved.append(centre)
@@ -228,7 +229,6 @@ def posterior_of(
         units = problem.units()
         return FunctionProblem(problem.function, known, units=units, correlation=correlation)
     lasts = float(problem.duration if duration is None else duration)
-    varied = list(problem.variables.values())
     named: list[Any] = [own for own in varied if isinstance(own, Variable)]
     at = [value for value, own in zip(moved, varied, strict=True) if isinstance(own, Variable)]
     return Problem(
