@@ -148,6 +148,8 @@ WITHOUT = ("stats", "complementarity", "extreme", "points", "estimates", "deriva
 WITHOUT = (*WITHOUT, "reliability")
 # Others hold what takes long to find; their words are sentences, their tables those of `as_table`.
 SENTENCES = {"Advice", "Failed", "PointingError", "Settled", "Unverified", "WearLife", "WearLives"}
+# Answers to records, which take a sample to have, are looked at where they are told.
+SENTENCES |= {"Identified", "Measurement"}
 
 
 @functools.cache
