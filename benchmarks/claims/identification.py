@@ -9,8 +9,9 @@ friction law and another integrator than its own.
 2 % of the signal, gain known to 3 %), 16 turns of which the record has the last 12. `four-bar`:
 three loose bearings, one accelerometer on the follower, 12 turns, the last 9. `ball`: the
 slider-crank with a ball in a socket. `guide`: a quick-return mechanism with a loose guide, 7 turns,
-the last 5. `outside`: slider-cranks with a linear elastic law, which is in no prior. `untold`:
-unknowns that their records cannot tell.
+the last 5. `outside`: slider-cranks with a linear elastic law, which is in no prior; `outside,
+wide`: where the modulus may be far below steel's. `untold`: unknowns that their records cannot
+tell.
 
 Hidden: a dissipation factor of Gonthier, CarvalhoMartins or HerbertMcWhannell, friction of
 CoulombTanh (0.01 m/s) or Threlfall, integrator.Adaptive. The fit: LankaraniNikravesh, Flores and
@@ -26,6 +27,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
+import scipy.stats
 
 import jaxclear as jc
 from benchmarks.measure import report, sign
@@ -153,6 +155,14 @@ def outside() -> Case:
     return known._replace(hidden=hidden)
 
 
+def outside_wide() -> Case:
+    """The same with a modulus that may be a hundredth of steel's to twice that."""
+    known, wide = outside(), scipy.stats.loguniform(207e7, 414e9)
+    prior = jc.distribution.FromScipy(wide, about=207e9)
+    where = lambda own: own.variables["modulus"].distribution
+    return known._replace(fit=eqx.tree_at(where, known.fit, prior))
+
+
 def four_bar() -> Case:
     """Links of 0.1, 0.4, 0.3 and 0.3 m at 100 rad/s, all pins but the crank's own loose."""
     gap, turns, speed = (0.03e-3, 0.20e-3), 12, 100.0
@@ -250,6 +260,7 @@ CASES = {
     "ball": ball,
     "guide": guide,
     "outside": outside,
+    "outside, wide": outside_wide,
 }
 UNTOLD = {
     "never unloads": loaded,
@@ -355,9 +366,9 @@ def measured(name: str, rigs: int, runs: int, seeds: int) -> tuple[list[dict], l
     )
     rows = []
     for k, unknown in enumerate(case.fit.names):
-        half = float(case.fit.variables[unknown].distribution.half_width)
         if np.isnan(truth[:, k]).any():
             continue
+        half = float(case.fit.variables[unknown].distribution.half_width)
         off, held = estimate[:, k] - truth[:, k], (low <= truth) & (truth <= high)
         each = [100 * np.mean((o.low <= o.truth) & (o.truth <= o.high), 0)[k] for o in every]
         rows.append(

@@ -5,6 +5,7 @@ out, were told.
 
 import itertools
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,6 @@ from jaxclear.studies.identification.result import (
     IDENTIFIED,
     Evidence,
     Identified,
-    Unknown,
     prior_quantiles,
 )
 
@@ -52,29 +52,24 @@ def identification(found: Identified, *, ax: Any = None) -> Any:
 def _panels(found: Identified) -> list[Callable[[Any], None]]:
     """What each panel draws."""
     drawn: list[Callable[[Any], None]] = []
-    evidence = found.evidence
+    evidence, unknowns = found.evidence, range(len(found.unknowns))
     if evidence is not None:
-        near = _nearest(found, evidence)
-        for what, (runs, shown) in evidence.kinds.items():
-            drawn.append(lambda axis, w=what, r=runs, s=shown: _statistics(axis, w, r, s, near))
-    for k, own in enumerate(found.unknowns):
-        drawn.append(lambda axis, k=k, own=own: _marginal(axis, found, own, k))
-    pairs = itertools.combinations(range(len(found.unknowns)), 2)
-    for i, k in itertools.islice(pairs, MOST_PAIRS):
-        drawn.append(lambda axis, i=i, k=k: _pair(axis, found, i, k))
+        near = _nearest(evidence)
+        kinds = evidence.kinds.items()
+        drawn += [partial(_statistics, what=w, runs=r, shown=s, near=near) for w, (r, s) in kinds]
+    drawn += [partial(_marginal, found=found, k=k) for k in unknowns]
+    pairs = itertools.islice(itertools.combinations(unknowns, 2), MOST_PAIRS)
+    drawn += [partial(_pair, found=found, i=i, k=k) for i, k in pairs]
     if evidence is not None:
         held = evidence.held().mean(0)
-        for k, own in enumerate(found.unknowns):
-            share = float(held[k])
-            drawn.append(
-                lambda axis, k=k, own=own, share=share: _left_out(
-                    axis, found, evidence, own, k, share
-                )
-            )
+        drawn += [
+            partial(_left_out, found=found, evidence=evidence, k=k, held=float(held[k]))
+            for k in unknowns
+        ]
     return drawn
 
 
-def _nearest(found: Identified, evidence: Evidence) -> np.ndarray:
+def _nearest(evidence: Evidence) -> np.ndarray:
     """The runs whose unknowns are nearest to what the record leaves."""
     middle, spread = evidence.shares.mean(0), evidence.shares.std(0)
     apart = np.sum(((evidence.fitted.unknowns - middle) / spread) ** 2, axis=1)
@@ -97,7 +92,8 @@ def _statistics(axis: Any, what: str, runs: np.ndarray, shown: np.ndarray, near:
     key(axis)
 
 
-def _marginal(axis: Any, found: Identified, own: Unknown, k: int) -> None:
+def _marginal(axis: Any, found: Identified, k: int) -> None:
+    own = found.unknowns[k]
     draws = found.posterior_values[:, k]
     prior = prior_quantiles(found.problem, own.name, (np.arange(400) + 0.5) / 400)
     factor, unit = readable([own.prior_low, own.prior_high], own.unit)
@@ -128,9 +124,8 @@ def _pair(axis: Any, found: Identified, i: int, k: int) -> None:
     axis.set_ylabel(labels[1])
 
 
-def _left_out(
-    axis: Any, found: Identified, evidence: Evidence, own: Unknown, k: int, held: float
-) -> None:
+def _left_out(axis: Any, found: Identified, evidence: Evidence, k: int, held: float) -> None:
+    own = found.unknowns[k]
     fitted, name = evidence.fitted, own.name
     factor, unit = readable([own.prior_low, own.prior_high], own.unit)
     as_value = lambda shares: factor * prior_quantiles(found.problem, name, shares)

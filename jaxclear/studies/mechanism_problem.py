@@ -130,6 +130,12 @@ def check_answers(response: dict[str, Callable], seen: Callable[[], Any]) -> Non
     """Raises `ValueError` with a sentence where a response does not give one number; `seen` makes
     what it is asked of. Nothing is compiled."""
     for name, own in response.items():
+        if isinstance(own, AbstractSignal):
+            raise ValueError(
+                f'response "{name}" is a sensor, whose signal is no number: give a function of it, '
+                "such as lambda run: jax.numpy.max(sensor(run)); jaxclear.identify takes the "
+                "sensors of its record by itself."
+            )
         shape_of(lambda name=name, own=own: answer(name, own, seen()))
 
 

@@ -75,6 +75,13 @@ def test_the_ideal_instrument_changes_nothing():
     assert np.array_equal(found, signal)
 
 
+def test_a_signal_is_no_response_of_a_study(run):
+    wanted = {"seen": SENSOR.Encoder("O")}
+    mass = {"mass": jc.Variable(lambda rig: rig.bodies["crank"].mass, tolerance=0.1)}
+    with pytest.raises(ValueError, match='response "seen" is a sensor'):
+        jc.Problem(run.mechanism, wanted, mass, duration=0.1)
+
+
 @pytest.mark.parametrize(
     "wrong", [{"noise": -1.0}, {"bandwidth": 0.0}, {"delay": -1.0}, {"axis": "w"}, {"gain": "big"}]
 )

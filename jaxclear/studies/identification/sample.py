@@ -7,6 +7,7 @@ numbers of the instruments, needs no run.
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -50,9 +51,10 @@ def watched(problem: Problem, record: Measurement, laws: Ensemble) -> Problem:
         known = len(problem.names)
         correlation = np.eye(len(variables))
         correlation[:known, :known] = np.asarray(problem.correlation)
-    return Problem(
+    sensors = {_response(name): sensor.ideal() for name, sensor in record.sensors.items()}
+    found = Problem(
         laws.mechanism,
-        {_response(name): sensor.ideal() for name, sensor in record.sensors.items()},
+        dict.fromkeys(sensors, _end_of),
         variables,
         duration=intervals / record.rate,
         integrator=problem.integrator,
@@ -60,6 +62,12 @@ def watched(problem: Problem, record: Measurement, laws: Ensemble) -> Problem:
         state=problem.state,
         correlation=correlation,
     )
+    # No study but this one knows what to do with signals.
+    return eqx.tree_at(lambda own: own.response, found, sensors)
+
+
+def _end_of(run: Any) -> Any:
+    return run.time[-1]
 
 
 def _response(name: str) -> str:
