@@ -10,7 +10,9 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_extensions"))
-# Programs that the cells compile are kept between builds, small ones too: a design has a hundred.
+# Programs that the cells compile are kept between builds by JAX alone, small ones too: a design has
+# a hundred.
+os.environ.setdefault("JAXCLEAR_CACHE", "0")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(HERE.parent / "build" / "compiled_programs"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 

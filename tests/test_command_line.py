@@ -12,6 +12,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.commands import cli
+from jaxclear.ground import cache_folder
 from jaxclear_command.cli import commands, main
 
 # What a study is asked, tables that it writes and how long one of them is, figures, what it says.
@@ -77,6 +78,19 @@ def test_wear_life_study_writes_figures_and_goes_on(tmp_path, capsys, keep_setti
         main(asked)
     told = capsys.readouterr().err
     assert "Give another folder, or delete this one." in told and "Traceback" not in told
+
+
+def test_compiled_programs_are_listed_and_removed(capsys, keep_settings, monkeypatch, tmp_path):
+    main(["cache"])
+    assert capsys.readouterr().out == "Nothing is kept: JAXCLEAR_CACHE is off.\n"
+    monkeypatch.setenv("JAXCLEAR_CACHE", str(tmp_path))
+    cache_folder.write(cache_folder.KERNEL, cache_folder.key_of("one"), bytes(2_000_000))
+    main(["cache"])
+    told = capsys.readouterr().out
+    assert "1 kernels of time loops, 2.0 MB" in told and str(tmp_path) in told
+    for left in ("1 files removed", "0 files removed"):
+        main(["cache", "--clear"])
+        assert left in capsys.readouterr().out
 
 
 def test_parameters_are_listed_with_units(capsys, keep_settings):

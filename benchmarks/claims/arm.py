@@ -21,6 +21,7 @@ from jaxclear.commands.arm import (
     asked,
     designed,
     every_choice,
+    named,
     simulated,
 )
 from jaxclear.scenes.arm import ARCMIN, JOINTS, arm
@@ -75,9 +76,7 @@ def main() -> None:
     rows = [
         {
             "which reducers": "jaxclear.design",
-            "reduced play in": " ".join(
-                n[-1] for n, p in zip(JOINTS, plays, strict=True) if p < 2 * REDUCED
-            ),
+            "reduced play in": named(plays < 2 * REDUCED),
             "tip error [mm]": found,
             "beside the best three [%]": 100 * (found / best["tip error [mm]"] - 1),
             "wall [s]": taken,

@@ -21,8 +21,8 @@ import numpy as np
 import jaxclear as jc
 from benchmarks.measure import arguments, report, side_by_side, sign
 from jaxclear.commands.four_bar import CELLS
-from jaxclear.ground.compiling import AROUND_A_KERNEL, ONCE
 from jaxclear.native import explain
+from jaxclear.native.compiled import AROUND_A_KERNEL, ONCE
 from jaxclear.simulation.initial_state import beginning
 from jaxclear.simulation.loop import run
 from jaxclear.simulation.simulate import is_all_kernel

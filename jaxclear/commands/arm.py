@@ -5,12 +5,10 @@ which reducers are worth buying with less play.
 Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
 """
 
-import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -48,7 +46,7 @@ STANDARD, REDUCED = 3 * ARCMIN, 1 * ARCMIN
 SCATTER = 0.1
 BOUGHT = 3
 # Steps that resolve the last link on its flank; saving times are those of the way.
-STEP = 2e-4
+STEP = 1e-4
 # Each rest's end [s], and what is done there.
 RESTS = {
     "picked": REST,
@@ -168,21 +166,18 @@ def slopes(problem: jc.Problem) -> pandas.DataFrame:
 def every_choice(problem: jc.Problem) -> pandas.DataFrame:
     """The tip's error [mm] of each choice of reducers to buy with reduced play, the others
     standard, best first."""
-    which = list(itertools.product((False, True), repeat=len(JOINTS)))
-    plays = jnp.where(jnp.asarray(which), REDUCED, STANDARD)
-    error = eqx.filter_jit(jax.vmap(lambda own: problem.evaluate(own).responses["tip error"]))
-    found = np.asarray(error(plays))
+    found = jc.sweep(problem, dict.fromkeys(JOINTS, (STANDARD, REDUCED)))
+    error = found.responses["tip error"]
     rows = [
-        {
-            "bought": sum(bought),
-            "reduced play in": " ".join(
-                n[-1] for n, own in zip(JOINTS, bought, strict=True) if own
-            ),
-            "tip error [mm]": MILLI * one,
-        }
-        for bought, one in zip(which, found, strict=True)
+        {"bought": sum(own), "reduced play in": named(own), "tip error [mm]": MILLI * error[own]}
+        for own in np.ndindex(error.shape)
     ]
     return as_table(rows).sort_values("tip error [mm]", ignore_index=True)
+
+
+def named(bought: Sequence[Any]) -> str:
+    """The numbers of the joints whose reducers are bought."""
+    return " ".join(name[-1] for name, own in zip(JOINTS, bought, strict=True) if own)
 
 
 def price(nominal: Mapping[str, Any], tolerance: Mapping[str, Any]) -> Any:
@@ -230,7 +225,8 @@ def error_figure(runs: Mapping[str, Any], commanded: Any) -> Figure:
     axes[0].set_ylabel("tip beside the\ncommanded place [mm]")
     axes[1].set_ylabel("tip beside that of\nelastic reducers [mm]")
     axes[1].set_xlabel("time [s]")
-    axes[0].legend(fontsize=8, title="reducers", title_fontsize=8)
+    names = axes[0].get_legend_handles_labels()
+    figure.legend(*names, loc="outside lower center", ncols=4, fontsize=8, title="reducers")
     axes[0].set_title("A part is picked and placed; shaded: the arm rests")
     return warned(figure, runs)
 
@@ -301,7 +297,7 @@ def study(folder: Path, samples: int = 256, show: bool = True) -> None:
     two = tables["choices"].query(f"bought == {BOUGHT - 1}").iloc[0]
     limit = 0.5 * (three["tip error [mm]"] + two["tip error [mm]"]) / MILLI
     design = designed(problem, limit, progress_bar=show)
-    chosen = " ".join(n[-1] for n in JOINTS if design.nominal[n] < 2 * REDUCED)
+    chosen = named([design.nominal[name] < 2 * REDUCED for name in JOINTS])
     kept.write_tables(**tables, samples=sample.table(), design=design.table())
     for name, table in tables.items():
         print(f"{name.replace('_', ' ')}\n{table.head(10).to_string()}\n")

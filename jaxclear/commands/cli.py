@@ -7,7 +7,6 @@ holds another study.
 
 import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import click
@@ -15,8 +14,10 @@ import jax
 
 import jaxclear as jc
 from jaxclear.commands import antenna, arm, design, flap, four_bar, guide, parallel_3rsr, wear_life
+from jaxclear.commands.cache import cache
 from jaxclear.commands.own_scene import example, identify, monte_carlo, parameters, run
 from jaxclear.commands.report import report
+from jaxclear.ground import cache_folder
 from jaxclear.studies.ledger.ledger import OtherStudy
 from jaxclear.studies.ledger.pieces import Unwritable
 
@@ -41,6 +42,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "report": report,
     "example": example,
     "parameters": parameters,
+    "cache": cache,
     **{name: one.study for name, one in STUDIES.items()},
 }
 
@@ -59,10 +61,9 @@ def answer(name: str, options: dict[str, Any]) -> None:
 
 
 def _keep_compiled_programs() -> None:
-    """Compiled programs are kept between runs, in $JAX_COMPILATION_CACHE_DIR or the user's cache
-    folder.
-    """
-    default = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "jaxclear"
-    folder = os.environ.get("JAX_COMPILATION_CACHE_DIR", str(default))
-    jax.config.update("jax_compilation_cache_dir", folder)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", WORTH_KEEPING)
+    """JAX keeps the programs of a command, too: those of its own functions, which no other process
+    of this package's would find. In $JAX_COMPILATION_CACHE_DIR, or beside the others."""
+    folder = os.environ.get("JAX_COMPILATION_CACHE_DIR") or cache_folder.of_jax()
+    if folder is not None:
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", WORTH_KEEPING)

@@ -72,6 +72,11 @@ class JointStop(AbstractCoordinateLoad):
             raise ValueError(
                 f"load.JointStop has lower {low:g} and upper {high:g}; lower must be below upper."
             )
+        if self.depth is not None and self.damping is None:
+            raise ValueError(
+                "load.JointStop has a depth, over which its damping sets in, and no damping; give "
+                "damping, or leave the depth out."
+            )
         if self.stiffness is None and self.restitution is None:
             raise ValueError(
                 "load.JointStop needs restitution (rigid in MoreauJean and NonColliding) or "

@@ -27,6 +27,7 @@ MOST, LEFT = 1 << 29, 0.75
 # Kinds: machine code of kernels, and programs around them; characters of a key.
 KINDS = KERNEL, PROGRAM = "kernel", "program"
 KEY = 40
+JAX = "of_jax"
 # What others than the owner may do with a file.
 OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
@@ -88,16 +89,31 @@ def read(kind: str, key: str) -> bytes | None:
     return content
 
 
+def made() -> Path | None:
+    """The folder, which is made where it is not there; None where nothing can be kept."""
+    folder = place()
+    if folder is None:
+        return None
+    with suppress(OSError):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if _is_owners(folder.stat()):
+            return folder
+    return None
+
+
+def of_jax() -> Path | None:
+    """A folder within for JAX, which keeps programs, too; None where nothing can be kept."""
+    folder = made()
+    return None if folder is None else folder / JAX
+
+
 def write(kind: str, key: str, content: bytes) -> None:
     """Keeps something of a kind under a key. Where that cannot be done, nothing is kept."""
-    folder = place()
+    folder = made()
     if folder is None:
         return
     path = _path(folder, kind, key)
     with suppress(OSError):
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not _is_owners(folder.stat()):
-            return
         # Its file is the owner's alone from the beginning.
         number, name = tempfile.mkstemp(dir=folder, prefix=".")
         try:
@@ -117,10 +133,12 @@ def kept() -> list[KeptFile]:
 
 
 def clear() -> int:
-    """Removes all that is kept; how many files that were."""
-    files = kept()
-    for file in files:
-        file.path.unlink(missing_ok=True)
+    """Removes all that is kept, by JAX too; how many files that were."""
+    folder, files = place(), [one.path for one in kept()]
+    if folder is not None and (folder / JAX).is_dir():
+        files += [path for path in (folder / JAX).iterdir() if path.is_file()]
+    for path in files:
+        path.unlink(missing_ok=True)
     return len(files)
 
 

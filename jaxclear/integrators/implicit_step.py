@@ -55,8 +55,9 @@ class ImplicitStep(AbstractIntegrator):
     Speeds at saving times are those with which places change; within a step they lack that damping.
 
     Loads that oscillate by themselves (stiff springs, dampers) are explicit: step < 2 / omega of
-    them; couplings with stiffness or play are not. A step should move the parts by less than a clearance, and by less than a cell of a worn
-    surface, or forces at the saved instants are far off, though the motion stays bounded.
+    them; couplings with stiffness or play are not. A step should move the parts by less than a
+    clearance, and by less than a cell of a worn surface, or forces at the saved instants are far
+    off, though the motion stays bounded.
     Impact speeds are those at the touch within a step, to order 2. `steps_per_save` fixes the
     number of steps between saving times: reverse-mode derivatives then go backwards through the
     steps, which pays off for hundreds of numbers, and passes where surfaces wear, but not with

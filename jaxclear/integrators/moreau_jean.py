@@ -277,6 +277,9 @@ class MoreauJean(AbstractIntegrator):
     clearance, for light bodies above all), and with a restitution near 1 turning bodies gain energy
     unless step x spin is well below 1 - restitution.
 
+    Stops (`load.JointStop`) and flanks of play (`clearance.Backlash`) that have a restitution are
+    rigid, stops that steps do not follow too; dry friction (`load.JointFriction`) sticks.
+
     Ideal joints that rub do so by the reaction of the same step, an impact's impulse included, and
     stick as contacts do; of their friction laws too the coefficients are taken.
 

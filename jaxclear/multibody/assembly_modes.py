@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground import factorisation
-from jaxclear.ground.quantity import on_device
 from jaxclear.ground.wording import listed
 from jaxclear.multibody import start_check
 from jaxclear.multibody.mechanism import Mechanism
@@ -100,13 +99,13 @@ Search = Callable[[Beginning], tuple[Start, Any]]
 
 def at(coordinates: Any) -> Beginning:
     """A beginning at coordinates, led nowhere else."""
-    return Beginning(on_device(True), on_device(False), jnp.asarray(coordinates))
+    return Beginning(np.asarray(True), np.asarray(False), jnp.asarray(coordinates))
 
 
 def at_guess(mechanism: Mechanism) -> Beginning:
     """The mechanism's own beginning."""
-    own, led = on_device(False), on_device(True)
-    return Beginning(own, led, on_device(np.zeros(mechanism.topology.coordinate_count)))
+    none = np.zeros(mechanism.topology.coordinate_count)
+    return Beginning(np.asarray(False), np.asarray(True), none)
 
 
 def has_landed(tree: "Coordinates", start: Start) -> bool:

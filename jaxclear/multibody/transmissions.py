@@ -21,7 +21,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import constant
-from jaxclear.laws.transmission import one_sided
+from jaxclear.laws.transmission import bounded, one_sided
 from jaxclear.multibody import kinematics, pose_rows
 from jaxclear.multibody.coordinate_sums import outer_wrenches, sum_equation
 from jaxclear.multibody.kinematics import JacobianRow
@@ -206,6 +206,19 @@ def _with_end(own: Between, twist: Twist, places: tuple, flanks: tuple) -> Press
     return Pressing(*told, tuple(depths), tuple(rates), tuple(acting))
 
 
+def _mean_of_strands(own: Between, twist: Twist, length: Any) -> Any:
+    """The same of a belt."""
+    torques = []
+    for sign in (1.0, -1.0):
+        depth, way = own.slack + sign * twist.value, sign * length * twist.rate
+        first, last = positive_part(depth), positive_part(depth + way)
+        taut = jnp.where(way == 0, jnp.where(depth > 0, 1.0, 0.0), safe_divide(last - first, way))
+        elastic = 0.25 * own.stiffness * (first + last) * taut
+        viscous = 0.0 if own.damping is None else 0.5 * own.damping * taut * sign * twist.rate
+        torques.append(elastic + bounded(elastic, viscous))
+    return torques[0] - torques[1]
+
+
 def mean_torque(own: Between, twist: Twist, end: Any, length: Any) -> Any:
     """Mean torque over a step of a `length` [s] that begins at a twist and has a mean rate; `end`
     as of `pressing`, at the start. A spring's is what it takes of energy over its way (the discrete
@@ -213,7 +226,9 @@ def mean_torque(own: Between, twist: Twist, end: Any, length: Any) -> Any:
 
     Source: Gonzalez 1996, J. Nonlinear Sci. 6, 449, doi:10.1007/BF02440162.
     """
-    play, stiffness, damping = own
+    play, stiffness, damping, slack = own
+    if slack is not None:
+        return _mean_of_strands(own, twist, length)
     if play is None:
         viscous = 0 if damping is None else damping * twist.rate
         return sp.add(stiffness * (twist.value + 0.5 * length * twist.rate), viscous)

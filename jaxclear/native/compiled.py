@@ -41,8 +41,6 @@ NO_OPTION = "No such compile option"
 _unknown: set[str] = set()
 # Programs that a process has at hand beside those that JAX keeps.
 LATEST = 256
-# What stands for the program of a form that no other process knows.
-PRIVATE = "private"
 
 
 class _Found(NamedTuple):
@@ -111,8 +109,7 @@ def _known(options: dict[str, Any], unknown: frozenset[str]) -> dict[str, Any]:
 
 
 def _found(function: Callable, options: dict[str, Any], leaves: list, tree: Any) -> _Found | None:
-    """The program of such arguments; None where it is JAX's to keep, because no other process could
-    use it."""
+    """The program of such arguments; None where it is JAX's to keep."""
     if not _are_kept():
         return None
     kinds = tuple(jax.typeof(x) if eqx.is_array(x) else (type(x), x) for x in leaves)
@@ -127,7 +124,7 @@ def _found(function: Callable, options: dict[str, Any], leaves: list, tree: Any)
             _AT_HAND[form] = found
             while len(_AT_HAND) > LATEST:
                 _AT_HAND.popitem(last=False)
-    return None if found is PRIVATE else found
+    return found
 
 
 def _are_kept() -> bool:
@@ -140,7 +137,16 @@ def _are_kept() -> bool:
     return jax.default_backend() == "cpu" and jax.local_device_count() == 1
 
 
-def _kept_or_compiled(function: Callable, options: dict[str, Any], leaves: list, tree: Any) -> Any:
+def _kept_or_compiled(
+    function: Callable, options: dict[str, Any], leaves: list, tree: Any
+) -> _Found:
+    key = _key(function, options, leaves, tree)
+    found = None if key is None else _from_disk(key)
+    return _compiled(function, options, leaves, tree, key) if found is None else found
+
+
+def _key(function: Callable, options: dict[str, Any], leaves: list, tree: Any) -> str | None:
+    """Under which a program is kept on disk; None where no other process could use it."""
     try:
         told = function_in_text(function), str(options), tree_in_text(tree)
         kinds = [
@@ -150,14 +156,12 @@ def _kept_or_compiled(function: Callable, options: dict[str, Any], leaves: list,
             for leaf in leaves
         ]
     except Untold:
-        return PRIVATE
-    key = cache_folder.key_of(*told, *kinds, surroundings())
-    found = _from_disk(key)
-    return _compiled(function, options, leaves, tree, key) if found is None else found
+        return None
+    return cache_folder.key_of(*told, *kinds, surroundings())
 
 
-def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: str) -> _Found:
-    """Traces and compiles a program, and leaves it on disk."""
+def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: Any) -> _Found:
+    """Traces and compiles a program, and leaves it on disk under its key, if it has one."""
     form: list[Any] = []
 
     def flat(*arrays):
@@ -173,6 +177,8 @@ def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: s
     with uncollected():
         lowered = jax.jit(flat).lower(*(leaf for leaf in leaves if eqx.is_array(leaf)))
         found = _Found(lowered.compile(compiler_options=options), *form)
+    if key is None:
+        return found
     try:
         lapack = "lapack" in lowered.as_text()
         content = pickle.dumps((_packed(found), lapack, verdicts.SENTENCES))

@@ -177,10 +177,9 @@ def _quarter(turn: int) -> np.ndarray:
 
 
 def _about_z(angle: np.ndarray) -> np.ndarray:
-    c, s, o, i = np.cos(angle), np.sin(angle), np.zeros_like(angle), np.ones_like(angle)
-    return np.stack(
-        [np.stack([c, -s, o], -1), np.stack([s, c, o], -1), np.stack([o, o, i], -1)], -2
-    )
+    c, s, zero = np.cos(angle), np.sin(angle), np.zeros_like(angle)
+    rows = ((c, -s, zero), (s, c, zero), (zero, zero, zero + 1))
+    return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
 def _axes_and_masses(angles: np.ndarray) -> tuple[list[Any], list[Any]]:

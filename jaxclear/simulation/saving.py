@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_count
-from jaxclear.ground.quantity import concrete, is_traced, on_device
+from jaxclear.ground.quantity import concrete, is_traced, on_host
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, public_name
 from jaxclear.integrators.base import MOST_STEPS, AbstractIntegrator
@@ -56,9 +56,9 @@ MOST_LISTED = 1e8
 MOST_TOLD_APART = 1e15
 
 
-def saving_times(duration: Any, save: Any) -> Array:
+def saving_times(duration: Any, save: Any) -> Any:
     """Times to save at: a number of equally spaced ones, or the given ones with 0 in front if it is
-    missing.
+    missing. NumPy's, unless the duration is traced.
     """
     if not isinstance(save, (list, tuple)) and not getattr(save, "ndim", 0):
         whole = isinstance(save, (int, float, np.number)) and not isinstance(save, bool)
@@ -78,15 +78,15 @@ def saving_times(duration: Any, save: Any) -> Array:
             "the times to save at must increase from 0 or later to at most the duration."
         )
     times = times if times[0] == 0 else np.concatenate([[0.0], times])
-    return jnp.asarray(times if times[-1] == duration else np.concatenate([times, [duration]]))
+    return times if times[-1] == duration else np.concatenate([times, [duration]])
 
 
-def _equally_spaced(duration: Any, count: int) -> Array:
+def _equally_spaced(duration: Any, count: int) -> Any:
     if is_traced(duration):
         return jnp.linspace(0.0, jnp.asarray(duration, float), count)
     # In the order in which XLA multiplies.
     last = np.asarray(duration, float)
-    return on_device(np.append(last * (1 / (count - 1)) * np.arange(count - 1), last))
+    return np.append(last * (1 / (count - 1)) * np.arange(count - 1), last)
 
 
 def check_steps(integrator: AbstractIntegrator | None, times: Any) -> None:
@@ -95,6 +95,7 @@ def check_steps(integrator: AbstractIntegrator | None, times: Any) -> None:
     them; says nothing where a number is not known."""
     if integrator is None:
         return
+    integrator = on_host(integrator)
     _check_work(integrator, times)
     step = concrete(integrator.asked_step())
     if step is None or isinstance(times, jax.core.Tracer):
@@ -128,12 +129,12 @@ def with_few_enough_steps(
 def _check_work(integrator: AbstractIntegrator, times: Any) -> None:
     """Raises `ValueError` where there are more steps up to the last of the saving `times` [s] than
     any machine goes through, or steps so short that the time does not grow."""
-    name = public_name(type(integrator))
+    kind = type(integrator)
     listed = integrator.steps_between_saves
     if listed is not None and listed > MOST_LISTED:
         raise ValueError(
-            f"{name} has steps_per_save = {listed}; beyond {MOST_LISTED:.0e} give a step and let "
-            "their number follow."
+            f"{public_name(kind)} has steps_per_save = {listed}; beyond {MOST_LISTED:.0e} give a "
+            "step and let their number follow."
         )
     step, shortest = concrete(integrator.asked_step()), concrete(integrator.shortest_step())
     if step is None or shortest is None or isinstance(times, jax.core.Tracer):
@@ -143,12 +144,12 @@ def _check_work(integrator: AbstractIntegrator, times: Any) -> None:
     steps, shortest_steps = (duration / h if h > 0 else math.inf for h in (step, shortest))
     if steps > MOST_STEPS:
         raise ValueError(
-            f"{name}(step={step:.6g}) takes {steps:.1g} steps to {duration:.6g} s, which "
-            f"no machine goes through; for at most {MOST_STEPS:.0e} give a step of at least "
+            f"{public_name(kind)}(step={step:.6g}) takes {steps:.1g} steps to {duration:.6g} s, "
+            f"which no machine goes through; for at most {MOST_STEPS:.0e} give a step of at least "
             f"{duration / MOST_STEPS:.1g} s."
         )
     if shortest_steps > MOST_TOLD_APART:
         raise ValueError(
-            f"{name} has steps of {shortest:.6g} s in contact, which the time of a run to "
-            f"{duration:.6g} s does not resolve; give fewer contact_steps."
+            f"{public_name(kind)} has steps of {shortest:.6g} s in contact, which the time of a "
+            f"run to {duration:.6g} s does not resolve; give fewer contact_steps."
         )

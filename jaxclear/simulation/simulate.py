@@ -16,7 +16,7 @@ from jaxclear.errors.verification import Replica, verified
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import is_traced, on_device, on_host
+from jaxclear.ground.quantity import is_traced, on_host
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
@@ -227,8 +227,8 @@ def _simulated(
 
         def again(one: Replica, moved: float = 0.0) -> Trajectory:
             begun = on_host(start.coordinates) + moved if moved else start.coordinates
-            given = mechanism, on_device(begun), start.speeds, on_device(one.times)
-            more = one.integrator, extras, past, on_device(one.updates)
+            given = mechanism, begun, start.speeds, on_host(one.times)
+            more = one.integrator, extras, past, np.asarray(one.updates)
             with part(one.work):
                 return jax.block_until_ready(runs(*given, *more))
 

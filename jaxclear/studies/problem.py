@@ -20,6 +20,7 @@ from jaxclear.errors.observables import GAPS
 from jaxclear.errors.verification import between, replica
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import part_in_words
+from jaxclear.ground.quantity import on_device
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
 from jaxclear.integrators.base import PART_OF, STUDIES, Promise
 from jaxclear.integrators.checks import Checks
@@ -155,7 +156,7 @@ class Problem(AbstractMechanismProblem):
         self.response, self.variables, self.variable_units, self.correlation = wanted
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
         asked = as_saving(save)
-        times = saving_times(check_duration(duration), asked.at)
+        times = on_device(saving_times(check_duration(duration), asked.at))
         self.state = state_of(state)
         self._check_answers(integrator, times, asked.events)
         given = mechanism, self.response, times[-1]

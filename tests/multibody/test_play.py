@@ -207,7 +207,8 @@ def test_what_is_stiff_moves_as_what_is_rigid(coupling, ratio):
 
 @pytest.mark.parametrize("law", [jc.flank.Nordin, jc.flank.Stop])
 def test_no_shaft_is_too_stiff_for_implicit_steps(law):
-    """The step is 300 times as long as the shaft's vibration; places are off by the play at most."""
+    """The step is 300 times as long as the shaft's vibration; places are off by no more than the
+    play."""
     play = jc.clearance.Backlash(1e-3, law=law())
     gear = jc.coupling.Gear(
         jc.coupling.Motor(1e-3), "L", 5.0, play=play, stiffness=1e9, damping=1.0

@@ -1,5 +1,6 @@
 """Servos against closed forms: of second order, at rest under a load, at their limit, sampled."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -101,6 +102,22 @@ def test_a_sampled_servo_is_that_of_the_z_domain(delay, ki):
     wanted = sampled(period, delay, ki, count)
     # under a constant torque rk4 is exact: rounding
     np.testing.assert_allclose(np.asarray(run.coordinate("A"))[at], wanted, atol=1e-11)
+
+
+@pytest.mark.parametrize("period", [None, 0.01])
+def test_derivatives_pass_through_a_servo(period):
+    def place(kp):
+        servo = jc.load.Servo("A", 0.3, kp, kd=KD, period=period)
+        run = jc.simulate(arm(servo), 0.3, save=2, integrator=FINE, throw=False, verify=False)
+        return run.coordinate("A")[-1]
+
+    slope, value = jax.jvp(place, (KP,), (1.0,))[::-1]
+    step = 1e-3
+    wanted = (place(KP + step) - place(KP - step)) / (2 * step)
+    # differences of rounding over 2e-3
+    np.testing.assert_allclose(slope, wanted, rtol=1e-5, atol=1e-10)
+    np.testing.assert_allclose(jax.grad(place)(KP), slope, rtol=1e-9)
+    assert jnp.isfinite(value)
 
 
 def geared(servo, torque=None, **given):

@@ -5,15 +5,20 @@ import json
 from pathlib import Path
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.commands import arm as study
 from jaxclear.scenes.arm import (
+    ARCMIN,
     FASTEST,
     HINGES,
     JOINTS,
+    PLAY,
+    REDUCERS,
     TIP,
     arm,
     gravity_torques,
@@ -110,3 +115,54 @@ def test_servos_follow_the_way_and_come_to_rest_at_its_end():
     commanded = jc.simulate(arm(driven=True), pick_and_place().times[-1], save=136, verify=False)
     last = np.asarray(run.marker(TIP).position - commanded.marker(TIP).position)[-1]
     assert np.linalg.norm(last) < 2e-5
+
+
+@pytest.fixture(scope="module")
+def held():
+    """Runs without play and with 1 arcmin of it in all reducers."""
+    return {play: study.simulated(arm("play", play), verify=False) for play in (0.0, PLAY)}
+
+
+def test_where_weight_presses_a_flank_play_adds_half_of_itself(held):
+    at = study.ends(pick_and_place().times)
+    for name in ("joint2", "joint4", "joint6"):
+        plain, loose = (study.twist(run, name)[at] for run in held.values())
+        np.testing.assert_allclose(loose - plain, 0.5 * PLAY * np.sign(plain), rtol=0.02)
+        # what the elastic reducer carries
+        torque = np.asarray(held[0.0].transmitted(name))[at]
+        np.testing.assert_allclose(
+            np.abs(plain), np.abs(torque) / REDUCERS[name].stiffness, rtol=1e-2
+        )
+
+
+def test_play_that_no_scene_can_have_is_refused():
+    with pytest.raises(ValueError, match="play of arm has shape .3,.; it must be one number or"):
+        arm("play", (1e-4, 1e-4, 1e-4))
+    with pytest.raises(ValueError, match="play of arm"):
+        arm("play", -1e-4)
+    with pytest.raises(ValueError, match='no joint "joint8" in kind of arm'):
+        arm(("joint8",))
+
+
+@pytest.mark.slow
+def test_a_reversal_loses_play_and_twice_the_twist():
+    way = study.to_and_fro()
+    lost = study.lost_motion(study.simulated(arm("play", PLAY, way=way), way), PLAY)
+    closed = lost["2 t/k, and the play if crossed [arcmin]"]
+    # by the acceleration that is left at the middle of the way
+    np.testing.assert_allclose(lost["loses [arcmin]"], closed, rtol=2e-3)
+    # friction and damping alone, where no weight presses
+    first = 2 * lost["rubs with [N m]"][0] / REDUCERS["joint1"].stiffness + PLAY
+    np.testing.assert_allclose(lost["loses [arcmin]"][0] * ARCMIN, first, rtol=2e-2)
+
+
+@pytest.mark.slow
+def test_slopes_by_all_plays_are_those_of_differences(held):
+    problem = study.asked(study.STANDARD, held[0.0])
+    error = jax.jit(jax.vmap(lambda plays: problem.evaluate(plays).responses["tip error"]))
+    step = 0.02 * ARCMIN * np.eye(len(JOINTS))
+    nominal = np.asarray(problem.nominal())
+    above, below = np.split(np.asarray(error(np.concatenate([nominal + step, nominal - step]))), 2)
+    found = study.slopes(problem)["slope [mm/arcmin]"]
+    # FixedStep's slopes through touches are of first order in the step
+    np.testing.assert_allclose(found, 1e3 * (above - below) / 0.04, rtol=0.02)

@@ -151,7 +151,8 @@ class AbstractCoupling(AbstractQuantified):
                 "twist. Give its stiffness too, or put a damper on a joint (load.JointSpring)."
             )
         loses = "efficiency" if self.efficiency is not None else "friction"
-        if (self.efficiency is not None or self.thread is not None) and not self.gives:
+        rigid = self.play is None and self.stiffness is None
+        if (self.efficiency is not None or self.thread is not None) and rigid:
             raise ValueError(
                 f"coupling.{name} has {loses} and neither stiffness nor play: what it loses "
                 "follows from the force of its flank. Give its stiffness."

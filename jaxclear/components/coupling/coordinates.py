@@ -85,7 +85,7 @@ class Hold(AbstractCoordinateCoupling):
     damping: Scalar | None = damping_field()
 
     def __check_init__(self):
-        if not self.gives:
+        if self.play is None and self.stiffness is None:
             raise ValueError(
                 "coupling.Hold has neither play nor stiffness; to hold a joint for good take a "
                 "joint.Fixed."

@@ -18,6 +18,7 @@ class Efficiency(AbstractQuantified):
     up to the deflection `presliding` of that end, damped by `settling_time`, so that nothing
     creeps; a motor holds a load with less than it needs to lift it. It needs `stiffness` or play of
     its coupling, by which the force of the flank is known, and acts on the coordinate of that end.
+    Steps resolve that spring; `integrator.ImplicitStep`, which takes it as a step finds it, creeps.
 
     Source: Pelchen, Schweiger & Otter 2002, Modeling and simulating the efficiency of gearboxes and
     of planetary gearboxes, Proc. 2nd Int. Modelica Conference, 257; Prandtl 1928, Z. angew. Math.

@@ -209,7 +209,20 @@ STUDIES = {
 }
 
 
-HEADINGS = {"Your own scene": SCENE_FILES, "Studies of ready scenes": STUDIES}
+KEPT = {
+    "cache": Offer(
+        "the compiled programs that are kept between runs, in $JAXCLEAR_CACHE (0: none are)",
+        [click.Option(["--clear"], is_flag=True, help="remove them all")],
+        ["jaxclear cache", "jaxclear cache --clear"],
+    ),
+}
+
+
+HEADINGS = {
+    "Your own scene": SCENE_FILES,
+    "Studies of ready scenes": STUDIES,
+    "Compiled programs": KEPT,
+}
 
 
 def offered(answered: Callable[[str], Callable[..., None]]) -> dict[str, list[click.Command]]:

@@ -1,0 +1,125 @@
+"""What a run costs beside its steps: a sample of a study by the size of its chunks and by how often
+it is saved, with steps and without (a run of no length, which takes one step of no length for each
+saving time); and a call of `simulate` and of `Problem.evaluate`, as a loop of SciPy's makes them.
+
+CPU time, all in one process, the cases taking turns; of samples also as a share of what the
+smallest chunks take. `--json benchmarks/results/fixed_costs.json` keeps it.
+"""
+
+import functools
+import os
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+import jaxclear as jc
+from benchmarks.measure import arguments, report, sign
+from jaxclear.studies.ledger import batch
+
+# Samples of a study, and chunks of them.
+SAMPLES, CHUNKS = 2048, (64, 128, 256, 512, 1024)
+DURATION, STEP = 0.01, jc.integrator.FixedStep(2e-5)
+SCENES = {
+    "slider-crank": jc.scenes.slider_crank,
+    "slider-crank that wears": functools.partial(jc.scenes.slider_crank, wear=True),
+    "four-bar": jc.scenes.four_bar,
+}
+# Scene, saving times, and whether it has no length.
+STUDIES = (
+    ("slider-crank", 3, True),
+    ("slider-crank", 3, False),
+    ("slider-crank", 201, True),
+    ("slider-crank", 201, False),
+    ("slider-crank that wears", 51, False),
+    ("four-bar", 51, False),
+)
+TURNS, CALLS = 7, 40
+
+
+def problem(scene: str, saves: int, idle: bool = False) -> jc.Problem:
+    clearance = jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=20e-6)
+    asked = jc.Problem(
+        SCENES[scene](),
+        jc.response.MeanContactForce("B"),
+        {"clearance": clearance},
+        duration=DURATION,
+        save=saves,
+        integrator=STEP,
+    )
+    return asked.idle() if idle else asked
+
+
+def by_turns(cases: dict[Any, Callable[[], Any]], turns: int) -> dict[Any, float]:
+    """Median CPU seconds of each case; each runs once before."""
+    spent: dict[Any, list[float]] = {name: [] for name in cases}
+    for turn in range(turns + 1):
+        for name, case in cases.items():
+            begun = time.process_time()
+            jax.block_until_ready(case())
+            if turn:
+                spent[name].append(time.process_time() - begun)
+    return {name: statistics.median(own) for name, own in spent.items()}
+
+
+def sample_row(scene: str, saves: int, idle: bool, turns: int) -> dict[str, Any]:
+    """CPU microseconds a sample, by the size of chunks."""
+    asked = problem(scene, saves, idle)
+    spread = np.random.default_rng(0).uniform(-2e-5, 2e-5, size=(SAMPLES, 1))
+    values = np.asarray(asked.nominal()) + spread
+    cases = {n: functools.partial(batch.evaluate_all, asked, values, chunk=n) for n in CHUNKS}
+    spent = by_turns(cases, turns)
+    row: dict[str, Any] = {"scene": scene, "saves": saves, "steps": "none" if idle else 500}
+    row |= {f"chunks of {n} [us/sample]": 1e6 * spent[n] / SAMPLES for n in CHUNKS}
+    row["taken"] = batch.usual_batch(asked)
+    row["taken over the smallest"] = spent[row["taken"]] / spent[CHUNKS[0]]
+    return row
+
+
+def call_rows(turns: int) -> list[dict[str, Any]]:
+    """CPU milliseconds of a call that hardly takes a step, beside one that takes 500."""
+    rig, asked = jc.scenes.slider_crank(), problem("slider-crank", 3)
+    short = asked.idle()
+    values = asked.nominal()
+    run = functools.partial(jc.simulate, rig, integrator=STEP, save=3, verify=False)
+    calls = {
+        "simulate": (lambda: run(4e-5), lambda: run(DURATION)),
+        "Problem.evaluate": (lambda: short.evaluate(values), lambda: asked.evaluate(values)),
+    }
+    cases = {
+        (name, i): functools.partial(_often, call)
+        for name, pair in calls.items()
+        for i, call in enumerate(pair)
+    }
+    spent = by_turns(cases, turns)
+    return [
+        {
+            "call": name,
+            "hardly a step [ms]": 1e3 * spent[name, 0] / CALLS,
+            "500 steps [ms]": 1e3 * spent[name, 1] / CALLS,
+        }
+        for name in calls
+    ]
+
+
+def _often(call: Callable[[], Any]) -> Any:
+    return [call() for _ in range(CALLS)]
+
+
+def main() -> None:
+    options = arguments(__doc__)
+    turns = 2 if options.quick else TURNS
+    studies = STUDIES[:2] if options.quick else STUDIES
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["JAXCLEAR_CACHE"] = folder
+        report("A call", call_rows(turns), options)
+        report("A sample of a study", [sample_row(*own, turns) for own in studies], options)
+    sign("benchmarks.claims.fixed_costs", options.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,149 @@
+"""Programs and kernels that an earlier process has left: the same numbers without a trace."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.ground import cache_folder
+from jaxclear.native import compiled, forms
+from jaxclear.native.compiled import compiled_quickly
+from jaxclear.native.forms import Untold, in_text, surroundings, tree_in_text
+
+ROOT = Path(jc.__file__).parents[1]
+# A run of the slider-crank, what it gives, and what was compiled for it.
+PROGRAM = """
+import json, sys
+import jax
+import numpy as np
+import jaxclear as jc
+built = []
+jax.monitoring.register_event_duration_secs_listener(
+    lambda name, *_, **told: built.append(told["fun_name"]) if "backend_compile" in name else None
+)
+rig = jc.scenes.slider_crank()
+run = jc.simulate(rig, 0.002, save=5, integrator=jc.integrator.FixedStep(), verify=False)
+states = np.asarray(run.history.states).tobytes().hex()
+print(json.dumps([states, str(run.stats), [one for one in built if "_" in one]]))
+"""
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    monkeypatch.setenv(cache_folder.VARIABLE, str(tmp_path))
+    monkeypatch.setattr(compiled, "_AT_HAND", type(compiled._AT_HAND)())
+    return tmp_path
+
+
+def another_process(folder, program=PROGRAM):
+    environment = os.environ | {cache_folder.VARIABLE: str(folder), "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_another_process_compiles_nothing_and_gives_the_same_numbers(tmp_path):
+    first, second = (another_process(tmp_path) for _ in range(2))
+    assert {"jit(_both_ways)", "jit(_judged)"} <= set(first[2])
+    assert second[:2] == first[:2] and "machine code" in second[1]
+    assert not {"jit(_both_ways)", "jit(_judged)"} & set(second[2])
+    # Without one of its kernels a program is compiled again.
+    for path in (tmp_path / "programs").glob("*.kernel"):
+        path.unlink()
+    again = another_process(tmp_path)
+    assert again[:2] == first[:2] and "jit(_both_ways)" in again[2]
+
+
+TRACED = []
+
+
+def scaled(x, by, words):
+    """A function of this module: known by a name, but of no library."""
+    TRACED.append(words)
+    return {"scaled": x * by, "words": words, "as given": x}
+
+
+def test_what_is_no_array_comes_back_as_it_was(kept, monkeypatch):
+    monkeypatch.setattr(forms, "OWN", (*forms.OWN, "tests"))
+    monkeypatch.setattr(compiled, "_known", lambda options, _: dict(options))
+    known = compiled_quickly(scaled)
+    TRACED.clear()
+    found = known(jnp.arange(3.0), 2, ("a", None))
+    compiled._AT_HAND.clear()
+    again = known(np.ones(3), 2, ("a", None))
+    assert TRACED == [("a", None)]
+    assert again["words"] == ("a", None) and again["scaled"].tolist() == [2.0, 2.0, 2.0]
+    assert found["scaled"].tolist() == [0.0, 2.0, 4.0] and again["as given"].tolist() == [1] * 3
+    # Another number that is no array, another shape, type or kind of thing is another program.
+    for x, by, words in [
+        (jnp.ones(3), 3, ("a", None)),
+        (jnp.ones(3), 2.0, ("a", None)),
+        (jnp.ones(3), True, ("a", None)),
+        (jnp.ones(4), 2, ("a", None)),
+        (jnp.ones(3, int), 2, ("a", None)),
+        (jnp.ones(3), 2, ["a", None]),
+    ]:
+        before = len(TRACED)
+        assert known(x, by, words)["scaled"].tolist() == [by] * len(x)
+        assert len(TRACED) == before + 1
+
+
+def test_what_belongs_to_a_user_is_never_found_by_its_name(kept):
+    class OwnLaw:
+        pass
+
+    for thing in (scaled, lambda x: x, OwnLaw, OwnLaw(), np.array([None])):
+        with pytest.raises(Untold):
+            in_text(thing)
+    rig = jc.scenes.slider_crank()
+    told = tree_in_text(jax.tree.structure(rig))
+    assert told == tree_in_text(jax.tree.structure(jc.scenes.slider_crank()))
+    assert told != tree_in_text(jax.tree.structure(jc.scenes.slider_crank(friction=False)))
+    # Its program is JAX's to keep.
+    assert compiled_quickly(scaled)(jnp.ones(2), 2, "")["scaled"].tolist() == [2.0, 2.0]
+    assert cache_folder.kept() == [] and compiled._AT_HAND
+
+
+def test_settings_make_another_program(monkeypatch):
+    before = surroundings()
+    assert surroundings() == before
+    monkeypatch.setenv("JAXCLEAR_PLAIN_LOOPS", "1")
+    other = surroundings()
+    monkeypatch.undo()
+    with jax.default_matmul_precision("highest"):
+        assert len({before, other, surroundings()}) == 3
+
+
+def test_a_program_that_calls_back_is_not_kept_and_runs(kept, monkeypatch):
+    monkeypatch.setattr(forms, "OWN", (*forms.OWN, "tests"))
+    heard = []
+    monkeypatch.setitem(globals(), "calling", None)
+
+    def calling(x):
+        jax.debug.callback(heard.append, x)
+        return 2 * x
+
+    calling.__qualname__ = "calling"
+    monkeypatch.setitem(globals(), "calling", calling)
+    known = compiled_quickly(calling)
+    assert [float(known(jnp.asarray(value))) for value in (1.0, 2.0)] == [2.0, 4.0]
+    jax.effects_barrier()
+    assert [float(one) for one in heard] == [1.0, 2.0]
+    assert not [one for one in cache_folder.kept() if one.path.suffix == ".program"]
+
+
+@pytest.mark.parametrize("within", [jax.jit, jax.vmap, jax.grad])
+def test_within_another_program_nothing_is_looked_up(kept, within, monkeypatch):
+    monkeypatch.setattr(forms, "OWN", (*forms.OWN, "tests"))
+    known = compiled_quickly(scaled)
+    x = jnp.ones(2) if within is jax.vmap else jnp.asarray(1.0)
+    assert jnp.all(within(lambda x: known(x, 2.0, "")["scaled"])(x) == 2.0)
+    assert cache_folder.kept() == []
