@@ -32,8 +32,8 @@ from jaxclear.ground.numerics import OFF_THE_TIES, safe_divide, safe_sqrt
 
 # Unknowns of a search among all that is written out.
 LARGEST_WRITTEN_OUT = 18
-# Products of a factorisation that is written out: those of a full matrix of 40 unknowns, n (n^2 - 1)
-# / 6. An arm of 30 joints steps in 12 us so and in 22 by LAPACK (`benchmarks.claims.drives`).
+# Products of a factorisation that is written out: n (n^2 - 1) / 6 of a full matrix of 40 unknowns.
+# An arm of 30 joints steps in 12 us so and in 22 by LAPACK (`benchmarks.claims.drives`).
 MOST_PRODUCTS = 40 * (40**2 - 1) // 6
 
 Rows = Sequence[Sequence[Any]]
