@@ -15,6 +15,7 @@ import jaxclear as jc
 from jaxclear.ground.printing import AbstractShown, with_error
 from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.ground.table import MOST_ROWS, as_table
+from tests.plot.identified import identified
 from tests.test_architecture import CLASSES
 
 NAMES = ("a", "width of the gap between the slider and the guide at the far end")
@@ -91,6 +92,16 @@ def table_of(found):
     return found().table()
 
 
+def record():
+    seen = {"gap": jc.sensor.Displacement("rod")}
+    return jc.Measurement([0.0, 0.1, 0.2], {"gap": [0.0, 1e-3, 2e-3]}, seen)
+
+
+def life():
+    told = identified(few())
+    return jc.remaining_life({0: told, 1e6: told}, NAMES[0], limit=3.0)
+
+
 LIMITS = {"gap": (-1e-12, None)}
 ANSWERS = {
     "monte carlo": sample,
@@ -119,6 +130,9 @@ ANSWERS = {
     "design": design,
     "limits": lambda: design().limit_table(),
     "history": lambda: design().history(),
+    "record": record,
+    "identified": lambda: identified(few()),
+    "remaining life": life,
     "run": run,
     "errors": lambda: run().verification,
     "checks": lambda: run().invariants,
@@ -148,6 +162,8 @@ WITHOUT = ("stats", "complementarity", "extreme", "points", "estimates", "deriva
 WITHOUT = (*WITHOUT, "reliability")
 # Others hold what takes long to find; their words are sentences, their tables those of `as_table`.
 SENTENCES = {"Advice", "Failed", "PointingError", "Settled", "Unverified", "WearLife", "WearLives"}
+# Answers to records, which take a sample to have, are looked at where they are told.
+SENTENCES |= {"Identified", "Measurement"}
 
 
 @functools.cache

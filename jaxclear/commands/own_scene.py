@@ -265,7 +265,7 @@ def run(
         raise click.ClickException(found.result)
 
 
-SENSORS = {
+SENSORS: dict[str, Any] = {
     "accelerometer": jc.sensor.Accelerometer,
     "gyroscope": jc.sensor.Gyroscope,
     "displacement": jc.sensor.Displacement,
@@ -309,7 +309,6 @@ def identify(
     runs: int = 256,
     how: str = "statistics",
     folder: Path | None = None,
-    seed: int = 0,
     show: bool = True,
 ) -> None:
     """What records tell of what varies of a scene: prints each number's interval and whether it is
@@ -324,7 +323,7 @@ def identify(
         records = [
             jc.Measurement.read_csv(path, time=time, signals=signals, turn=turn) for path in record
         ]
-        found = jc.identify(asked.problem(), records, runs, how=how, seed=seed, progress_bar=show)
+        found = jc.identify(asked.problem(), records, runs, how=how, progress_bar=show)
     click.echo(str(found))
     folder.mkdir(parents=True, exist_ok=True)
     found.table().to_csv(folder / "identified.csv")

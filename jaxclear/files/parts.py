@@ -47,7 +47,7 @@ from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.multibody.loops import AsNeeded, Baumgarte, Projection
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.simulation.saving import Saving
-from jaxclear.studies.distribution import FromScipy
+from jaxclear.studies.distribution import Empirical, FromScipy
 from jaxclear.studies.variable import AbstractMechanismVariable, Condition, Heating, Variable
 
 KIND = "kind"
@@ -256,6 +256,14 @@ INSTEAD: dict[type, tuple[Callable[..., Any], dict[str, Argument]]] = {
             "spread": Argument(
                 Number({"unit": "1", "above": 0}), False, None, _attribute("spread")
             ),
+        },
+    ),
+    Empirical: (
+        Empirical,
+        {
+            "deviations": Argument(NumberArray(), False, None, _attribute("deviations")),
+            "low": Argument(Number({"unit": "1"}), False, None, _attribute("low")),
+            "high": Argument(Number({"unit": "1"}), False, None, _attribute("high")),
         },
     ),
     TimeTable: (

@@ -40,7 +40,7 @@ class Beginning(NamedTuple):
 
     own: Any
     led: Any
-    coordinates: Float[Array, " q"]
+    coordinates: Any  # (q,)
 
 
 class Mode(NamedTuple):

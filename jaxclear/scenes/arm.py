@@ -134,7 +134,14 @@ PLAY = 1.0 * ARCMIN
 # The gripper with its part, a cube, and where it holds it in the flange's frame [m].
 TOOL_MASS, TOOL_EDGE, HELD_AT = 1.0, 80e-3, (60e-3, 0.0, 120e-3)
 TOOL_COM = (30e-3, 0.0, 80e-3)
-TIP = Marker("tool", HELD_AT)
+
+
+def __getattr__(name: str) -> Marker:
+    """`TIP`: where the gripper holds its part. It holds arrays, and importing builds none."""
+    if name == "TIP":
+        return Marker("tool", HELD_AT)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 # Angles of the joints [rad] where the part is picked, above that, above its place, and there.
 PICKED = (-0.6, 0.25, 0.1, 1.25, -0.1, 1.0, -0.6)

@@ -71,6 +71,11 @@ def check_sampled(
     check_known("sampling", sampling, samplings)
     check_count("the number of samples", samples)
     check_count("seed", seed, at_least=0)
+    if not problem.response_names:
+        raise ValueError(
+            "the problem answers no number, only series; give it one, such as a mean or the "
+            "largest (series are compared with measurements, by jaxclear.identify)."
+        )
     if not problem.variables:
         raise ValueError("the problem has no variables; nothing would vary: give it some.")
 

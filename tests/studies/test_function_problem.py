@@ -109,7 +109,7 @@ def test_units_are_those_of_the_dimensions_where_they_share_one():
         (lambda a: a if a > 0 else -a, "leaves JAX in"),
         (lambda a: np.interp(a, [0.0, 1.0], [0.0, 1.0]), "leaves JAX in"),
         (lambda a: None, "is a `return` missing"),
-        (lambda a: jnp.stack([a, a]), "an array of shape"),
+        (lambda a: jnp.stack([[a, a]]), "an array of shape"),
         (lambda a: {}, "returns no number"),
         (lambda a: {"a": a}, "names a variable and a response"),
         (lambda b: b, 'takes "b", and the variables are "a"'),
@@ -140,3 +140,14 @@ def test_evaluate_says_how_many_values_it_takes(values):
     told = 'evaluate takes an array of 2 values, one for each variable in order, "a", "b"; it is'
     with pytest.raises(ValueError, match=told):
         problem.evaluate(values)
+
+
+def test_series_are_beside_numbers_and_alone_no_question_of_a_sample():
+    both = lambda a: {"largest": 2 * a, "force": a * jnp.arange(3.0)}
+    problem = jc.FunctionProblem(both, {"a": PARTS["ring"]}, units={"force": "N"})
+    assert problem.response_names == ("largest",) and problem.units()["force"] == "N"
+    np.testing.assert_allclose(problem.series(jnp.array([2.0]))["force"], [0.0, 2.0, 4.0])
+    assert list(jc.monte_carlo(problem, 16).responses) == ["largest"]
+    alone = jc.FunctionProblem(lambda a: a * jnp.arange(3.0), {"a": PARTS["ring"]})
+    with pytest.raises(ValueError, match="answers no number, only series"):
+        jc.monte_carlo(alone, 16)

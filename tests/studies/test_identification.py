@@ -258,3 +258,16 @@ def test_a_record_is_read_from_files(tmp_path):
     again = jc.Measurement.from_dataset(tree, {"a": sensors()["a"]}, time="t")
     np.testing.assert_allclose(again.time, data.time)
     assert len(data.part(0.1, 0.2).time) == 101
+
+
+def test_unknowns_keep_their_order_where_jax_sorts_their_names():
+    made = machine(0.2e-3)
+    backwards = dict(reversed(made.variables.items()))
+    told = made.response, backwards
+    own = jc.Problem(made.mechanism, *told, duration=0.1, integrator=made.integrator)
+    sorted_ = jax.tree.map(lambda leaf: leaf, own)
+    assert tuple(sorted_.variables) != sorted_.names
+    values = np.array([[0.9, 2e-4], [0.85, 2.2e-4], [0.86, 2.4e-4]])
+    found = result.posterior_of(sorted_, values)
+    assert found.names == own.names
+    np.testing.assert_allclose(found.nominal(), [0.86, 2.2e-4], rtol=1e-6)

@@ -194,37 +194,49 @@ class Beta(AbstractDistribution):
 
 class Empirical(AbstractDistribution):
     """As a sample of deviations says: between its values along straight lines over their normal
-    scores, from `low` to `high` beyond the outermost ones (None: these themselves).
+    scores, and beyond the outermost ones on to `low` and `high` (None: no further than these).
 
-    `deviations` (samples,) [the number's unit], two different ones at least. Its shape is that of
-    the sample it was built with.
+    `deviations` (samples,) [the number's unit], two different ones at least, in any order.
     """
 
-    scores: Float[Array, " knots"]
-    knots: Float[Array, " knots"]
-    spread: Scalar = quantity(unit=UNIT, meaning="standard deviation", above=0)
+    deviations: Float[Array, " samples"]
+    low: Scalar | None = quantity(None, UNIT, "smallest deviation (None: of the sample)")
+    high: Scalar | None = quantity(None, UNIT, "largest deviation (None: of the sample)")
 
     def __init__(self, deviations: Any, *, low: float | None = None, high: float | None = None):
-        own = np.sort(np.asarray(deviations, float).ravel())
+        try:
+            own = np.sort(np.asarray(deviations, float).ravel())
+        except (TypeError, ValueError):
+            own = np.zeros(0)
         if len(own) < 2 or not np.all(np.isfinite(own)) or own[0] == own[-1]:
             raise ValueError(
                 f"distribution.Empirical is given {described(deviations)}; it must be two "
                 "different finite numbers at least."
             )
-        ends = (own[0] if low is None else low), (own[-1] if high is None else high)
-        own = np.clip(own, *ends)
-        shares = (np.arange(len(own)) + 0.5) / len(own)
-        scores = scipy.special.ndtri(shares)
-        scores = np.concatenate([[-LARGEST_SCORE], scores, [LARGEST_SCORE]])
-        knots = np.concatenate([[ends[0]], own, [ends[1]]])
-        self.scores, self.knots = jnp.asarray(scores), jnp.asarray(knots)
-        self.spread = float(own.std())
+        if low is not None and high is not None and not low < high:
+            raise ValueError(
+                f"distribution.Empirical has low = {low:g}, high = {high:g}; low must be below "
+                "high."
+            )
+        self.deviations, self.low, self.high = jnp.asarray(own), low, high
+
+    def _within(self) -> Array:
+        """Its values, none beyond its ends."""
+        return jnp.clip(self.deviations, self.low, self.high)
 
     def quantile(self, share):
         return self.of_score(ndtri(share))
 
     def of_score(self, score):
-        return jnp.interp(score, self.scores, self.knots)
+        own, count = self._within(), len(self.deviations)
+        ends = (
+            own[0] if self.low is None else self.low,
+            own[-1] if self.high is None else self.high,
+        )
+        scores = ndtri((jnp.arange(count) + 0.5) / count)
+        outer = jnp.array([LARGEST_SCORE])
+        scores = jnp.concatenate([-outer, scores, outer])
+        return jnp.interp(score, scores, jnp.concatenate([ends[0][None], own, ends[1][None]]))
 
     def deviation(self):
-        return self.spread
+        return jnp.std(self._within())

@@ -114,7 +114,8 @@ def identify(
     models = models_of(problem, records)
     records = [record.compared for record in records]
     for own in [own for every in models.values() for own in every]:
-        check_sampled(own, runs, seed)
+        if own.response_names:
+            check_sampled(own, runs, seed)
     if how == "signal":
         check_only_signals(statistics=statistics, laws=laws, store=store)
         return told_by_signals(models, records, runs, seed)

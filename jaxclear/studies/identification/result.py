@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import ndtr, ndtri
+import scipy
 
 from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.studies.answer import DATASET, VARIABLE, AbstractAnswer, Column, Stated
@@ -93,7 +93,7 @@ def prior_shares(problem: AbstractProblem, values: np.ndarray) -> np.ndarray:
     """Values (runs, variables) as shares of their priors."""
     nominal = np.asarray(problem.nominal())
     found = [
-        ndtr(np.asarray(problem.variables[name].distribution.score(jnp.asarray(own))))
+        scipy.special.ndtr(np.asarray(problem.variables[name].distribution.score(jnp.asarray(own))))
         for name, own in zip(problem.names, (values - nominal).T, strict=True)
     ]
     return np.stack(found, axis=1)
@@ -216,7 +216,8 @@ def posterior_of(
     correlation = score_correlation(values)
     ends = np.stack([prior_quantiles(problem, n, np.array([0.0, 1.0])) for n in problem.names])
     nominal, known, moved = np.asarray(problem.nominal()), {}, []
-    for i, (name, own) in enumerate(problem.variables.items()):
+    varied = [problem.variables[name] for name in problem.names]
+    for i, (name, own) in enumerate(zip(problem.names, varied, strict=True)):
         # What is no number of the mechanism keeps its nominal value.
         centre = middle[i] if isinstance(own, (Variable, Dimension)) else nominal[i]
         moved.append(centre)
@@ -228,7 +229,6 @@ def posterior_of(
         units = problem.units()
         return FunctionProblem(problem.function, known, units=units, correlation=correlation)
     lasts = float(problem.duration if duration is None else duration)
-    varied = list(problem.variables.values())
     named: list[Any] = [own for own in varied if isinstance(own, Variable)]
     at = [value for value, own in zip(moved, varied, strict=True) if isinstance(own, Variable)]
     return Problem(
@@ -249,7 +249,7 @@ def score_correlation(values: np.ndarray) -> np.ndarray | None:
     if count < 2:
         return None
     ranks = np.argsort(np.argsort(values, axis=0, kind="stable"), axis=0) + 0.5
-    found = np.corrcoef(ndtri(ranks / len(values)).T)
+    found = np.corrcoef(scipy.special.ndtri(ranks / len(values)).T)
     # Of few draws nearly dependent columns are possible; a little less than that is positive.
     least = np.linalg.eigvalsh(found)[0]
     if least < 10 * LEAST_EIGENVALUE:
@@ -262,7 +262,7 @@ def together(names: Sequence[str], fitted: Regression, verdicts: Sequence[str]) 
     """A sentence for each combination of unknowns that is told better than any of them."""
     scatter = fitted.scatter
     open_ = [k for k, verdict in enumerate(verdicts) if verdict != IDENTIFIED]
-    if len(open_) < 2:
+    if len(open_) < 2 or not np.all(np.isfinite(fitted.residuals)):
         return ()
     # Shares of a uniform prior have a variance of 1/12.
     covariance = 12 * np.cov(fitted.residuals[:, open_].T)

@@ -45,7 +45,7 @@ def watched(problem: Problem, record: Measurement, laws: Ensemble) -> Problem:
     """The problem whose responses are the signals of a record's sensors, without noise, saved as
     often as the record; up to its end."""
     intervals = round(float(problem.duration) * record.rate)
-    variables = dict(problem.variables) | laws.variables
+    variables = {name: problem.variables[name] for name in problem.names} | laws.variables
     correlation = None
     if problem.correlation is not None:
         known = len(problem.names)

@@ -85,7 +85,6 @@ SCENE_FILES = {
             flag("--runs", "runs that the records are compared with", whole(64), 256),
             flag("--how", "statistics of signals, or signals", one_of(WAYS), "statistics"),
             out(None, "folder for table and figure (default SCENE_identified)"),
-            flag("--seed", "of the runs", whole(0), 0, "0"),
             quiet(),
         ],
         [
