@@ -37,8 +37,8 @@ from jaxclear.studies.identification.posterior import (
 NOISE_KNOWN = 0.2
 # One right model in a thousand is refused.
 REFUSED = 1e-3
-# Of a signal whose noise is not known, shares of its deviation: below the first no instrument leaves
-# so little, and beyond the last its mean would explain it better.
+# Of a signal whose noise is not known, shares of its deviation: no instrument leaves less than the
+# first, and beyond the last its mean would explain it better.
 LEAST_LEFT, MOST_LEFT = 1e-6, 1.1
 # Shares below and above which half of the rest of 95 % lies.
 ENDS = (0.025, 0.975)
@@ -48,7 +48,8 @@ MOST_CENTRES = 3
 
 class Misfit(NamedTuple):
     """What is left of one signal. `size`: root mean square, in its unit; `share` [1] of the
-    signal's own deviation, or of its value where it is constant; `time`: samples that one independent sample is worth; `chi2` [1]: mean
+    signal's own deviation, or of its value where it is constant; `time`: samples that one
+    independent sample is worth; `chi2` [1]: mean
     square over that of the noise, and `limit`, the largest that the noise explains; nan where the
     noise is not known; `samples`, how many there are."""
 
@@ -197,8 +198,8 @@ def _refusal(best: Optimum, misfits: dict[str, Misfit]) -> str:
             )
         if np.isnan(own.chi2) and own.share < LEAST_LEFT:
             return (
-                f'the signal "{name}" is explained to {own.share:.1g} of itself, as none is that an '
-                "instrument showed, so that what is left tells no noise; give its sensor one."
+                f'the signal "{name}" is explained to {own.share:.1g} of itself, as none is that '
+                "an instrument showed, so that what is left tells no noise; give its sensor one."
             )
         if np.isnan(own.chi2) and own.share > MOST_LEFT:
             return (
