@@ -168,6 +168,9 @@ class Adaptive(AbstractIntegrator):
     def through_contacts(self):
         return stepped_by_hand(self.solver) is not None
 
+    def beyond_flanks(self, mechanism):
+        return self.beyond_touches(mechanism)
+
     @property
     def formulation(self):
         return CompliantContact()

@@ -157,6 +157,10 @@ class AbstractIntegrator(AbstractQuantified):
         of the motion."""
         return "" if self.through_contacts else "how the instants of touch move"
 
+    def beyond_flanks(self, mechanism: Mechanism) -> str:
+        """The same of the flanks of couplings with play."""
+        return "how the instants move at which flanks meet"
+
     @property
     def first_order_slopes(self) -> bool:
         """Whether its derivatives are off in proportion to the step, not to its square or less:
