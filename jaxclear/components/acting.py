@@ -17,8 +17,8 @@ class AbstractLoad(AbstractQuantified):
 
 
 class LoadState(NamedTuple):
-    """A state of a load: its `name`, `unit`, the number with which a run begins, and the size `most`
-    at which it stands still (None: it has none): steps end within it."""
+    """A state of a load: its `name`, `unit`, the number with which a run begins, and the size
+    `most` at which it stands still (None: it has none): steps end within it."""
 
     name: str
     unit: str = "1"

@@ -192,8 +192,8 @@ def solve(
     ended: Callable,
 ) -> Solved:
     """As `diffrax.diffeqsolve` over a `span` (start, end, first step) [s], in `most` steps tried:
-    the same steps to rounding, each `ended(state)`. How long steps are is no part of derivatives: of the motion these
-    are the same, whatever its steps."""
+    the same steps to rounding, each `ended(state)`. How long steps are is no part of derivatives:
+    of the motion these are the same, whatever its steps."""
     begin, end, first = span
     order = solver.error_order(term)
     controller = constant(controller)
