@@ -91,6 +91,10 @@ class Advance(NamedTuple):
     events: Events | None = None
 
 
+# What derivatives do not know where couplings have play.
+FLANKS = "how the instants move at which flanks meet"
+
+
 class AbstractIntegrator(AbstractQuantified):
     """Carries a state over an interval.
 
@@ -159,7 +163,7 @@ class AbstractIntegrator(AbstractQuantified):
 
     def beyond_flanks(self, mechanism: Mechanism) -> str:
         """The same of the flanks of couplings with play."""
-        return "how the instants move at which flanks meet"
+        return FLANKS
 
     @property
     def first_order_slopes(self) -> bool:

@@ -24,6 +24,7 @@ from jaxclear.ground.wording import unknown
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import (
     FIRST_ORDER,
+    FLANKS,
     RUNGE_KUTTA,
     SLIVER,
     STUDIES,
@@ -306,7 +307,7 @@ class FixedStep(AbstractIntegrator):
 
     def beyond_flanks(self, mechanism):
         # The motion beside the steps is measured by the gaps of joints.
-        return super().beyond_flanks(mechanism) if self._beside else self.beyond_touches(mechanism)
+        return FLANKS if self._beside else self.beyond_touches(mechanism)
 
     @property
     def _beside(self):
