@@ -17,11 +17,13 @@ class AbstractLoad(AbstractQuantified):
 
 
 class LoadState(NamedTuple):
-    """A state of a load: its `name`, `unit`, and the number with which a run begins."""
+    """A state of a load: its `name`, `unit`, the number with which a run begins, and the size
+    `most` at which it stands still (None: it has none): steps end within it."""
 
     name: str
     unit: str = "1"
     start: Any = 0.0
+    most: Any = None
 
 
 class CoordinateEffect(NamedTuple):

@@ -18,7 +18,9 @@ from jaxclear.components.function_of_time import (
     value_at,
 )
 from jaxclear.ground.arguments import check_known
+from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, count, quantity
+from jaxclear.ground.tangents import derived, moved
 
 ENCODERS = ("motor", "load")
 
@@ -35,6 +37,7 @@ class Servo(AbstractStateLoad):
 
     `torque_limit` limits it to both sides; the integral stands still while the torque is at its
     limit and the error drives it further (conditional integration), so that it does not wind up.
+    Derivatives of runs that have been there are nan, but with a `period`.
     `feedforward` is :math:`\tau_0`.
 
     With a `period` T it is a digital controller: it looks at the joint at 0, T, 2 T ..., gives a
@@ -147,7 +150,8 @@ class Servo(AbstractStateLoad):
             return torque, error
         limited = jnp.clip(torque, -self.torque_limit, self.torque_limit)
         winding = (limited != torque) & (error * torque > 0)
-        return limited, jnp.where(winding, 0.0, error)
+        still = jnp.zeros_like(error) if self.period is not None else _standing(error, torque)
+        return limited, jnp.where(winding, still, error)
 
 
 class _ServoOnMotor(AbstractStateLoad):
@@ -182,6 +186,16 @@ class _ServoOnMotor(AbstractStateLoad):
             return positions[0], speeds[0]
         offset = 0 if self.end.offset is None else self.end.offset
         return (positions[0] - offset) / self.end.ratio, speeds[0] / self.end.ratio
+
+
+def _unknown_there(numbers: tuple, tangents: tuple) -> Any:
+    """The derivative of a rate that has changed at once, at an instant which moves with a torque:
+    it knows nothing of that."""
+    return jnp.where(moved(tangents[1]) != 0, Unknown.AT_LIMIT.number, 0.0)
+
+
+# The rate of an integral (of the kind of an error) where the torque asked for is at its limit.
+_standing = derived(lambda error, torque: jnp.zeros_like(error), _unknown_there)
 
 
 def _motion(reference: Any, time: Any) -> tuple[Any, Any]:

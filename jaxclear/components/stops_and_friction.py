@@ -169,7 +169,9 @@ class JointFriction(AbstractStateLoad):
         return (self.connection,)
 
     def states(self):
-        return () if self.transition_speed is not None else (LoadState("bristle", "rad"),)
+        if self.transition_speed is not None:
+            return ()
+        return (LoadState("bristle", "rad", most=self.presliding),)
 
     def effect(self, time, positions, speeds, states):
         (speed,) = speeds

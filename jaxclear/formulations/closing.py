@@ -17,7 +17,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import constant
 from jaxclear.multibody import constraints, dynamics, kinematics, tree
-from jaxclear.multibody.state import unpack_motion
+from jaxclear.multibody.state import unpack_motion, within_bounds
 
 # Of a step's way, and of the speeds: a step that is off by a fifth does not resolve the motion.
 MOST = 0.2
@@ -26,8 +26,10 @@ MOST = 0.2
 def closed(model: Model, time: Any, state: State, length: Any = None) -> State:
     """The state at the end of a step at this `time` [s], its loops closed anew where they are to
     be: to the square of how far off they were. `length` of the step [s]: by it is known what is no
-    error of the step (None: everything is one, also at a singular position).
+    error of the step (None: everything is one, also at a singular position). What stands still at a
+    bound stands there.
     """
+    state = within_bounds(model.system, model.layout, state)
     if not model.projects:
         return state
     system, layout, entries = model.system, model.layout, model.entries(state)

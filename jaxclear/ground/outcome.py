@@ -72,6 +72,11 @@ class Unknown(AbstractOutcome):
         "contacts strike at once in a step that would not move alike, or the run ends before it "
         "takes an impact that is due: take shorter steps or another end.",
     )
+    AT_LIMIT = (
+        7,
+        "the integral of a controller stands still at its torque limit, and how that instant moves "
+        "is not followed: give it a period, or no torque_limit, or take jaxclear.sensitivity.",
+    )
 
     @property
     def number(self) -> np.float64:

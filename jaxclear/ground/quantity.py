@@ -19,6 +19,7 @@ A field says it by its type (`AbstractWearLaw | None`, `int`, `str`, `Callable`)
 import dataclasses
 import functools
 import math
+import types
 from collections.abc import Callable, Iterator, Mapping
 from types import GenericAlias, NoneType, UnionType
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, Union, get_args, get_origin
@@ -308,8 +309,19 @@ def concrete(value: Any) -> float | None:
 
 
 def is_traced(tree: Any) -> bool:
-    """Whether any number of a tree is being traced, so that nobody knows it yet."""
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+    """Whether any number of a tree is being traced, so that nobody knows it yet; those that
+    functions of Python's enclose, too."""
+    return any(
+        isinstance(leaf, jax.core.Tracer) or is_traced(_enclosed(leaf))
+        for leaf in jax.tree.leaves(tree)
+    )
+
+
+def _enclosed(leaf: Any) -> list:
+    """The numbers that a function of Python's encloses."""
+    cells = getattr(leaf, "__closure__", None) or ()
+    found = [cell.cell_contents for cell in cells if cell != types.CellType()]
+    return [each for each in found if isinstance(each, jax.Array)]
 
 
 def on_host(tree: Any) -> Any:

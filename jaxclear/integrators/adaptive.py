@@ -2,6 +2,7 @@
 one simulation.
 """
 
+import functools
 from typing import Any, ClassVar
 
 import diffrax
@@ -41,6 +42,7 @@ from jaxclear.integrators.error_control import (
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas, state_group
 from jaxclear.integrators.saltation import equations, motion_of
 from jaxclear.multibody.reach import narrowest_gap
+from jaxclear.multibody.state import within_bounds
 from jaxclear.multibody.system import longest_arm
 from jaxclear.native import size_of, with_fast_loops
 
@@ -168,6 +170,9 @@ class Adaptive(AbstractIntegrator):
     def through_contacts(self):
         return stepped_by_hand(self.solver) is not None
 
+    def beyond_flanks(self, mechanism):
+        return self.beyond_touches(mechanism)
+
     @property
     def formulation(self):
         return CompliantContact()
@@ -268,6 +273,7 @@ class Adaptive(AbstractIntegrator):
             (start, stop, first),
             state,
             (arrays, None),
+            functools.partial(within_bounds, model.system, model.layout),
         )
         # A remainder of rounding, shorter than the smallest step, has been taken.
         reached = (failed == Outcome.REACHED) | (found.time >= stop)
@@ -293,10 +299,11 @@ class Adaptive(AbstractIntegrator):
             state = resolved(state, growth)
         return Advance(state, *steps, (usual, growth), outcome, peaks, events)
 
-    def _solved(self, term, solver, controller, span, state, args):
-        """Where a solver ends, and why where that is before the end."""
+    def _solved(self, term, solver, controller, span, state, args, ended):
+        """Where a solver ends, and why where that is before the end; of its own steps each is
+        `ended(state)`."""
         if stepped_by_hand(self.solver) is not None:
-            found = solve(term, solver, controller, span, state, args, self.most_steps)
+            found = solve(term, solver, controller, span, state, args, self.most_steps, ended)
             short = jnp.where(found.time < span[1], Outcome.TOO_MANY_STEPS, Outcome.REACHED)
             return found, jnp.where(found.too_small, Outcome.STEP_TOO_SMALL, short)
         start, stop, first = span

@@ -91,6 +91,10 @@ class Advance(NamedTuple):
     events: Events | None = None
 
 
+# What derivatives do not know where couplings have play.
+FLANKS = "how the instants move at which flanks meet"
+
+
 class AbstractIntegrator(AbstractQuantified):
     """Carries a state over an interval.
 
@@ -156,6 +160,10 @@ class AbstractIntegrator(AbstractQuantified):
         """What its derivatives do not know of the contacts of a mechanism; "" where they are those
         of the motion."""
         return "" if self.through_contacts else "how the instants of touch move"
+
+    def beyond_flanks(self, mechanism: Mechanism) -> str:
+        """The same of the flanks of couplings with play."""
+        return FLANKS
 
     @property
     def first_order_slopes(self) -> bool:

@@ -133,7 +133,8 @@ def resolved(state: Array, known: Followed) -> Array:
     def judged(_, tangents):
         state, (sums, largest, _, most) = map(moved, tangents)
         fine = (sums <= MOST_ERROR * largest) & (most < IN_A_ROW)
-        return jnp.where(fine, state, Unknown.UNRESOLVED.number)
+        # What is unknown already says why.
+        return jnp.where(fine | jnp.isnan(state), state, Unknown.UNRESOLVED.number)
 
     return derived(lambda state, known: state, judged)(state, known)
 

@@ -189,10 +189,11 @@ def solve(
     state: Any,
     args: Any,
     most: int,
+    ended: Callable,
 ) -> Solved:
     """As `diffrax.diffeqsolve` over a `span` (start, end, first step) [s], in `most` steps tried:
-    the same steps to rounding. How long steps are is no part of derivatives: of the motion these
-    are the same, whatever its steps."""
+    the same steps to rounding, each `ended(state)`. How long steps are is no part of derivatives:
+    of the motion these are the same, whatever its steps."""
     begin, end, first = span
     order = solver.error_order(term)
     controller = constant(controller)
@@ -211,7 +212,7 @@ def solve(
         error = jax.tree.map(lambda each: jnp.where(jnp.isnan(each), jnp.inf, each), error)
         tried = constant((*at, y, args, error))
         adapted = controller.adapt_step_size(*tried, order, now.control)
-        return _after(now, y, after, adapted, end)
+        return _after(now, ended(y), after, adapted, end)
 
     none = jnp.zeros((), int)
     first_turn = _Turn(begin, until, state, kept, control, none, none, True, wish)

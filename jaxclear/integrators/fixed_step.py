@@ -24,6 +24,7 @@ from jaxclear.ground.wording import unknown
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import (
     FIRST_ORDER,
+    FLANKS,
     RUNGE_KUTTA,
     SLIVER,
     STUDIES,
@@ -297,12 +298,16 @@ class FixedStep(AbstractIntegrator):
         return contacts, jnp.ones(()), None
 
     def _derived(self, model):
-        return self.through_contacts and model.system.bearings and not model.discrete
+        return self.through_contacts and model.layout.contacts and not model.discrete
 
     @property
     def through_contacts(self):
         alike = self.method in CHAINS and self.contact_steps is None
         return self.steps_per_save is None and (self.method == "rk4" or alike)
+
+    def beyond_flanks(self, mechanism):
+        # The motion beside the steps is measured by the gaps of joints.
+        return FLANKS if self._beside else self.beyond_touches(mechanism)
 
     @property
     def _beside(self):

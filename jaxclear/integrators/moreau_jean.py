@@ -358,6 +358,11 @@ class MoreauJean(AbstractIntegrator):
             return "how friction in ideal joints moves with impacts"
         return ""
 
+    def beyond_flanks(self, mechanism):
+        plays = (own.play for own in mechanism.couplings.values() if own.play is not None)
+        rigid = all(play.restitution is not None for play in plays)
+        return "" if rigid else "how the instants move at which flanks meet that are not rigid"
+
     def first_warm_start(self, model, start, state):
         warm_start = self.formulation.warm_start(model)
         moves = nothing_moved(state, warm_start) if may_strike(model.system) else None

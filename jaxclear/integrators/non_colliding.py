@@ -90,6 +90,10 @@ class NonColliding(AbstractIntegrator):
     def first_order_slopes(self):
         return True
 
+    def beyond_flanks(self, mechanism):
+        # The motion is the ideal one; play is added to it.
+        return ""
+
     def first_warm_start(self, model, start, state):
         return self.formulation.warm_start(model)
 

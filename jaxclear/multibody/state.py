@@ -18,7 +18,7 @@ from jaxclear.components.clearance import ContactCandidate, ContactLaws
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import by_form
 from jaxclear.multibody.contact_point import PointState, memory_template
-from jaxclear.multibody.system import Bearing, System, coordinate_loads, rubbing_joints
+from jaxclear.multibody.system import SLIP, Bearing, System, coordinate_loads, rubbing_joints
 
 # An offset [m] at which nothing is structurally zero but by the scene.
 PROBE = (0.3e-3, 0.1e-3, 0.2e-3)
@@ -289,6 +289,25 @@ def unpack_followed(layout: Layout, entries: Any, shares: Any = None) -> Followe
     if shares is not None:
         told = {n: (shares[2 * i], shares[2 * i + 1]) for i, n in enumerate(layout.plays)}
     return Followed(angles, states, told)
+
+
+def bounds(system: System, layout: Layout) -> dict[int, Any]:
+    """The size at which states stand still, by their place in the state, of those that have one:
+    deflections of friction that holds."""
+    most: list[Any] = [x.most for _, load in coordinate_loads(system) for x in load.states()]
+    for own in system.transmissions.values():
+        held = own.coupling.thread if own.driving is None else own.driving.loses
+        yields = None if held is None else held.presliding
+        most += [yields if name == SLIP else None for name in own.states()]
+    return {layout.state_start + i: each for i, each in enumerate(most) if each is not None}
+
+
+def within_bounds(system: System, layout: Layout, state: Any) -> Any:
+    """The state at the end of a step, with what stands still at a bound there. A number by which
+    its instant moves moves it no more."""
+    for place, most in bounds(system, layout).items():
+        state = state.at[place].set(jnp.clip(state[place], -most, most))
+    return state
 
 
 def impact_speed_places(layout: Layout) -> tuple[int | None, ...]:

@@ -21,7 +21,7 @@ from jax.experimental import serialize_executable
 
 from jaxclear.ground import cache_folder
 from jaxclear.ground.compiling import uncollected
-from jaxclear.ground.quantity import is_tracing
+from jaxclear.ground.quantity import is_traced, is_tracing
 from jaxclear.native import check, dispatch, verdicts
 from jaxclear.native.forms import Untold, function_in_text, in_text, surroundings, tree_in_text
 from jaxclear.native.verdicts import NoKernel, only_kernels
@@ -93,7 +93,7 @@ def compiled_quickly(
     def call(*arguments):
         leaves, tree = jax.tree.flatten(arguments)
         # JAX refuses options of a program within a program.
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves) or is_tracing():
+        if is_traced(leaves) or is_tracing():
             return plain(*arguments)
         while True:
             unknown = frozenset(_unknown)

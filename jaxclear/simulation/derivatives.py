@@ -57,18 +57,26 @@ def refusal(mechanism: Mechanism, integrator: AbstractIntegrator, discrete: bool
     """Why derivatives through runs of a mechanism are not those of its motion; "" where they are.
     `mechanism`: as its formulation sees it; `discrete`: derivatives of the discrete run.
     """
-    joints = mechanism.topology.clearances
-    unknown = integrator.beyond_touches(mechanism)
-    if not joints or not (unknown or discrete):
-        return ""
-    unknown = unknown or "how the instants of touch move"
     name = public_name(type(integrator))
-    named = " and ".join(f'"{joint}"' for joint in joints[:2])
-    some = f"joint {named}" if len(joints) == 1 else f"joints {named}{' …' * (len(joints) > 2)}"
-    return (
-        f"contacts in {some} open and close, and a derivative through the steps of {name} does not "
-        f"know {unknown}"
-    )
+    own = "a derivative through the steps of"
+    joints = mechanism.topology.clearances
+    unknown = integrator.beyond_touches(mechanism) if joints else ""
+    if joints and (unknown or discrete):
+        some = _named("joint", joints)
+        unknown = unknown or "how the instants of touch move"
+        return f"contacts in {some} open and close, and {own} {name} does not know {unknown}"
+    plays = tuple(each for each, one in mechanism.couplings.items() if one.play is not None)
+    unknown = integrator.beyond_flanks(mechanism) if plays else ""
+    if not plays or not (unknown or discrete):
+        return ""
+    some = _named("coupling", plays)
+    unknown = unknown or "how the instants move at which flanks meet"
+    return f"flanks of {some} meet and part, and {own} {name} does not know {unknown}"
+
+
+def _named(kind: str, names: tuple[str, ...]) -> str:
+    named = " and ".join(f'"{name}"' for name in names[:2])
+    return f"{kind} {named}" if len(names) == 1 else f"{kind}s {named}{' …' * (len(names) > 2)}"
 
 
 def guarded(run: Trajectory, integrator: AbstractIntegrator, discrete: bool = False) -> Trajectory:
@@ -79,10 +87,12 @@ def guarded(run: Trajectory, integrator: AbstractIntegrator, discrete: bool = Fa
     why = refusal(run.mechanism, integrator) if is_traced(COMPUTED(run)) else ""
     if not why or (discrete and integrator.pathwise):
         return run
+    given = any(own.play is not None for own in run.mechanism.couplings.values())
+    steps = 'FixedStep() by "rk4"' if given else "FixedStep() or ImplicitStep()"
     ways = (
-        "take jaxclear.integrator.Adaptive() with an explicit solver, FixedStep() or "
-        "ImplicitStep() without steps_per_save, which follow touches, or jaxclear.sensitivity, "
-        "which compares methods and gives an error"
+        f"take jaxclear.integrator.Adaptive() with an explicit solver, {steps} without "
+        "steps_per_save, which follow touches, or jaxclear.sensitivity, which compares methods and "
+        "gives an error"
     )
     if integrator.pathwise:
         ways += (

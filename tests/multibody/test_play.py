@@ -408,3 +408,54 @@ def test_flanks_that_an_integrator_cannot_serve_are_refused(integrator, more, sa
     gear = jc.coupling.Gear(MOTOR(1e-3), "L", 3.0, play=1e-3, **more)
     with pytest.raises(ValueError, match=says):
         jc.simulate(one_arm(couplings={"G": gear}), 0.1, integrator=integrator)
+
+
+def driven_by_a_motor(play, friction=None):
+    """A body behind a gear with play, whose motor a sine drives."""
+    loads = {"drive": jc.load.JointTorque("G.motor", lambda t: 0.05 * jnp.sin(40.0 * t))}
+    if friction is not None:
+        loads["friction"] = jc.load.JointFriction("J", torque=friction)
+    gear = jc.coupling.Gear(
+        jc.coupling.Motor(2e-5),
+        "J",
+        ratio=100.0,
+        stiffness=2e4,
+        damping=15.0,
+        play=jc.clearance.Backlash(play),
+    )
+    bodies = {"part": jc.Body(1.0, 0.1)}
+    joints = {"J": jc.Connection(jc.joint.Revolute(), "ground", "part")}
+    return jc.Mechanism(bodies, joints, loads, couplings={"G": gear})
+
+
+def slope_by_play(integrator, friction=None):
+    def end(play):
+        rig = driven_by_a_motor(play, friction)
+        run = jc.simulate(rig, 0.2, save=2, integrator=integrator, throw=False, verify=False)
+        return run.coordinate("J")[-1]
+
+    return jax.jacfwd(end)(6e-4)
+
+
+# Differences of SciPy's DOP853 between the instants at which flanks meet and the bristle yields.
+@pytest.mark.parametrize(("friction", "exact"), [(None, -0.36773), (0.5, 2.13211)])
+def test_slopes_of_fixed_steps_by_play_are_those_of_the_motion(friction, exact):
+    assert slope_by_play(jc.integrator.FixedStep(2e-5), friction) == pytest.approx(exact, rel=1e-2)
+
+
+def test_a_bristle_that_has_yielded_moves_no_more():
+    assert slope_by_play(TIGHT, 0.5) == pytest.approx(2.13211, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        jc.integrator.FixedStep(1e-4, "heun"),
+        jc.integrator.FixedStep(1e-4, steps_per_save=10),
+        jc.integrator.ImplicitStep(1e-4),
+        jc.integrator.MoreauJean(1e-4),
+    ],
+)
+def test_slopes_that_do_not_know_when_flanks_meet_are_refused(integrator):
+    with pytest.raises(ValueError, match='flanks of coupling "G" meet and part'):
+        slope_by_play(integrator)

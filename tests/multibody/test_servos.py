@@ -175,3 +175,22 @@ def test_behind_a_stiff_gear_it_acts_as_on_the_joint():
 def test_what_cannot_be_is_said(rig, sentence):
     with pytest.raises(ValueError, match=sentence):
         rig()
+
+
+def test_slopes_behind_a_limited_integral_are_nan_and_say_why():
+    def end(kp):
+        servo = jc.load.Servo(
+            "A", lambda t: jnp.sin(8.0 * t), kp, ki=800.0, kd=3.0, torque_limit=1.0
+        )
+        rig = jc.Mechanism(
+            {"arm": jc.Body(1.0, 0.1)},
+            {"A": jc.Connection(jc.joint.Revolute(), "ground", "arm")},
+            {"servo": servo},
+        )
+        run = jc.simulate(
+            rig, 0.6, save=2, integrator=jc.integrator.Adaptive(), throw=False, verify=False
+        )
+        return run.coordinate("A")[-1]
+
+    slope = jax.jacfwd(end)(40.0)
+    assert jnp.isnan(slope) and "torque limit" in jc.why_unknown(slope)

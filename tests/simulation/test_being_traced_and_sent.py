@@ -4,6 +4,7 @@ import pickle
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -49,3 +50,18 @@ def test_backwards_a_run_that_shows_its_progress_says_what_to_do():
     last = lambda clearance: run(clearance, throw=False, progress_bar=True).states[-1, 0]
     with pytest.raises(ValueError, match="shows its progress"):
         jax.grad(last)(2e-4)
+
+
+def test_functions_of_time_may_enclose_numbers_of_a_batch():
+    def end(size):
+        rig = jc.Mechanism(
+            {"arm": jc.Body(1.0, 0.1)},
+            {"A": jc.Connection(jc.joint.Revolute(), "ground", "arm")},
+            {"push": jc.load.JointTorque("A", lambda t: size * jnp.sin(8.0 * t))},
+        )
+        steps = jc.integrator.FixedStep(1e-3)
+        run = jc.simulate(rig, 0.1, save=2, integrator=steps, throw=False, verify=False)
+        return run.coordinate("A")[-1]
+
+    found = jax.vmap(end)(jnp.array([1.0, 2.0]))
+    np.testing.assert_allclose(found, [end(1.0), end(2.0)], rtol=1e-12)
