@@ -408,3 +408,16 @@ def test_flanks_that_an_integrator_cannot_serve_are_refused(integrator, more, sa
     gear = jc.coupling.Gear(MOTOR(1e-3), "L", 3.0, play=1e-3, **more)
     with pytest.raises(ValueError, match=says):
         jc.simulate(one_arm(couplings={"G": gear}), 0.1, integrator=integrator)
+
+
+def test_a_rotor_is_no_body_of_the_answers():
+    """Its turns, wrapped at pi, would be what the arm's error is judged beside."""
+    gear = jc.coupling.Gear(jc.coupling.Motor(2e-5), "A", 100, stiffness=2e3, damping=20.0)
+    pushed = jc.Mechanism(
+        {"arm": jc.Body(2.0, 0.5)},
+        {"A": jc.Connection(jc.joint.Revolute(), "ground", "arm")},
+        {"push": jc.load.JointTorque("A", -12.0)},
+        couplings={"gear": gear},
+    )
+    run = jc.simulate(pushed, 0.1, save=21)
+    assert f"{abs(float(run.coordinate('A')[-1])):.6g}" in str(run)
