@@ -58,6 +58,7 @@ from jaxclear.multibody.heated import heated
 from jaxclear.multibody.loops import Baumgarte, Projection
 from jaxclear.multibody.magnitudes import UnusualMagnitude
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.native.as_written import remember
 from jaxclear.results import response, signal
 from jaxclear.results.pointing_error import pointing_error
 from jaxclear.results.state_history import State
@@ -219,5 +220,6 @@ for _path, _place in _named:
     if isinstance(_place, ModuleType):
         sys.modules.setdefault(_path, _place)
         _named += [(f"{_path}.{name}", getattr(_place, name)) for name in _place.__all__]
+remember()
 if _SETS_ASIDE:
     gc.unfreeze()

@@ -12,6 +12,7 @@ import os
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -27,6 +28,9 @@ MOST, LEFT = 1 << 29, 0.75
 # Kinds: machine code of kernels, and programs around them; characters of a key.
 KINDS = KERNEL, PROGRAM = "kernel", "program"
 KEY = 40
+# How names of files begin that are being written. Of a process that is killed one stays behind; it
+# is no process's any more after so long [s].
+UNDER_WAY, LONGEST = ".new-", 3600.0
 JAX = "of_jax"
 # What others than the owner may do with a file.
 OTHERS = stat.S_IRWXG | stat.S_IRWXO
@@ -115,7 +119,7 @@ def write(kind: str, key: str, content: bytes) -> None:
     path = _path(folder, kind, key)
     with suppress(OSError):
         # Its file is the owner's alone from the beginning.
-        number, name = tempfile.mkstemp(dir=folder, prefix=".")
+        number, name = tempfile.mkstemp(dir=folder, prefix=UNDER_WAY)
         try:
             with os.fdopen(number, "wb") as file:
                 file.write(_head(path.name, content) + b"\n" + content)
@@ -135,6 +139,8 @@ def kept() -> list[KeptFile]:
 def clear() -> int:
     """Removes all that is kept, by JAX too; how many files that were."""
     folder, files = place(), [one.path for one in kept()]
+    if folder is not None:
+        files += _left_behind(folder, after=0.0)
     if folder is not None and (folder / JAX).is_dir():
         files += [path for path in (folder / JAX).iterdir() if path.is_file()]
     for path in files:
@@ -178,7 +184,21 @@ def key_of(*parts: str) -> str:
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:KEY]
 
 
+def _left_behind(folder: Path, after: float) -> list[Path]:
+    """Files that have been under way for so long [s]."""
+    found = []
+    with suppress(OSError):
+        for path in folder.glob(f"{UNDER_WAY}*"):
+            with suppress(OSError):
+                if path.lstat().st_mtime <= time.time() - after:
+                    found.append(path)
+    return found
+
+
 def _bound(folder: Path) -> None:
+    for path in _left_behind(folder, LONGEST):
+        with suppress(OSError):
+            path.unlink()
     files = sorted(_files(folder), key=lambda one: one.used)
     total = sum(one.size for one in files)
     if total <= MOST:

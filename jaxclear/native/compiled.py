@@ -39,6 +39,14 @@ ONCE = {
 # XLA drops options between its versions, and says so by this; those that this one lacks.
 NO_OPTION = "No such compile option"
 _unknown: set[str] = set()
+# Settings of JAX that one process may change between two calls of the same function.
+SETTINGS = (
+    "jax_enable_x64",
+    "jax_default_matmul_precision",
+    "jax_default_prng_impl",
+    "jax_numpy_dtype_promotion",
+    "jax_numpy_rank_promotion",
+)
 # Programs that a process has at hand beside those that JAX keeps.
 LATEST = 256
 
@@ -113,7 +121,8 @@ def _found(function: Callable, options: dict[str, Any], leaves: list, tree: Any)
     if not _are_kept():
         return None
     kinds = tuple(jax.typeof(x) if eqx.is_array(x) else (type(x), x) for x in leaves)
-    form = function, tuple(options), tree, kinds
+    settings = tuple(getattr(jax.config, name) for name in SETTINGS)
+    form = function, tuple(options), tree, kinds, settings
     with _LOOKING:
         found = _AT_HAND.get(form)
         if found is not None:
@@ -149,6 +158,7 @@ def _key(function: Callable, options: dict[str, Any], leaves: list, tree: Any) -
     """Under which a program is kept on disk; None where no other process could use it."""
     try:
         told = function_in_text(function), str(options), tree_in_text(tree)
+        around = surroundings()
         kinds = [
             f"{leaf.shape}{leaf.dtype}{jax.typeof(leaf).weak_type}"
             if eqx.is_array(leaf)
@@ -157,7 +167,7 @@ def _key(function: Callable, options: dict[str, Any], leaves: list, tree: Any) -
         ]
     except Untold:
         return None
-    return cache_folder.key_of(*told, *kinds, surroundings())
+    return cache_folder.key_of(*told, *kinds, around)
 
 
 def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: Any) -> _Found:

@@ -20,7 +20,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxclear.native import object_code
+from jaxclear.native import as_written, object_code
 
 # What is told by its name: its version is told beside it.
 LIBRARIES = ("jax", "jaxlib", "numpy", "equinox", "diffrax", "optimistix", "lineax", "jaxlie")
@@ -113,7 +113,10 @@ def _array(values: np.ndarray) -> str:
 
 
 def surroundings() -> str:
-    """All beside its arguments that a program hangs on: versions, the processor, settings."""
+    """All beside its arguments that a program hangs on: versions, the processor, settings. Raises
+    `Untold` where this package is not what its files say."""
+    if not as_written.is_as_written():
+        raise Untold("a package that was changed in this process")
     given = {name: value for name, value in os.environ.items() if name.startswith(VARIABLES)}
     settings: Any = jax.config
     names = [name for name in sorted(settings.values) if not any(part in name for part in APART)]
@@ -123,14 +126,21 @@ def surroundings() -> str:
 
 @functools.cache
 def _installed() -> str:
-    """Versions, the processor, and of this package's files when they were written: one that is
-    being worked on changes within a version."""
+    """Versions, the processor, and what stands in this package's files: one that is being worked on
+    changes within a version."""
     versions = [(name, version(name)) for name in LIBRARIES]
-    root = Path(__file__).parents[1]
-    files = []
-    for folder, _, names in os.walk(root):
-        for name in names:
-            if name.endswith(".py"):
-                own = os.stat(os.path.join(folder, name))
-                files.append((os.path.relpath(folder, root), name, own.st_size, own.st_mtime_ns))
-    return f"{versions}{platform.python_version()}{object_code.processor()}{sorted(files)}"
+    files = _files(Path(__file__).parents[1])
+    return f"{versions}{platform.python_version()}{object_code.processor()}{files}"
+
+
+def _files(root: Path) -> str:
+    """A digest of all files of a package. Raises `Untold` where one is younger than this process:
+    another may have been read before."""
+    told = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        own, content = path.stat(), path.read_bytes()
+        # A copy may carry an older date; when it came here is told beside it.
+        if max(own.st_mtime, own.st_ctime) > as_written.BEGUN:
+            raise Untold(f"{path}, edited since it was read")
+        told.update(f"{path.relative_to(root)} {len(content)} ".encode() + content)
+    return told.hexdigest()

@@ -80,10 +80,12 @@ def stoppable() -> Iterator[None]:
             listener.end()
 
 
+# The one there is, if any.
+_LISTENERS: list["_Listener"] = []
+
+
 class _Listener:
     """The thread that hears signals while the main thread is in machine code."""
-
-    _only: "_Listener | None" = None
 
     def __init__(self):
         self._hears, self._tells = socket.socketpair()
@@ -92,8 +94,8 @@ class _Listener:
         self._before = -1
         threading.Thread(target=self._listen, name="jaxclear Ctrl-C", daemon=True).start()
 
-    @classmethod
-    def start(cls) -> "_Listener | None":
+    @staticmethod
+    def start() -> "_Listener | None":
         """Listens from now on; None where Ctrl-C would not raise KeyboardInterrupt in this thread,
         or somebody listens already.
         """
@@ -101,9 +103,9 @@ class _Listener:
             return None
         if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
             return None
-        if cls._only is None:
-            cls._only = _Listener()
-        own = cls._only
+        if not _LISTENERS:
+            _LISTENERS.append(_Listener())
+        own = _LISTENERS[0]
         before = signal.set_wakeup_fd(own._tells.fileno(), warn_on_full_buffer=False)
         if before == own._tells.fileno():
             return None

@@ -150,7 +150,8 @@ def worst_case(
     corners = corners_of(low, high)
     points = np.concatenate([nominal[None], corners, low + spread * (high - low)])
     responses = search.responses(points)
-    unanswered = search.unanswered(points, len(corners))
+    # Before others are asked.
+    unanswered, failed = search.unanswered(points, len(corners)), points[search.failed]
     extremes: dict[int, dict] = {-1: {}, 1: {}}
     for name in problem.response_names:
         slopes = search.slopes(name, nominal)
@@ -163,7 +164,6 @@ def worst_case(
     at_nominal = {name: float(responses[name][0]) for name in problem.response_names}
     least, largest = extremes[-1], extremes[1]
     warnings = unanswered + search.warnings(nominal, {"least": least, "largest": largest})
-    failed = points[search.failed]
     told = at_nominal, least, largest, failed
     return WorstCase(problem, low, high, *told, len(points), search.runs, warnings)
 

@@ -123,6 +123,17 @@ def test_several_at_once_find_it_whole_or_not_at_all(folder):
     assert len(list(folder.iterdir())) == 1
 
 
+def test_what_a_killed_process_was_writing_goes(folder):
+    write(KERNEL, KEY, b"one")
+    old, new = (folder / f"{cache_folder.UNDER_WAY}{name}" for name in ("old", "new"))
+    for path in (old, new):
+        path.write_bytes(bytes(100))
+    os.utime(old, (0, 0))
+    write(PROGRAM, KEY, b"two")
+    assert new.exists() and not old.exists() and len(kept()) == 2
+    assert cache_folder.clear() == 3 and list(folder.iterdir()) == []
+
+
 @pytest.mark.parametrize("off", ["", "0", "off", "OFF"])
 def test_it_can_be_switched_off(off, monkeypatch):
     monkeypatch.setenv(cache_folder.VARIABLE, off)

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import jax
@@ -13,7 +14,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.ground import cache_folder
-from jaxclear.native import compiled, forms
+from jaxclear.native import as_written, compiled, forms
 from jaxclear.native.compiled import compiled_quickly
 from jaxclear.native.forms import Untold, in_text, surroundings, tree_in_text
 
@@ -39,6 +40,8 @@ print(json.dumps([states, str(run.stats), [one for one in built if "_" in one]])
 def kept(tmp_path, monkeypatch):
     monkeypatch.setenv(cache_folder.VARIABLE, str(tmp_path))
     monkeypatch.setattr(compiled, "_AT_HAND", type(compiled._AT_HAND)())
+    # These tests put other things in the place of the package's.
+    monkeypatch.setattr(as_written, "is_as_written", lambda: True)
     return tmp_path
 
 
@@ -113,13 +116,64 @@ def test_what_belongs_to_a_user_is_never_found_by_its_name(kept):
 
 
 def test_settings_make_another_program(monkeypatch):
+    monkeypatch.setattr(as_written, "_SEEN", {})
     before = surroundings()
     assert surroundings() == before
     monkeypatch.setenv("JAXCLEAR_PLAIN_LOOPS", "1")
     other = surroundings()
-    monkeypatch.undo()
+    monkeypatch.delenv("JAXCLEAR_PLAIN_LOOPS")
     with jax.default_matmul_precision("highest"):
         assert len({before, other, surroundings()}) == 3
+
+
+def test_settings_that_change_within_a_process_make_another_program(kept, monkeypatch):
+    monkeypatch.setattr(forms, "OWN", (*forms.OWN, "tests"))
+    known = compiled_quickly(scaled)
+    x = np.ones(2, np.float32)
+    wide = known(x, np.float64(2.0), "")["scaled"].dtype
+    with jax.enable_x64(False):
+        narrow = known(x, np.float64(2.0), "")["scaled"].dtype
+    assert (wide, narrow) == (np.float64, np.float32)
+
+
+def test_a_package_that_is_changed_in_a_process_is_not_found_by_its_names(monkeypatch):
+    """A friction law of the user's put in the place of the package's took a program of its own
+    name from disk."""
+    from jaxclear.laws import friction
+    from jaxclear.studies.identification import regression
+
+    patches = [
+        lambda on: on.setattr(friction.CoulombTanh, "coefficient", lambda self, speed: speed),
+        lambda on: on.setattr(friction.CoulombTanh, "largest_slope", None, raising=False),
+        lambda on: on.setattr(friction.CoulombTanh, "__eq__", lambda self, other: True),
+        lambda on: on.setattr(regression, "LINE", 0.3),
+        lambda on: on.setattr(compiled, "_key", lambda *_: None),
+        lambda on: on.delattr(regression, "LINE"),
+    ]
+    monkeypatch.setattr(as_written, "_SEEN", {})
+    for patch in patches:
+        surroundings()
+        with monkeypatch.context() as on:
+            patch(on)
+            with pytest.raises(Untold, match="changed in this process"):
+                surroundings()
+
+
+def test_files_count_by_what_stands_in_them(tmp_path):
+    one = tmp_path / "law.py"
+
+    def written(text, days=1):
+        one.write_text(text)
+        os.utime(one, (time.time() - 86400 * days,) * 2)
+        return forms._files(tmp_path)
+
+    with pytest.raises(Untold, match="edited since it was read"):
+        written("MU = 0.3")
+    # A day from now this process began.
+    with pytest.MonkeyPatch.context() as on:
+        on.setattr(as_written, "BEGUN", time.time() + 86400)
+        before = written("MU = 0.3")
+        assert written("MU = 0.4") != before == written("MU = 0.3", days=2)
 
 
 def test_a_program_that_calls_back_is_not_kept_and_runs(kept, monkeypatch):

@@ -1,5 +1,6 @@
 """Which variable matters, and the worst case, against closed forms, scipy, SALib and OpenTURNS."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -242,3 +243,16 @@ def test_the_worst_case_of_what_has_no_derivative_is_searched():
     search.differentiable = False
     found = search.climbed("response", 1, [np.zeros(2)], 0.0)
     assert found.value == pytest.approx(20.0, abs=1.01)
+
+
+def test_the_worst_case_says_what_failed_though_others_are_asked_later():
+    def counted(a):
+        steps = lambda a: np.where(a < -0.9, np.nan, np.floor(20 * a))
+        shape = jax.ShapeDtypeStruct((), float)
+        return jax.pure_callback(steps, shape, a, vmap_method="broadcast_all")
+
+    rough = jc.FunctionProblem(counted, {"a": jc.Dimension(0.0, D.Uniform(1.0))})
+    assert any(rough.pathwise_limits())
+    found = jc.worst_case(rough, samples=16)
+    assert found.largest["response"].value >= 19.0
+    assert 0 < len(found.failed) < found.points and np.all(found.failed < -0.9)

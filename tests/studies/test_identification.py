@@ -92,6 +92,18 @@ def test_a_record_unlike_any_run_is_noticed(fitted):
     assert fitted.distance(strange) < 0.01
 
 
+def test_a_run_of_the_sample_is_not_strange_though_its_statistics_outnumber_the_runs():
+    """Three records of four were, where whitening had seen the runs that they were compared
+    with."""
+    rng = np.random.default_rng(0)
+    shares = rng.random((256, 1))
+    shown = lambda at: np.append(at, 3 * at + rng.standard_normal(299))
+    fitted = regression.regression(np.array([shown(own) for own in shares[:, 0]]), shares)
+    like = [fitted.distance(shown(own)) for own in rng.random(40)]
+    assert np.mean(np.array(like) < 0.05) < 0.2 and np.mean(like) == pytest.approx(0.5, abs=0.15)
+    assert fitted.distance(shown(0.5) * 3) < 0.01
+
+
 def test_a_number_chooses_the_law():
     rig = jc.scenes.slider_crank()
     found = laws.ensemble(rig, None)

@@ -241,3 +241,26 @@ def test_a_spring_is_told_by_how_its_mass_swings():
         own = found[name]
         assert own.verdict == "identified" and own.low < true < own.high
     assert found["stiffness"].width < 0.05
+
+
+def test_what_lies_outside_the_distributions_is_said_though_the_noise_is_not_known():
+    near = lines(offset=(0.0, 1.0), slope=(0.0, 1.0))
+    found = jc.identify(near, measured(noisy(8.0, 8.0), noise=0.0), how="signal")
+    assert found.explains is False and "Wider distributions may" in found.warned[0]
+    # A little outside is within the noise, and said of the end that the interval reaches.
+    found = jc.identify(near, measured(noisy(0.0, 1.05)), how="signal")
+    assert found["slope"].high == pytest.approx(1.0, abs=1e-4)
+    assert 'interval of "slope" ends where its distribution does, at 1' in found.sentence()
+
+
+@pytest.mark.parametrize("signal", [0.0 * TIME, 1.0 + 2.0 * TIME])
+def test_a_signal_without_any_noise_is_told_to_need_one(signal):
+    """No record is so; it ended in a matrix that was not positive definite, or in draws that were
+    worth four."""
+    found = jc.identify(lines(), measured(signal, noise=0.0), how="signal")
+    assert found.explains is False and "give its sensor one" in found.warned[0]
+
+
+def test_a_constant_signal_is_told_beside_its_size():
+    found = jc.identify(lines(), measured(0.5 + 0.0 * TIME, noise=0.1), how="signal")
+    assert found["offset"].low < 0.5 < found["offset"].high and "nan" not in found.sentence()

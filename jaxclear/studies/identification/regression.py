@@ -33,8 +33,9 @@ LEAST_VARIANCE = 1e-3
 # The spread of residuals about an estimate is that of this share of the runs, at least so many.
 NEAREST_SHARE, LEAST_NEAREST = 0.3, 30
 TINY = float(np.finfo(float).tiny)
-# Runs nearest by statistics, whose mean distance says whether a record is like any run.
-NEIGHBOURS = 5
+# Runs nearest by statistics, whose mean distance says whether a record is like any run; and parts
+# of the sample, each of which is beside the others as a record is beside the sample.
+NEIGHBOURS, FOLDS = 5, 4
 
 
 class Whitened(NamedTuple):
@@ -89,16 +90,26 @@ class Surface(NamedTuple):
         return np.array([self.spread(own, i) for i, own in enumerate(self.left_out)])
 
 
+class Fold(NamedTuple):
+    """A part of a sample beside the rest of it: how the rest is whitened, the rest's principal
+    `parts` (runs, parts), and the distances (runs,) [1] of this part's runs from it."""
+
+    whiten: Whitened
+    parts: np.ndarray
+    distances: np.ndarray
+
+
 class Regression(NamedTuple):
     """Surfaces of all unknowns over the statistics of a sample: `whiten`, `parts` (runs, parts),
-    `unknowns` (runs, unknowns) as shares of their priors, `surfaces`, and `relative` (runs,
-    unknowns), the residuals beside their spread [1]."""
+    `unknowns` (runs, unknowns) as shares of their priors, `surfaces`, `relative` (runs, unknowns),
+    the residuals beside their spread [1], and the `folds` of the sample."""
 
     whiten: Whitened
     parts: np.ndarray
     unknowns: np.ndarray
     surfaces: tuple[Surface, ...]
     relative: np.ndarray
+    folds: tuple[Fold, ...]
 
     @property
     def residuals(self) -> np.ndarray:
@@ -127,9 +138,12 @@ class Regression(NamedTuple):
     def distance(self, statistics: np.ndarray) -> float:
         """The share [1] of the sample's runs that lie further from the others than these statistics
         (statistics,): near 0 where no run is like them."""
-        here = _nearness(self.whiten(statistics[None]), self.parts)[0]
-        others = _nearness(self.parts, self.parts, itself=True)
-        return float((1 + np.sum(others >= here)) / (len(others) + 1))
+        # Of more statistics than runs principal parts know the runs that they are made of.
+        further = sum(
+            int(np.sum(own.distances >= _nearness(own.whiten(statistics[None]), own.parts)[0]))
+            for own in self.folds
+        )
+        return float((1 + further) / (len(self.parts) + 1))
 
 
 def regression(
@@ -142,7 +156,17 @@ def regression(
     parts = whiten(statistics)
     surfaces = _surfaces(parts, unknowns, LENGTHS, groups)
     relative = np.stack([own.residuals / np.maximum(own.spreads(), TINY) for own in surfaces], 1)
-    return Regression(whiten, parts, unknowns, surfaces, relative)
+    return Regression(whiten, parts, unknowns, surfaces, relative, _folds(statistics))
+
+
+def _folds(statistics: np.ndarray) -> tuple[Fold, ...]:
+    found = []
+    for number in range(FOLDS):
+        own = np.arange(len(statistics)) % FOLDS == number
+        whiten = whitened(statistics[~own])
+        parts = whiten(statistics[~own])
+        found.append(Fold(whiten, parts, _nearness(whiten(statistics[own]), parts)))
+    return tuple(found)
 
 
 def told_alone(statistics: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
@@ -200,12 +224,11 @@ def _kernel(one: np.ndarray, other: np.ndarray, length: float) -> np.ndarray:
     return np.exp(-apart / (2 * count * length**2)) + LINE * inner / count
 
 
-def _nearness(one: np.ndarray, other: np.ndarray, itself: bool = False) -> np.ndarray:
+def _nearness(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Mean distance of rows from their nearest neighbours."""
     apart = np.sum(one**2, axis=1)[:, None] + np.sum(other**2, axis=1) - 2 * one @ other.T
     nearest = np.sort(np.sqrt(np.maximum(apart, 0)), axis=1)
-    first = 1 if itself else 0
-    return nearest[:, first : first + NEIGHBOURS].mean(1)
+    return nearest[:, :NEIGHBOURS].mean(1)
 
 
 def conformal(residuals: np.ndarray, level: float = 0.95) -> tuple[float, float]:

@@ -37,6 +37,9 @@ from jaxclear.studies.identification.posterior import (
 NOISE_KNOWN = 0.2
 # One right model in a thousand is refused.
 REFUSED = 1e-3
+# Of a signal whose noise is not known, shares of its deviation: no instrument leaves less than the
+# first, and beyond the last its mean would explain it better.
+LEAST_LEFT, MOST_LEFT = 1e-6, 1.1
 # Shares below and above which half of the rest of 95 % lies.
 ENDS = (0.025, 0.975)
 # Places that the sampling of the posterior begins about.
@@ -45,7 +48,8 @@ MOST_CENTRES = 3
 
 class Misfit(NamedTuple):
     """What is left of one signal. `size`: root mean square, in its unit; `share` [1] of the
-    signal's own deviation; `time`: samples that one independent sample is worth; `chi2` [1]: mean
+    signal's own deviation, or of its value where it is constant; `time`: samples that one
+    independent sample is worth; `chi2` [1]: mean
     square over that of the noise, and `limit`, the largest that the noise explains; nan where the
     noise is not known; `samples`, how many there are."""
 
@@ -162,11 +166,15 @@ def _misfits(record: Record, best: Optimum) -> dict[str, Misfit]:
             chi2 = square / noise**2
             known = (1.0 + NOISE_KNOWN) ** 2
             limit = known * float(scipy.stats.chi2.isf(REFUSED, count)) / count
-        spread = float(np.std(record.signals[name]))
-        share = np.sqrt(square) / spread if spread > 0 else np.nan
+        share = np.sqrt(square) / _size(record.signals[name])
         time = min(correlation_time(left), float(count))
         found[name] = Misfit(float(np.sqrt(square)), float(share), time, chi2, limit, count)
     return found
+
+
+def _size(signal: np.ndarray) -> float:
+    """Of a signal: by how much it varies, and where it is constant, its value."""
+    return float(np.std(signal) or np.max(np.abs(signal)) or 1.0)
 
 
 def _scale(record: Record, misfits: dict[str, Misfit]) -> np.ndarray:
@@ -174,7 +182,7 @@ def _scale(record: Record, misfits: dict[str, Misfit]) -> np.ndarray:
     own = []
     for name, signal in record.signals.items():
         misfit, noise = misfits[name], record.noise.get(name)
-        size = noise if noise is not None else max(misfit.size, np.finfo(float).tiny)
+        size = noise if noise is not None else max(misfit.size, 0.1 * LEAST_LEFT * _size(signal))
         own.append(np.full(len(signal), size * np.sqrt(misfit.time)))
     return np.concatenate(own)
 
@@ -187,6 +195,17 @@ def _refusal(best: Optimum, misfits: dict[str, Misfit]) -> str:
                 f'no values within the distributions explain the signal "{name}": what is left is '
                 f"{own.chi2:.3g} times what its noise makes, where {own.limit:.3g} is the most. "
                 'Another law may; how="statistics" asks less of it.'
+            )
+        if np.isnan(own.chi2) and own.share < LEAST_LEFT:
+            return (
+                f'the signal "{name}" is explained to {own.share:.1g} of itself, as none is that '
+                "an instrument showed, so that what is left tells no noise; give its sensor one."
+            )
+        if np.isnan(own.chi2) and own.share > MOST_LEFT:
+            return (
+                f'no values within the distributions explain the signal "{name}": what is left is '
+                f"{own.share:.3g} times what it varies by, so that its mean explains it better. "
+                "Wider distributions may, or another law."
             )
     if not best.converged:
         return (

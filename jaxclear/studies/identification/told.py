@@ -73,7 +73,8 @@ def of_signals(
         if name in found.unknowns or name in own
     ]
     drawn = _values(problem, found, np.random.default_rng(seed))
-    remarks = [*_misfits(found, first), *_models(found), *_rest(found, first, problems)]
+    remarks = [*_misfits(found, first), *_at_ends(problem, unknowns), *_models(found)]
+    remarks += _rest(found, first, problems)
     remarks += _together(unknowns, found.fits[first][0]) if records < FEWEST else _drift(found)
     units = problem.units()
     answers = tuple(_row(name, units[name], own) for name, own in found.answers.items())
@@ -147,11 +148,27 @@ def _misfits(found: BySignal, first: str) -> list[str]:
         own = [fit.misfits[name] for fit in found.fits[first]]
         left, time = (max(getattr(one, part) for one in own) for part in ("share", "time"))
         said.append(
-            f'{100 * left:.2g} % of signal "{name}" are left, alike over {time:.2g} samples, which '
+            f'{100 * left:.3g} % of signal "{name}" are left, alike over {time:.2g} samples, which '
             "count as one."
             if time > 1.5
-            else f'{100 * left:.2g} % of signal "{name}" are left.'
+            else f'{100 * left:.3g} % of signal "{name}" are left.'
         )
+    return said
+
+
+def _at_ends(problem: AbstractProblem, unknowns: Sequence[Unknown]) -> list[str]:
+    """Which intervals end where the prior does, and not by what the record says."""
+    said = []
+    for own in unknowns:
+        ends = prior_quantiles(problem, own.name, np.array([0.0, 1.0]))
+        near = 1e-4 * (own.prior_high - own.prior_low)
+        both = zip(ends, (own.low, own.high), strict=True)
+        reached = [end for end, found in both if abs(end - found) < near]
+        if own.verdict == IDENTIFIED and reached:
+            said.append(
+                f'The interval of "{own.name}" ends where its distribution does, at '
+                f"{float(reached[0]):.4g}: it may lie beyond."
+            )
     return said
 
 
