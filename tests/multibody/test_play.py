@@ -420,4 +420,6 @@ def test_a_rotor_is_no_body_of_the_answers():
         couplings={"gear": gear},
     )
     run = jc.simulate(pushed, 0.1, save=21)
-    assert f"{abs(float(run.coordinate('A')[-1])):.6g}" in str(run)
+    row = next(line for line in str(run).splitlines() if line.startswith("orientation"))
+    farthest = float(jnp.max(jnp.abs(run.coordinate("A"))))
+    np.testing.assert_allclose(float(row.split("]")[1].split()[0]), farthest, rtol=1e-3)
