@@ -419,7 +419,7 @@ def test_a_rotor_is_no_body_of_the_answers():
         {"push": jc.load.JointTorque("A", -12.0)},
         couplings={"gear": gear},
     )
-    run = jc.simulate(pushed, 0.1, save=21)
+    run = jc.simulate(pushed, 0.1, save=21, verify=True)
     row = next(line for line in str(run).splitlines() if line.startswith("orientation"))
     farthest = float(jnp.max(jnp.abs(run.coordinate("A"))))
     np.testing.assert_allclose(float(row.split("]")[1].split()[0]), farthest, rtol=1e-3)
