@@ -91,7 +91,9 @@ def _observed(run: Trajectory) -> Observables:
     system, duration = model.system, run.time[-1] - run.time[0]
 
     def at(now: Instant) -> tuple:
-        links = list(zip(system.links, now.motions, strict=True))
+        moved = zip(system.topology.branches, system.links, now.motions, strict=True)
+        # A rotor is no body; its many turns would hide by how much an arm is off.
+        links = [(link, motion) for branch, link, motion in moved if not branch.motor]
         centres = tuple(
             motion.pose.point(sp.scale(safe_divide(1.0, link.mass), link.first_moment))
             for link, motion in links

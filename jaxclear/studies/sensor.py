@@ -308,7 +308,7 @@ class Series(AbstractSensor):
 
 
 def _check_axis(sensor: Any) -> None:
-    check_known("axis", sensor.axis, AXES, f" of a {type(sensor).__name__}")
+    check_known("axis", sensor.axis, AXES, f" of sensor.{type(sensor).__name__}")
 
 
 def check_sensor(name: str, sensor: Any, mechanism: Any) -> None:

@@ -459,3 +459,18 @@ def test_a_bristle_that_has_yielded_moves_no_more():
 def test_slopes_that_do_not_know_when_flanks_meet_are_refused(integrator):
     with pytest.raises(ValueError, match='flanks of coupling "G" meet and part'):
         slope_by_play(integrator)
+
+
+def test_a_rotor_is_no_body_of_the_answers():
+    """Its turns, wrapped at pi, would be what the arm's error is judged beside."""
+    gear = jc.coupling.Gear(jc.coupling.Motor(2e-5), "A", 100, stiffness=2e3, damping=20.0)
+    pushed = jc.Mechanism(
+        {"arm": jc.Body(2.0, 0.5)},
+        {"A": jc.Connection(jc.joint.Revolute(), "ground", "arm")},
+        {"push": jc.load.JointTorque("A", -12.0)},
+        couplings={"gear": gear},
+    )
+    run = jc.simulate(pushed, 0.1, save=21, verify=True)
+    row = next(line for line in str(run).splitlines() if line.startswith("orientation"))
+    farthest = float(jnp.max(jnp.abs(run.coordinate("A"))))
+    np.testing.assert_allclose(float(row.split("]")[1].split()[0]), farthest, rtol=1e-3)

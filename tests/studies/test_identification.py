@@ -240,7 +240,9 @@ def test_what_is_no_record_or_question_is_named():
     with pytest.raises(ValueError, match="has 2 samples"):
         bare(signals={"a": [1.0, 2.0]})
     with pytest.raises(ValueError, match="finite numbers in a row"):
-        bare(signals={"a": [np.nan] * 301})
+        bare(signals={"a": [[1.0]] * 301})
+    with pytest.raises(ValueError, match="nan at sample 3 of 301, and not finite at 2 in all"):
+        bare(signals={"a": [1.0, 2.0, np.nan, np.inf] + [0.0] * 297})
     with pytest.raises(ValueError, match="turn of a Measurement"):
         bare(turn=-1.0)
     long = jc.Measurement(np.linspace(0, 3, 301), {"a": np.zeros(301)}, {"a": sensors()["a"]})

@@ -166,6 +166,13 @@ def _column(what: str, given: Any) -> np.ndarray:
         found = np.asarray(given, float)
     except (TypeError, ValueError):
         found = np.zeros((0, 0))
-    if found.ndim != 1 or not np.all(np.isfinite(found)):
+    if found.ndim != 1:
         raise ValueError(f"{what} is {described(given)}; it must be finite numbers in a row.")
+    holes = np.flatnonzero(~np.isfinite(found))
+    if len(holes):
+        raise ValueError(
+            f"{what} is {found[holes[0]]} at sample {holes[0] + 1} of {len(found)}, and not finite "
+            f"at {len(holes)} in all; it must be finite numbers in a row. Interpolate there, "
+            "or cut the record off before."
+        )
     return found
