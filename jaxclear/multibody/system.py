@@ -29,7 +29,14 @@ from jaxclear.multibody.loops import TURN, WAY, Closure, CoordinateSum, SummedCo
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.meshes import carried, drawn_pose, markers, mesh
 from jaxclear.multibody.pose_rows import CoordinateOf, closing_rows, reading_of
-from jaxclear.multibody.topology import Branch, Topology, coordinate_joint, joint_of, motor_name
+from jaxclear.multibody.topology import (
+    Branch,
+    Topology,
+    coordinate_joint,
+    joint_of,
+    motor_name,
+    rubbing_in,
+)
 from jaxclear.multibody.tree import Link
 
 

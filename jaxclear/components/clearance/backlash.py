@@ -61,7 +61,10 @@ class Backlash(AbstractQuantified):
         None, "m^2", "area of a flank that wears, of all teeth", above=0, kw_only=True
     )
     pitch_radius: Scalar | None = quantity(
-        None, "m", "lever of a flank's normal force: of an involute the base radius", above=0,
+        None,
+        "m",
+        "lever of a flank's normal force: of an involute the base radius",
+        above=0,
         kw_only=True,
     )
 
