@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import matplotlib
 import numpy as np
 
-from jaxclear.components.wear_map import AreaMap
 from jaxclear.ground.argument_errors import answering
 from jaxclear.multibody.system import wearing_in
 from jaxclear.plot.canvas import MILLI, check_run, key, length, panels, readable, setting, warned
@@ -69,7 +68,7 @@ def _wear(run: Trajectory, joint: str, surface: str) -> tuple[Any, np.ndarray]:
     check_run(run)
     depth = np.asarray(run.worn_depth(joint, surface))
     wear_map = wearing_in(run.mechanism)[joint].maps()[surface][0]
-    if isinstance(wear_map, AreaMap):
+    if wear_map.cells == (1, 1):
         raise ValueError(
             f'the {surface} of "{joint}" wears to one depth and has no map to draw: read '
             f'run.worn_depth("{joint}", "{surface}").'

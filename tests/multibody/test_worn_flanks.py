@@ -58,7 +58,9 @@ def test_depth_grows_in_proportion_to_force_and_way(law, sign):
     assert jc.response.WornVolume("g", pressed)(run) == volume[-1]
 
 
-@pytest.mark.parametrize("integrator", [jc.integrator.FixedStep(), jc.integrator.ImplicitStep(1e-4)])
+@pytest.mark.parametrize(
+    "integrator", [jc.integrator.FixedStep(), jc.integrator.ImplicitStep(1e-4)]
+)
 def test_other_integrators_wear_flanks_too(integrator):
     run = jc.simulate(one_way(worn_play()), 0.5, save=5, integrator=integrator, verify=False)
     np.testing.assert_allclose(run.worn_depth("g", "lower"), expected(0.5), rtol=2e-3)
@@ -124,7 +126,7 @@ def test_a_life_under_a_torque_that_play_does_not_change_is_linear():
     amplitude, rate = 0.5, 2 * np.pi
     way = jc.drive.Position(lambda t: amplitude * jnp.sin(rate * t))
     gear = jc.coupling.Gear(
-        jc.coupling.Motor(1e-7), "B", ratio=10.0, stiffness=2e3, damping=20.0, play=worn_play()
+        jc.coupling.Motor(2e-4), "B", ratio=10.0, stiffness=2e3, damping=20.0, play=worn_play()
     )
     rig = jc.Mechanism(
         {"wheel": jc.Body(1.0, 0.05)},

@@ -218,9 +218,9 @@ def _as_much(half: Sequence[Cycle], lost: Worn) -> Half:
 
 def _cells(problem: Problem, worn: Worn) -> Cells:
     """How depths of these surfaces stand in a row."""
-    parts = wearing_in(problem.mechanism)
+    wearing = wearing_in(problem.mechanism)
     areas = {
-        joint: {s: np.asarray(parts[joint].maps()[s][0].areas()) for s in surfaces}
+        joint: {s: np.asarray(wearing[joint].maps()[s][0].areas()) for s in surfaces}
         for joint, surfaces in worn.items()
     }
     rows = [own.ravel() for own in jax.tree.leaves(areas)]
