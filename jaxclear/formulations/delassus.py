@@ -123,7 +123,7 @@ def implicit_contact(
     if rows and not free_motion.closures.rows and len(rows) >= size:
         operator = delassus_operator(free_motion, [])
         mass = _whole(free_motion.masses)
-        way = _in_speeds if size <= factorisation.LARGEST_WRITTEN_OUT else _in_many_speeds
+        way = _in_speeds if _is_written_out(mass, rows) else _in_many_speeds
         return ImplicitContact(operator.free, operator.multipliers, way(mass, rows))
     operator = delassus_operator(free_motion, rows)
     if rows:
@@ -142,6 +142,16 @@ def _whole(masses: list) -> list[list]:
             out[start + i][start : start + len(mass)] = row
         start += len(mass)
     return out
+
+
+def _is_written_out(mass: list, rows: list[ContactJacobianRow]) -> bool:
+    """Whether the equations in the free speeds are factorised in scalars."""
+    pattern = [list(line) for line in mass]
+    for row in rows:
+        for i in row:
+            for j in row:
+                pattern[i][j] = 1
+    return factorisation.is_written_out(pattern)
 
 
 def _in_speeds(mass: list, rows: list[ContactJacobianRow]) -> Callable:

@@ -3,8 +3,8 @@ r"""Small linear systems, written out: the one place where a kernel of machine c
 Symmetric positive definite matrices (masses, Schur complements, Delassus matrices): L D L^T without
 roots or pivots, on sparse scalars, so that structural zeros cost nothing. A call to LAPACK costs
 more than the whole arithmetic of a 4 x 4 system inside a compiled loop, and hides these zeros;
-beyond `LARGEST_WRITTEN_OUT` unknowns (three free bodies) its Cholesky factorisation takes over, for
-which kernels have no rule. Matrices without symmetry (the generalised Jacobian of contacts that
+where writing out takes more than `MOST_PRODUCTS` its Cholesky factorisation takes over, for which
+kernels have no rule. Matrices without symmetry (the generalised Jacobian of contacts that
 slide) cannot do without pivots: `eliminate`. Source: Golub & Van Loan 2013, Matrix Computations,
 sections 3.4, 4.1.
 
@@ -30,19 +30,38 @@ from jaxtyping import Array, Bool, Float
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import OFF_THE_TIES, safe_divide, safe_sqrt
 
+# Unknowns of a search among all that is written out.
 LARGEST_WRITTEN_OUT = 18
+# Products of a factorisation that is written out: n (n^2 - 1) / 6 of a full matrix of 40 unknowns.
+# An arm of 30 joints steps in 12 us so and in 22 by LAPACK (`benchmarks.claims.drives`).
+MOST_PRODUCTS = 40 * (40**2 - 1) // 6
 
 Rows = Sequence[Sequence[Any]]
+
+
+def is_written_out(matrix: Rows) -> bool:
+    """Whether a symmetric matrix, given by its sparse scalars, is factorised in scalars: its zeros
+    and those that the factorisation keeps cost nothing."""
+    n = len(matrix)
+    if n * (n * n - 1) // 6 <= MOST_PRODUCTS:
+        return True
+    filled = np.array([[not sp.is_zero(x) for x in row] for row in matrix])
+    products = 0
+    for j in range(n):
+        below = np.flatnonzero(filled[j + 1 :, j]) + j + 1
+        filled[np.ix_(below, below)] = True
+        products += len(below) * (len(below) + 1) // 2
+    return products <= MOST_PRODUCTS
 
 
 def factor(matrix: Rows, least: Sequence[Any | None] | None = None) -> Any:
     """L D L^T of a symmetric positive definite matrix M [any unit] given as rows of sparse scalars:
     the lower triangle L and the inverse pivots 1 / D_i, which `solve` takes. Where a pivot is
     not above the `least` of its row the unknown is 0, for the row follows from those before (None:
-    nowhere, or not of that row; beyond `LARGEST_WRITTEN_OUT` unknowns neither).
+    nowhere, or not of that row; neither where it is not written out).
     """
     n = len(matrix)
-    if n > LARGEST_WRITTEN_OUT:
+    if not is_written_out(matrix):
         return jsl.cho_factor(
             sp.stack([x for row in matrix for x in row]).reshape(n, n), lower=True
         )

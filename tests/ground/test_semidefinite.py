@@ -1,4 +1,4 @@
-"""Least squares with semidefinite matrices of known rank, against NumPy's pseudo-inverse."""
+"""Least squares with semidefinite matrices of known rank, and definite systems, against NumPy."""
 
 from functools import partial
 
@@ -7,7 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxclear.ground.factorisation import factor_of_rank, solve_least
+from jaxclear.ground.factorisation import (
+    factor,
+    factor_of_rank,
+    is_written_out,
+    solve,
+    solve_least,
+)
 
 # The condition of the matrices drawn here is below 1e4.
 ROUNDING = 1e-9
@@ -61,3 +67,24 @@ def test_derivative_is_that_of_the_pseudo_inverse():
     wanted = (at(step) - at(-step)) / (2 * step)
     found = jax.jacfwd(at)(0.0)
     np.testing.assert_allclose(found, wanted, atol=1e-6 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize(("size", "width", "written"), [(40, 40, True), (41, 41, False)])
+def test_what_is_written_out_depends_on_the_products_that_it_takes(size, width, written):
+    rows = [[1.0 if abs(i - j) < width else 0 for j in range(size)] for i in range(size)]
+    assert is_written_out(rows) is written
+
+
+def test_a_long_chain_is_written_out_and_a_wheel_numbered_from_its_hub_is_not():
+    chain = [[1.0 if abs(i - j) < 6 else 0 for j in range(200)] for i in range(200)]
+    hub = [[1.0 if i == j or 0 in (i, j) else 0 for j in range(200)] for i in range(200)]
+    assert is_written_out(chain) and not is_written_out(hub)
+
+
+@pytest.mark.parametrize("size", [5, 30, 45])
+def test_both_ways_solve_the_system(size):
+    matrix, right = drawn(size, size)
+    matrix = matrix + np.eye(size)
+    factors = factor([list(row) for row in jnp.asarray(matrix)])
+    found = jnp.stack(solve(factors, tuple(jnp.asarray(right))))
+    np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-9, atol=1e-12)
