@@ -339,7 +339,7 @@ def _measured(mechanism: Mechanism, places: dict[str, Closure]) -> dict[str, Clo
     """Joints outside the tree, of these closures, on whose coordinate loads act."""
     acting = [x for x in acting_in(mechanism).values() if isinstance(x, AbstractStateLoad)]
     lossy = {c.joints()[0] for c in mechanism.couplings.values() if c.efficiency is not None}
-    lossy |= {sliding_along(name, c) for name, c in mechanism.couplings.items()}
+    lossy |= {sliding_along(name, c) or "" for name, c in mechanism.couplings.items()}
     found = {}
     for name, closure in places.items():
         own = [load for load in acting if name in load.coordinates()]

@@ -104,5 +104,5 @@ class Backlash(AbstractQuantified):
         """The play between flanks worn so deep [m]."""
         upper, lower = (worn[flank] / self.lever for flank in FLANKS)
         middle = 0.0 if self.middle is None else self.middle
-        middle = middle + 0.5 * (upper - lower)
-        return dataclasses.replace(self, play=self.play + upper + lower, middle=middle)
+        numbers = {"play": self.play + upper + lower, "middle": middle + 0.5 * (upper - lower)}
+        return dataclasses.replace(self, **numbers)
