@@ -5,7 +5,7 @@ a page of a run that moves.
 
 from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.plot.animation import animate
-from jaxclear.plot.identification import identification
+from jaxclear.plot.identification import identification, remaining_life
 from jaxclear.plot.life import design, design_front, settled, wear_life, wear_lives
 from jaxclear.plot.motion import (
     angular_velocity,
@@ -59,6 +59,7 @@ __all__ = [
     "pointing_budget",
     "positions",
     "reliability",
+    "remaining_life",
     "result",
     "screening",
     "sensitivity",

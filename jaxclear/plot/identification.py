@@ -1,6 +1,6 @@
 """The figure of what a record tells: its statistics within those of prior and posterior, what each
 unknown may be beside its prior, which of them hang together, and how the sample's own runs, left
-out, were told.
+out, were told. And the figure of what records at several times tell of the life that is left.
 """
 
 import itertools
@@ -13,6 +13,7 @@ import numpy as np
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
 from jaxclear.plot.canvas import Roomy, key, panels, readable
+from jaxclear.studies.identification.remaining_life import RemainingLife
 from jaxclear.studies.identification.result import (
     IDENTIFIED,
     Evidence,
@@ -26,6 +27,8 @@ MOST_BESIDE, MOST_PAIRS = 3, 6
 NEAREST = 0.1
 BAND = (5, 95)
 BINS = 24
+# Points of a line.
+POINTS = 100
 
 
 @answering
@@ -47,6 +50,35 @@ def identification(found: Identified, *, ax: Any = None) -> Any:
     told = sum(own.verdict == IDENTIFIED for own in found.unknowns)
     sheet.title(f"{told} of {len(found.unknowns)} unknowns identified, from {found.runs} runs")
     return sheet.done(found.warned)
+
+
+@answering
+def remaining_life(found: RemainingLife, *, ax: Any = None) -> Any:
+    """The unknown at each record with its 95 % interval, the band of the lines that the records
+    allow, and where these reach the limit. `ax`: one axis."""
+    expect(found, RemainingLife, "the life", "what jaxclear.remaining_life returns")
+    sheet = panels("remaining_life", ax, 1, 1, (6.4, 4.0))
+    (axis,) = sheet.axes.flat
+    middle, low, high = found.failure_band
+    factor, unit = readable([found.limit, *found.values], found.unit)
+    cycles = np.linspace(found.cycles[0], max(high, found.cycles[-1]), POINTS)
+    lines = found.limit + found.rate[:, None] * (cycles - found.failure[:, None])
+    ends = np.array([found.band(own) for own in lines.T]).T * factor
+    share = f"{100 * found.level:g} %"
+    axis.fill_between(cycles, *ends[1:], color="C0", alpha=0.25, lw=0, label=f"{share} of lines")
+    axis.plot(cycles, ends[0], color="C0", lw=1.0)
+    bars = 1.96 * factor * found.deviations
+    axis.errorbar(found.cycles, factor * found.values, bars, fmt="ko", ms=4, capsize=3, lw=1.0)
+    axis.axhline(factor * found.limit, color="C3", ls="--", lw=1.0, label="limit")
+    axis.axvspan(low, high, color="C3", alpha=0.15, lw=0, label=f"{share} of failures")
+    axis.axvline(middle, color="C3", lw=1.0)
+    top = factor * max(found.limit, *found.values)
+    axis.set_ylim(top=top + 0.15 * (top - ends.min()))
+    axis.set_xlabel("cycles [1]")
+    axis.set_ylabel(f"{found.name} [{unit}]")
+    key(axis)
+    sheet.title(found.sentence())
+    return sheet.done([f"Warning: {one}" for one in found.warnings])
 
 
 def _panels(found: Identified) -> list[Callable[[Any], None]]:

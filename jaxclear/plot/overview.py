@@ -9,7 +9,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import described, listed
 from jaxclear.plot.canvas import check_run, key, panels, readable, warned
-from jaxclear.plot.identification import identification
+from jaxclear.plot.identification import identification, remaining_life
 from jaxclear.plot.life import design, settled, wear_life, wear_lives
 from jaxclear.plot.motion import pointing_budget
 from jaxclear.plot.signal import reached
@@ -35,6 +35,7 @@ from jaxclear.studies.advice import Advice
 from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.design.result import Design
 from jaxclear.studies.fidelity.result import MultiFidelity
+from jaxclear.studies.identification.remaining_life import RemainingLife
 from jaxclear.studies.identification.result import Identified
 from jaxclear.studies.life.result import WearLife
 from jaxclear.studies.life.settled import Settled
@@ -143,6 +144,7 @@ FIGURES: dict[type, Callable] = {
     PointingError: pointing_budget,
     Positions: positions,
     Reliability: reliability,
+    RemainingLife: remaining_life,
     ResponseSurface: surface,
     Screening: screening,
     Sensitivity: sensitivity,

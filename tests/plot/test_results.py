@@ -46,6 +46,9 @@ CHEAPER = problem(lambda a, b: {"sum": a + 0.9 * b, "product": a * b})
 # A result of each kind that a function of dimensions gives.
 STUDIES = {
     "Identified": lambda folder: identified(problem()),
+    "RemainingLife": lambda folder: jc.remaining_life(
+        {1e6: identified(problem()), 2e6: identified(problem())}, "a", limit=3e-3
+    ),
     "MonteCarlo": lambda folder: jc.monte_carlo(problem(), 128),
     "Campaign": lambda folder: jc.campaign(problem(), 128, folder=folder),
     "Sensitivity": lambda folder: jc.sensitivity(problem(), sample=128, difference_samples=64),
