@@ -117,6 +117,8 @@ def check_play(mechanism: Mechanism, integrator: str, rigid: bool) -> None:
     for name, coupling in mechanism.couplings.items():
         if coupling.play is None:
             continue
+        if rigid or coupling.play.seated:
+            check_unworn(name, coupling, integrator)
         if rigid and coupling.play.restitution is not None:
             check_lossless(name, coupling, f"{integrator} takes the flanks of its play as rigid")
             continue
@@ -135,6 +137,16 @@ def check_play(mechanism: Mechanism, integrator: str, rigid: bool) -> None:
                 f"{kind} by flank.{law}, whose shaft relaxes by its damping, and has none; give "
                 "damping, or take flank.Stop."
             )
+
+
+def check_unworn(name: str, coupling: AbstractCoupling, integrator: str) -> None:
+    """Raises `ValueError` for a coupling whose flanks wear."""
+    if coupling.play is not None and coupling.play.wear is not None:
+        raise ValueError(
+            f'the play of coupling "{name}" wears, which {integrator} does not follow on '
+            "rigid or seated flanks: take integrator.Adaptive, FixedStep or ImplicitStep and "
+            "flanks that are not seated, or leave its wear out."
+        )
 
 
 def check_lossless(name: str, coupling: AbstractCoupling, why: str) -> None:

@@ -4,6 +4,7 @@ to be read.
 Worn surfaces enter the gaps as they were at the last saving time: wear is slow, the motion is fast.
 """
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,7 +16,7 @@ from jaxclear.multibody.contact_point import JointReport
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.loops import Baumgarte
 from jaxclear.multibody.state import Followed, Layout, unpack_followed
-from jaxclear.multibody.system import System
+from jaxclear.multibody.system import System, with_worn_flanks
 from jaxclear.multibody.tree import Motion
 
 State = Float[Array, " n"]
@@ -41,6 +42,11 @@ class Model(eqx.Module):
     def entries(self, state: State) -> list:
         """The numbers of a state, one by one."""
         return [state[i] for i in range(self.layout.size)]
+
+    def seeing(self, worn: dict[str, dict[str, Any]]) -> "Model":
+        """The same with worn surfaces as gaps read them, and plays as worn."""
+        system = with_worn_flanks(self.system, worn)
+        return dataclasses.replace(self, worn=worn, system=system)
 
 
 class Instant(NamedTuple):

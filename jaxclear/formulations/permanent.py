@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from jaxclear.components.body import Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint
-from jaxclear.formulations.base import AbstractFormulation, check_lossless
+from jaxclear.formulations.base import AbstractFormulation, check_lossless, check_unworn
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.joint_friction import (
     NonCollidingSettings,
@@ -137,6 +137,7 @@ class PermanentContact(AbstractFormulation):
         check_friction(mechanism, integrator)
         for name, coupling in mechanism.couplings.items():
             if coupling.play is not None:
+                check_unworn(name, coupling, integrator)
                 check_lossless(name, coupling, f"{integrator} seats it")
 
     def seen(self, mechanism):

@@ -7,9 +7,9 @@ from jaxclear.ground import sparse as sp
 from jaxclear.multibody import dynamics
 from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.dynamics import Solution
-from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.forces import Forces, seen_at
 from jaxclear.multibody.state import Layout, unpack_motion
-from jaxclear.multibody.system import System
+from jaxclear.multibody.system import System, flanks_that_wear
 
 
 class Passive(NamedTuple):
@@ -64,13 +64,23 @@ def passive_rates(
         volume, features = forces.reports[slot.bearing].wear_rates[slot.surface][order]
         out.append(volume)
         out.extend(sp.mul(volume, features[i]) for i in slot.averaged)
-    out.extend((*rubbing.worn, *pressing, *rubbing.pressing))
+    out.extend((*rubbing.worn, *_of_flanks(system, forces), *pressing, *rubbing.pressing))
     if layout.energies:
         powers = dict(zip(layout.energies, dynamics.powers(system, forces, solution), strict=True))
         powers["input"] = sp.add(powers["input"], rubbing.driven)
         powers["friction_loss"] = sp.add(powers["friction_loss"], rubbing.lost)
         out.extend(powers.values())
     return out
+
+
+def _of_flanks(system: System, forces: Forces) -> list:
+    """Rates of the worn volumes of flanks of play."""
+    found = []
+    for name, play in flanks_that_wear(system).items():
+        slides: Any = system.transmissions[name].slides
+        speed = seen_at(system, forces.motions, slides, forces.followed).speed
+        found += [play.wear_rate(torque, speed) for torque in forces.pressing[name].torques]
+    return found
 
 
 def link_accelerations(system: System, flat: Any, multipliers: tuple) -> Solution:

@@ -18,7 +18,14 @@ from jaxclear.components.clearance import ContactCandidate, ContactLaws
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import by_form
 from jaxclear.multibody.contact_point import PointState, memory_template
-from jaxclear.multibody.system import SLIP, Bearing, System, coordinate_loads, rubbing_joints
+from jaxclear.multibody.system import (
+    SLIP,
+    Bearing,
+    System,
+    coordinate_loads,
+    flanks_that_wear,
+    rubbing_joints,
+)
 
 # An offset [m] at which nothing is structurally zero but by the scene.
 PROBE = (0.3e-3, 0.1e-3, 0.2e-3)
@@ -175,6 +182,8 @@ def _wearing(system: System, samples: dict[str, tuple]) -> list[tuple]:
                 (name, surface, k, rubbing.wear_place(surface, offset, axes, k, jnp.zeros(())))
                 for k in rubbing.wearing_contacts()
             ]
+    for name, play in flanks_that_wear(system).items():
+        found += [(name, flank, k, (0.0,)) for k, flank in enumerate(play.maps())]
     return found
 
 

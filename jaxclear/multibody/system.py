@@ -29,7 +29,14 @@ from jaxclear.multibody.loops import TURN, WAY, Closure, CoordinateSum, SummedCo
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.meshes import carried, drawn_pose, markers, mesh
 from jaxclear.multibody.pose_rows import CoordinateOf, closing_rows, reading_of
-from jaxclear.multibody.topology import Branch, Topology, coordinate_joint, joint_of, motor_name
+from jaxclear.multibody.topology import (
+    Branch,
+    Topology,
+    coordinate_joint,
+    joint_of,
+    motor_name,
+    rubbing_in,
+)
 from jaxclear.multibody.tree import Link
 
 
@@ -73,12 +80,14 @@ class DrivingEnd(eqx.Module):
 
 class Transmission(eqx.Module):
     """A coupling that gives: its row, as a closure, and the `scale` by which the residual is
-    divided so that it is the twist [rad, m] along which play and stiffness are."""
+    divided so that it is the twist [rad, m] along which play and stiffness are; `slides`: the
+    coordinate with which flanks that wear slide (None: they do not)."""
 
     closure: Closure
     scale: Any
     coupling: Any  # an AbstractCoupling
     driving: "DrivingEnd | None" = None
+    slides: str | None = eqx.field(static=True, default=None)
 
     def states(self) -> tuple[str, ...]:
         """Its states."""
@@ -183,7 +192,8 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
             scale = scale_of(mechanism, coupling)
             _check_error(name, coupling, own)
             end = _driving_end(mechanism, name, scale)
-            transmissions[name] = Transmission(own, scale, coupling, end)
+            slides = sliding_along(name, coupling)
+            transmissions[name] = Transmission(own, scale, coupling, end, slides)
     measured = _measured(mechanism, places)
     loaded = (loads, measured, load_markers, gravity)
     behind = (transmissions, geared_motors(mechanism))
@@ -266,6 +276,16 @@ def _driving_end(mechanism: Mechanism, name: str, scale: Any) -> DrivingEnd | No
     return DrivingEnd(first, slope, coupling.efficiency)
 
 
+def sliding_along(name: str, coupling: Any) -> str | None:
+    """The coordinate along which play is seen whose flanks wear; None of any other coupling."""
+    if coupling.play is None or coupling.play.wear is None:
+        return None
+    if isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None:
+        first = coupling.terms()[0].joint
+        return first if isinstance(first, str) else motor_name(name)
+    return coupling.seen_at()
+
+
 def _terms(mechanism: Mechanism, name: str) -> list[CoordinateTerm]:
     """The terms of a coupling, its motor by name."""
     coupling: Any = mechanism.couplings[name]
@@ -319,6 +339,7 @@ def _measured(mechanism: Mechanism, places: dict[str, Closure]) -> dict[str, Clo
     """Joints outside the tree, of these closures, on whose coordinate loads act."""
     acting = [x for x in acting_in(mechanism).values() if isinstance(x, AbstractStateLoad)]
     lossy = {c.joints()[0] for c in mechanism.couplings.values() if c.efficiency is not None}
+    lossy |= {sliding_along(name, c) or "" for name, c in mechanism.couplings.items()}
     found = {}
     for name, closure in places.items():
         own = [load for load in acting if name in load.coordinates()]
@@ -425,11 +446,41 @@ def rubbing_joints(system: System) -> dict[str, AbstractRubbingJoint]:
     }
 
 
+def wearing_in(mechanism: Mechanism) -> dict[str, Any]:
+    """What has surfaces that wear: joints that may open, those that touch all the time, and plays
+    of couplings, by name."""
+    connections = mechanism.connections
+    found: dict[str, Any] = {n: connections[n].joint for n in mechanism.topology.clearances}
+    found |= rubbing_in(connections)
+    found |= {n: own.play for n, own in mechanism.couplings.items() if own.gives and own.play}
+    return {name: own for name, own in found.items() if own.maps()}
+
+
+def flanks_that_wear(system: System) -> dict[str, Any]:
+    """Plays whose flanks wear, by coupling."""
+    own = system.transmissions.items()
+    return {n: x.coupling.play for n, x in own if x.coupling.play and x.coupling.play.wear}
+
+
+def with_worn_flanks(system: System, worn: dict) -> System:
+    """The system with plays grown as their flanks are worn [m], by coupling and flank."""
+    plays = {n: play for n, play in flanks_that_wear(system).items() if n in worn}
+    if not plays:
+        return system
+    grown = dict(system.transmissions)
+    for name, play in plays.items():
+        depths = {flank: depth[0, 0] for flank, depth in worn[name].items()}
+        coupling = dataclasses.replace(grown[name].coupling, play=play.grown(depths))
+        grown[name] = dataclasses.replace(grown[name], coupling=coupling)
+    return dataclasses.replace(system, transmissions=grown)
+
+
 def wear_maps(system: System) -> dict[str, dict]:
     """Wear map and law of each surface that wears, by joint and surface: of joints that may open,
-    then of those that touch all the time."""
+    then of those that touch all the time, then of flanks of play, by coupling."""
     joints: dict[str, Any] = {name: bearing.joint for name, bearing in system.bearings.items()}
     joints |= rubbing_joints(system)
+    joints |= flanks_that_wear(system)
     return {name: joint.maps() for name, joint in joints.items() if joint.maps()}
 
 

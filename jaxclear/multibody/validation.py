@@ -24,7 +24,7 @@ from jaxclear.components.coupling import (
     AbstractForceCoupling,
 )
 from jaxclear.components.drive import AbstractDrive
-from jaxclear.components.joint import AbstractJoint, Revolute
+from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Revolute
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import (
     AbstractBodyLoad,
@@ -439,6 +439,8 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
         if isinstance(coupling, AbstractForceCoupling):
             _check_forces(name, coupling, couplings, bodies, connections)
             continue
+        if coupling.play is not None and coupling.play.wear is not None:
+            _check_flanks(name, coupling, bodies, connections)
         if isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None:
             if coupling.motor is not None:
                 coupling.terms()
@@ -457,6 +459,35 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
             except ValueError as error:
                 raise ValueError(f'coupling "{name}" {error}') from None
             _warn_of_wheels_apart(name, coupling, topology, bodies, connections)
+
+
+def _check_flanks(name: str, coupling: Any, bodies: dict, connections: dict) -> None:
+    """That it is known with what flanks that wear slide, and with which lever they press."""
+    summed = isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None
+    if not summed and coupling.seen_as_length:
+        raise ValueError(
+            f'coupling "{name}" has a play that wears and is seen along the axis of a '
+            f"{type(coupling).__name__} of two bodies, where no one coordinate tells how it "
+            "slides; leave its wear out."
+        )
+    first = coupling.terms()[0].joint if summed else coupling.seen_at()
+    turns = True
+    if isinstance(first, str):
+        check_known("joint", first, connections, f' for coupling "{name}"')
+        what = f'coupling "{name}" has a play that wears along'
+        turns = one_coordinate(what, first, bodies, connections).units == ("rad",)
+    if turns != (coupling.play.pitch_radius is not None):
+        says = "an angle: give its play the pitch_radius at which flanks press"
+        raise ValueError(
+            f'the play of coupling "{name}" wears and is '
+            f"{says if turns else 'a length: leave its pitch_radius out'}."
+        )
+    joint = connections[name].joint if name in connections else None
+    if isinstance(joint, (AbstractClearance, AbstractRubbingJoint)) and joint.maps():
+        raise ValueError(
+            f'"{name}" is a coupling whose play wears and a joint that wears; give one of them '
+            "another name."
+        )
 
 
 def _warn_of_wheels_apart(

@@ -7,6 +7,7 @@ import matplotlib
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
+from jaxclear.multibody.system import wearing_in
 from jaxclear.plot.canvas import MILLI, check_run, key, length, panels, readable, setting, warned
 from jaxclear.results.trajectory import Trajectory
 
@@ -66,7 +67,13 @@ SHAPES = {"socket": _sphere, "ball": _sphere}
 def _wear(run: Trajectory, joint: str, surface: str) -> tuple[Any, np.ndarray]:
     check_run(run)
     depth = np.asarray(run.worn_depth(joint, surface))
-    return run.mechanism.connections[joint].joint.maps()[surface][0], depth
+    wear_map = wearing_in(run.mechanism)[joint].maps()[surface][0]
+    if wear_map.cells == (1, 1):
+        raise ValueError(
+            f'the {surface} of "{joint}" wears to one depth and has no map to draw: read '
+            f'run.worn_depth("{joint}", "{surface}").'
+        )
+    return wear_map, depth
 
 
 def _wall(wear_map: Any, surface: str) -> Wall:

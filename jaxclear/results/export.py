@@ -239,6 +239,8 @@ def _walls(run: Any) -> list[_Solid]:
     the child."""
     found = []
     for name, surfaces in run.worn.items():
+        if name not in run.mechanism.connections:
+            continue
         connection = run.mechanism.connections[name]
         joint = getattr(connection.joint, "gap", connection.joint)
         maps = joint.maps()

@@ -146,7 +146,8 @@ def over_time(history: StateHistory, function: Callable[[Instant], Any]) -> Any:
 
     def one(time, entries, read, means):
         q, v = state.unpack_motion(system, entries)
-        now = Model(system, read, model.stabilisation, layout, model.projects)
+        own = Model(system, read, model.stabilisation, layout, model.projects)
+        now = own.seeing(read)
         motions = kinematics.link_motions(system, q, v, time)
         parts = [means[i] for i in range(len(means))]
         return sp.dense(function(Instant(now, motions, q, v, time, entries, parts)))

@@ -371,18 +371,20 @@ class Trajectory(AbstractShown):
         return self.history.coordinate(name, speeds=True)
 
     def worn_volume(self, joint: str, surface: str) -> Float[Array, " time"]:
-        """Volume lost by a surface of a joint over time [m3]."""
+        """Volume lost by a surface of a joint, or a flank ("upper", "lower") of a coupling, over
+        time [m3]."""
         self._check_wears(joint, surface)
         return histories.worn_volume(self.history, joint, surface)
 
     def worn_depth(self, joint: str, surface: str) -> Float[Array, "around along"]:
-        """Wear map of a surface of a joint at the end of the run [m]."""
+        """Wear map of a surface of a joint, or a flank of a coupling, at the end of the run [m]."""
         self._check_wears(joint, surface)
         return self.worn[joint][surface]
 
     def _check_wears(self, joint, surface):
         self.history.check_single()
-        check_known("joint", joint, self.mechanism.connections, " in this mechanism")
+        known = [*self.mechanism.connections, *self.mechanism.couplings]
+        check_known("joint or coupling", joint, known, " in this mechanism")
         if not isinstance(surface, str) or surface not in self.worn.get(joint, {}):
             wearing = ", ".join(f'"{j}" {s}' for j, surfaces in self.worn.items() for s in surfaces)
             raise ValueError(

@@ -106,7 +106,8 @@ class Looks(NamedTuple):
             read = jax.tree.map(lambda depths: depths[row], worn)
             model, system = self.model, self.model.system
             q, v = state.unpack_motion(system, entries)
-            now = Model(system, read, model.stabilisation, model.layout, model.projects)
+            own = Model(system, read, model.stabilisation, model.layout, model.projects)
+            now = own.seeing(read)
             motions = kinematics.link_motions(system, q, v, time)
             return sp.dense(function(Instant(now, motions, q, v, time, entries, means)))
 

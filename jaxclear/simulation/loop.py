@@ -131,7 +131,7 @@ def run(
         state = state.at[layout.remembered].set(past.remembered)
     worn = unworn(model.system) if past.worn is None else past.worn
     read = readings(model.system, worn)
-    seen = dataclasses.replace(model, worn=read)
+    seen = model.seeing(read)
     warm_start = _first_warm_start(seen, integrator, times[0], state)
     turn = _Turn(model, integrator, extras.report)
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
@@ -217,7 +217,7 @@ class _Turn:
 
         def advance(arrays, read, ahead, state, warm_start):
             model, integrator = eqx.combine(arrays, rest)
-            seen = dataclasses.replace(model, worn=read)
+            seen = model.seeing(read)
             return integrator.advance(seen, ahead, state, warm_start)
 
         # Traced once, however often a turn stands in the program.

@@ -14,8 +14,7 @@ from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import constant, is_traced
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout, WearSlot
-from jaxclear.multibody.system import System, readings, wear_maps
-from jaxclear.multibody.topology import rubbing_in
+from jaxclear.multibody.system import System, readings, wear_maps, wearing_in
 from jaxclear.native import has_kernels, one_by_one, scan
 
 Worn = dict[str, dict[str, Array]]
@@ -36,12 +35,9 @@ def worn_as_given(mechanism: Mechanism, given: Worn | None) -> Worn | None:
     nothing is given; None for None. Raises `ValueError` with a sentence for what is no such map."""
     if given is None:
         return None
-    joints = {name: mechanism.connections[name].joint for name in mechanism.topology.clearances}
-    joints |= rubbing_in(mechanism.connections)
     cells = {
-        name: {surface: wear_map.cells for surface, (wear_map, _) in joint.maps().items()}
-        for name, joint in joints.items()
-        if joint.maps()
+        name: {surface: wear_map.cells for surface, (wear_map, _) in own.maps().items()}
+        for name, own in wearing_in(mechanism).items()
     }
     for joint, surfaces in given.items():
         check_known("worn joint", joint, cells, " in this mechanism")

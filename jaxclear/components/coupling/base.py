@@ -232,6 +232,10 @@ class AbstractBodyCoupling(AbstractCoupling):
         coordinate unless overridden; 1 where play is a length."""
         return self.radii(drawn)[0]
 
+    def seen_at(self) -> str:
+        """The joint along which play is seen: the first unless overridden."""
+        return self.joints()[0]
+
     @property
     def seen_as_length(self) -> bool:
         """Whether play is a length [m]; an angle [rad] unless overridden."""

@@ -122,6 +122,9 @@ class Gear(AbstractBodyCoupling):
     def seen_radius(self, drawn):
         return self.radii(drawn)[1]
 
+    def seen_at(self):
+        return self.joints()[1]
+
     def check(self, drawn):
         _check_parallel(drawn)
         if self.internal and concrete(self.ratio) == 1:

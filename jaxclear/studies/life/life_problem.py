@@ -22,6 +22,7 @@ from jaxclear.ground.arguments import check_count, check_flags, check_known, che
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
+from jaxclear.multibody.system import wearing_in
 from jaxclear.multibody.validation import check_values
 from jaxclear.results.response import REACHES
 from jaxclear.simulation.simulate import SimulationError
@@ -343,10 +344,9 @@ class LifeProblem(AbstractProblem):
 
     def _quantities(self) -> dict[str, str]:
         """Unit of all that a life tells of."""
-        connections = self.problem.mechanism.connections
         found = {DEPTH: "m", VOLUME: "m^3"} | self.problem.units()
-        for joint in self.problem.mechanism.topology.clearances:
-            for surface in connections[joint].joint.maps():
+        for joint, own in wearing_in(self.problem.mechanism).items():
+            for surface in own.maps():
                 found[f"{DEPTH} {joint} {surface}"] = "m"
                 found[f"{VOLUME} {joint} {surface}"] = "m^3"
         return found

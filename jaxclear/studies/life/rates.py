@@ -17,7 +17,7 @@ from jax.flatten_util import ravel_pytree
 
 from jaxclear.integrators.checks import Check, Checks
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.system import prepare
+from jaxclear.multibody.system import prepare, wearing_in
 from jaxclear.results.state_history import SavedMotion
 from jaxclear.simulation.wear import Worn
 from jaxclear.studies.ledger.ledger import Ledger
@@ -218,9 +218,9 @@ def _as_much(half: Sequence[Cycle], lost: Worn) -> Half:
 
 def _cells(problem: Problem, worn: Worn) -> Cells:
     """How depths of these surfaces stand in a row."""
-    connections = problem.mechanism.connections
+    wearing = wearing_in(problem.mechanism)
     areas = {
-        joint: {s: np.asarray(connections[joint].joint.maps()[s][0].areas()) for s in surfaces}
+        joint: {s: np.asarray(wearing[joint].maps()[s][0].areas()) for s in surfaces}
         for joint, surfaces in worn.items()
     }
     rows = [own.ravel() for own in jax.tree.leaves(areas)]

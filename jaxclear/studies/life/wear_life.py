@@ -16,6 +16,7 @@ import numpy as np
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.system import wearing_in
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
@@ -135,9 +136,8 @@ def _first_step(rates: Rates, rate: Rate, cycles: float) -> float:
 
 
 def _smallest_clearance(mechanism: Mechanism) -> float:
-    """Of the joints that wear [m]; infinite where none says."""
-    joints = (mechanism.connections[name].joint for name in mechanism.topology.clearances)
-    known = (getattr(joint, "clearance", None) for joint in joints if joint.maps())
+    """Of what wears [m]; infinite where none says."""
+    known = (getattr(own, "clearance", None) for own in wearing_in(mechanism).values())
     return min((float(size) for size in known if size is not None), default=np.inf)
 
 
@@ -162,14 +162,17 @@ def _check_wears(problem: Problem) -> None:
     """Raises `ValueError` where nothing wears, or wear is carried on already."""
     mechanism = problem.mechanism
     problem.integrator.formulation.seen(mechanism)
+    flanks = [name for name, own in mechanism.couplings.items() if own.gives and own.play]
     surfaces = {
-        f'{surface} of joint "{name}"': wearing
-        for name in mechanism.topology.clearances
-        for surface, (_, wearing) in mechanism.connections[name].joint.maps().items()
+        f'{surface} of {"coupling" if name in flanks else "joint"} "{name}"': wearing
+        for name, own in wearing_in(mechanism).items()
+        if name in flanks or name in mechanism.topology.clearances
+        for surface, (_, wearing) in own.maps().items()
     }
     if not surfaces:
         raise ValueError(
-            "nothing wears in this mechanism: give a joint with clearance a jaxclear.Wearing."
+            "nothing wears in this mechanism: give a joint with clearance a jaxclear.Wearing, or "
+            "the play of a coupling wear."
         )
     for what, wearing in surfaces.items():
         if float(wearing.acceleration) != 1:
