@@ -168,6 +168,7 @@ def every_command():
 def test_every_command_shows_examples_and_understands_them(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scene.yaml").touch()
+    (tmp_path / "run3.csv").touch()
     (tmp_path / "store").mkdir()
     group, command = commands(), every_command()[name]
     assert command.examples

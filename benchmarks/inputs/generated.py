@@ -145,7 +145,15 @@ INNER |= {"PermanentSpherical"}
 INNER |= {"SimulationError", "Outcome", "MarkerMotion", "Action", "Effect", "ContactCandidate"}
 INNER |= {"ContactLaws", "CarriedContact", "CarryingEnd", "Scalar", "Check", "Checks", "Figure"}
 # Written out in `functions`, since their arguments are no fields.
-WRITTEN = {"Connection", "Marker", "Mechanism", "Problem", "Variable", "ContactForce"}
+WRITTEN = {
+    "Connection",
+    "ContactForce",
+    "Marker",
+    "Measurement",
+    "Mechanism",
+    "Problem",
+    "Variable",
+}
 
 
 def place(path: str) -> Any:

@@ -8,6 +8,7 @@ Source: Cornuet, Marin, Mira & Robert 2012, Scand. J. Stat. 39, 798,
 doi:10.1111/j.1467-9469.2011.00756.x.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -26,7 +27,7 @@ ENOUGH, LEAST = 400.0, 60.0
 LEAST_ROUNDS, MOST_ROUNDS = 3, 8
 # An end of the prior whose density is above this share of the largest is not excluded: twice the
 # logarithm of their ratio is what chi-square with one degree of freedom exceeds in 5 %.
-AT_END = float(np.exp(-0.5 * scipy.stats.chi2.isf(0.05, 1)))
+AT_END = math.exp(-0.5 * 1.959964**2)
 # Parts of an interval in which densities are compared.
 PARTS = 10
 
