@@ -23,6 +23,7 @@ from jaxclear.commands.arm import (
     every_choice,
     named,
     simulated,
+    slopes,
 )
 from jaxclear.scenes.arm import ARCMIN, JOINTS, arm
 
@@ -41,12 +42,12 @@ def main() -> None:
     repeats = 1 if options.quick else 5
     problem = asked(STANDARD, simulated(arm("play", 0.0), verify=False))
     error = eqx.filter_jit(lambda plays: problem.evaluate(plays).responses["tip error"])
-    slope = eqx.filter_jit(jax.jacfwd(lambda plays: problem.evaluate(plays).responses["tip error"]))
     sizes = {f"{play / ARCMIN:g} arcmin": np.full(len(JOINTS), play) for play in PLAYS}
     nominal = problem.nominal()
     _, first = seconds(lambda: error(nominal))
-    _, first_slope = seconds(lambda: slope(nominal))
-    spent = side_by_side({"run": lambda: error(nominal), "slopes": lambda: slope(nominal)}, repeats)
+    by_play = lambda: slopes(problem)["slope [mm/arcmin]"].to_numpy()
+    _, first_slope = seconds(by_play)
+    spent = side_by_side({"run": lambda: error(nominal), "slopes": by_play}, repeats)
     rows = [
         {"play of all seven": name, "tip error [mm]": MILLI * float(error(own))}
         for name, own in sizes.items()

@@ -189,7 +189,7 @@ def solve(
     state: Any,
     args: Any,
     most: int,
-    ended: Callable,
+    ended: Callable = lambda state: state,
 ) -> Solved:
     """As `diffrax.diffeqsolve` over a `span` (start, end, first step) [s], in `most` steps tried:
     the same steps to rounding, each `ended(state)`. How long steps are is no part of derivatives:
