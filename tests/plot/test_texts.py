@@ -292,6 +292,13 @@ CASES = {
         lambda: plot.monte_carlo(narrow(3000)),
     ],
     "identification": [lambda: plot.identification(identified(problem()))],
+    "remaining_life": [
+        lambda: plot.remaining_life(
+            jc.remaining_life(
+                {0: identified(problem()), 1e6: identified(problem())}, problem().names[0], 1.0
+            )
+        )
+    ],
     "multi_fidelity": [
         lambda: plot.multi_fidelity(
             jc.multi_fidelity(problem(), problem(lambda **sizes: stack(**sizes)), 256)

@@ -138,7 +138,7 @@ def test_peaks_of_a_guide_are_caught_between_the_saving_times():
     [
         (
             jc.response.PeakWornDepth("C"),
-            'no joint "C" in this mechanism; there is "B"',
+            'no joint or coupling "C" in this mechanism; there is "B"',
         ),
         (
             jc.response.FinalCoordinate("journal", 3),
