@@ -19,7 +19,7 @@ from jaxclear.components.acting import (
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, smooth_sign, smooth_step
 from jaxclear.ground.quantity import Scalar, concrete, quantity
-from jaxclear.laws.transmission import holding
+from jaxclear.laws.transmission import holding, one_sided
 
 
 class JointStop(AbstractCoordinateLoad):
@@ -104,16 +104,13 @@ class JointStop(AbstractCoordinateLoad):
                 "integrator.MoreauJean and NonColliding. Give its stiffness too, by which what "
                 "strikes it with speed v goes v sqrt(m / k) deep."
             )
+        if self.depth is None:
+            return one_sided(beyond, rate, self.stiffness, self.damping)
         depth = positive_part(beyond)
         spring = self.stiffness * depth
         stored = 0.5 * spring * depth
-        if self.damping is None:
-            return spring, stored, 0
         damper = self.damping * rate
-        if self.depth is None:
-            push = jnp.clip(spring + damper, 0.0, 2 * spring)
-        else:
-            push = positive_part(spring + smooth_step(depth, 0.0, self.depth) * damper)
+        push = positive_part(spring + smooth_step(depth, 0.0, self.depth) * damper)
         # Where the damper would pull the spring goes back without the body, and its energy is lost.
         return push, stored, (push - spring) * rate
 

@@ -15,6 +15,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxclear.components.acting import AbstractCoordinateLoad, AbstractStateLoad, Side
+from jaxclear.components.clearance.backlash import middle_of
 from jaxclear.formulations.contact_rows import ContactJacobianRow
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
@@ -93,7 +94,7 @@ def held(system: System) -> dict[str, Held]:
     }
     for name, own in system.flanks.items():
         play: Any = own.coupling.play
-        middle, half = 0.0 if play.middle is None else play.middle, 0.5 * play.play
+        middle, half = middle_of(play), 0.5 * play.play
         sides = Side(1.0, middle - half, play), Side(-1.0, middle + half, play)
         found[play_of(name)] = Held(name, sides, None, True)
     return found

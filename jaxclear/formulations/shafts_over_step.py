@@ -15,14 +15,14 @@ from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import transmissions
 from jaxclear.multibody.kinematics import JacobianRow, along
-from jaxclear.multibody.transmissions import Between, Twist
+from jaxclear.multibody.transmissions import Compliance, CouplingTwist
 
 
 class ShaftOverStep(NamedTuple):
     """A coupling over a step of a `length` [s]: what lies between its sides, its row, its rate and
     twist as the step begins, and where a shaft's far end is (None: it has none)."""
 
-    between: Between
+    compliance: Compliance
     row: JacobianRow
     begun: Any
     twist: Any
@@ -32,7 +32,7 @@ class ShaftOverStep(NamedTuple):
     def law(self, rate: Any) -> tuple[Any, Any]:
         """Force along the row at a mean rate, and by how much it falls with that."""
         torque = lambda rate: transmissions.mean_torque(
-            self.between, Twist(self.twist, rate), self.end, self.length
+            self.compliance, CouplingTwist(self.twist, rate), self.end, self.length
         )
         rate = jnp.asarray(rate, float)
         found, slope = jax.jvp(torque, (rate,), (jnp.ones_like(rate),))
@@ -53,8 +53,8 @@ def shafts_over_step(
         row = transmissions.row_of(system, forces.motions, own)
         begun = along(row, speeds)
         start = pressing.twist.value - 0.5 * length * begun
-        between = transmissions.between(own)
-        found.append(ShaftOverStep(between, row, begun, start, end, length))
+        compliance = transmissions.compliance_of(own)
+        found.append(ShaftOverStep(compliance, row, begun, start, end, length))
         for j, entry in row.items():
             right[j] = sp.add(right[j], sp.mul(pressing.torque, entry))
     return tuple(found), free_motion._replace(right=tuple(right)) if found else free_motion

@@ -10,11 +10,11 @@ from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 
 from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.quantity import Scalar
 from jaxclear.laws.law import AbstractLaw
+from jaxclear.laws.transmission import bounded
 
 __all__ = ["AbstractFlankLaw", "ElastoBacklash", "Nordin", "Stop"]
 
@@ -86,7 +86,7 @@ class ElastoBacklash(AbstractFlankLaw):
     needs_damping = False
 
     def torque(self, elastic, viscous):
-        return jnp.clip(elastic + viscous, 0.0, 2 * elastic)
+        return elastic + bounded(elastic, viscous)
 
 
 __getattr__, __dir__ = nothing_else("jaxclear.flank", __all__)

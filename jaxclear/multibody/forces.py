@@ -206,7 +206,7 @@ def pressing_of(
         if own.has_twist:
             known = followed.states.get(name)
             end = transmissions.end_at_start(own, twist) if known is None else known[0]
-        calls.append((transmissions.between(own), twist, end, followed.shares.get(name)))
+        calls.append((transmissions.compliance_of(own), twist, end, followed.shares.get(name)))
     found = map_alike(transmissions.pressing, calls)
     return dict(zip(system.transmissions, found, strict=True))
 

@@ -5,6 +5,7 @@ from typing import Any
 
 from jaxtyping import Array, Float
 
+from jaxclear.components.clearance.backlash import middle_of
 from jaxclear.multibody import kinematics, transmissions
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
@@ -35,9 +36,9 @@ def turned(
         twist = transmissions.twist_of(system, motions, giving)
         (factor,) = (x.factor for x in giving.closure.reading.terms if x.joint == branch.name)
         share = giving.scale / factor
-        middle = 0 if giving.coupling.play is None else giving.coupling.play.middle
+        play = giving.coupling.play
         if branch.name not in given:
-            amiss = twist.value - (0 if middle is None else middle)
+            amiss = twist.value - (0 if play is None else middle_of(play))
             q = q.at[branch.coordinates.start].add(-share * amiss)
         if branch.name not in mechanism.speeds:
             v = v.at[branch.speeds.start].add(-share * twist.rate)

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from jaxclear.components.clearance.backlash import middle_of
 from jaxclear.components.function_of_angle import value_and_slope
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide
@@ -31,7 +32,7 @@ from jaxclear.multibody.system import TWIST, System, Transmission
 from jaxclear.multibody.tree import Motion, Wrench
 
 
-class Twist(NamedTuple):
+class CouplingTwist(NamedTuple):
     """Twist [rad, m] of a transmission, its rate."""
 
     value: Any
@@ -48,13 +49,13 @@ class Pressing(NamedTuple):
     end_rate: Any
     stored: Any
     dissipated: Any
-    twist: Twist
+    twist: CouplingTwist
     depths: tuple = ()
     rates: tuple = ()
     torques: tuple = ()
 
 
-def twist_of(system: System, motions: tuple[Motion, ...], own: Transmission) -> Twist:
+def twist_of(system: System, motions: tuple[Motion, ...], own: Transmission) -> CouplingTwist:
     """The twist of a transmission as the links move."""
     closure = own.closure
     if isinstance(closure.reading, CoordinateSum):
@@ -67,8 +68,8 @@ def twist_of(system: System, motions: tuple[Motion, ...], own: Transmission) -> 
     value, fast = residual / own.scale, rate / own.scale
     wobble = _wobble(motions, own)
     if wobble is None:
-        return Twist(value, fast)
-    return Twist(value + wobble.value, fast + wobble.slope * wobble.speed)
+        return CouplingTwist(value, fast)
+    return CouplingTwist(value + wobble.value, fast + wobble.slope * wobble.speed)
 
 
 class Wobble(NamedTuple):
@@ -104,7 +105,7 @@ def row_of(system: System, motions: tuple[Motion, ...], own: Transmission) -> Ja
     return {j: entry / own.scale for j, entry in row.items()}
 
 
-class Between(NamedTuple):
+class Compliance(NamedTuple):
     """What lies between the two sides of a transmission: play, stiffness, damping; of a belt the
     twist at which one strand goes `slack` (None: neither does)."""
 
@@ -114,13 +115,15 @@ class Between(NamedTuple):
     slack: Any = None
 
 
-def between(own: Transmission) -> Between:
+def compliance_of(own: Transmission) -> Compliance:
     """What lies between the two sides of a transmission."""
     coupling = own.coupling
-    return Between(coupling.play, coupling.stiffness, coupling.damping, coupling.slack_twist())
+    return Compliance(coupling.play, coupling.stiffness, coupling.damping, coupling.slack_twist())
 
 
-def pressing(own: Between, twist: Twist, end: Any = None, shares: Any = None) -> Pressing:
+def pressing(
+    own: Compliance, twist: CouplingTwist, end: Any = None, shares: Any = None
+) -> Pressing:
     """What a transmission does at a twist. `end`: where the shaft's far end is from the middle of
     the gap (None: its law has none); `shares` of the upper and the lower flank that count as
     touching, 1 or 0 (None: as their places have it)."""
@@ -133,8 +136,7 @@ def pressing(own: Between, twist: Twist, end: Any = None, shares: Any = None) ->
         elastic = stiffness * twist.value
         return Pressing(sp.add(elastic, viscous), None, 0.5 * elastic * twist.value, lost, twist)
     half = 0.5 * play.play
-    middle = 0 if play.middle is None else play.middle
-    place = sp.sub(twist.value, middle)
+    place = sp.sub(twist.value, middle_of(play))
     sides = ((place - half, twist.rate), (-place - half, -twist.rate))
     torques = []
     for depth, rate in sides:
@@ -163,7 +165,7 @@ def pressing(own: Between, twist: Twist, end: Any = None, shares: Any = None) ->
     return Pressing(*told, depths, rates, tuple(acting))
 
 
-def _of_strands(own: Between, twist: Twist) -> Pressing:
+def _of_strands(own: Compliance, twist: CouplingTwist) -> Pressing:
     """The same of a belt whose two strands share its stiffness, and pull alone."""
     half = None if own.damping is None else 0.5 * own.damping
     pulls = [
@@ -174,7 +176,7 @@ def _of_strands(own: Between, twist: Twist) -> Pressing:
     return Pressing(pulls[0].force - pulls[1].force, None, stored, lost, twist)
 
 
-def _with_end(own: Between, twist: Twist, places: tuple, flanks: tuple) -> Pressing:
+def _with_end(own: Compliance, twist: CouplingTwist, places: tuple, flanks: tuple) -> Pressing:
     """The same of a shaft in series with the gap: `places` (from the middle of the gap, half of it,
     far end), `flanks` (torques as if touching, shares)."""
     (place, half, end), (torques, shares), rate = places, flanks, twist.rate
@@ -206,20 +208,32 @@ def _with_end(own: Between, twist: Twist, places: tuple, flanks: tuple) -> Press
     return Pressing(*told, tuple(depths), tuple(rates), tuple(acting))
 
 
-def _mean_of_strands(own: Between, twist: Twist, length: Any) -> Any:
+class OverWay(NamedTuple):
+    """What is touched over a way: the mean depth where it is, times the `share` of the way."""
+
+    depth: Any
+    share: Any
+
+
+def _over_way(depth: Any, way: Any) -> OverWay:
+    """From a depth so far on, negative where nothing is touched."""
+    first, last = positive_part(depth), positive_part(depth + way)
+    share = jnp.where(way == 0, jnp.where(depth > 0, 1.0, 0.0), safe_divide(last - first, way))
+    return OverWay(0.5 * (first + last) * share, share)
+
+
+def _mean_of_strands(own: Compliance, twist: CouplingTwist, length: Any) -> Any:
     """The same of a belt."""
     torques = []
     for sign in (1.0, -1.0):
-        depth, way = own.slack + sign * twist.value, sign * length * twist.rate
-        first, last = positive_part(depth), positive_part(depth + way)
-        taut = jnp.where(way == 0, jnp.where(depth > 0, 1.0, 0.0), safe_divide(last - first, way))
-        elastic = 0.25 * own.stiffness * (first + last) * taut
-        viscous = 0.0 if own.damping is None else 0.5 * own.damping * taut * sign * twist.rate
+        taut = _over_way(own.slack + sign * twist.value, sign * length * twist.rate)
+        elastic = 0.5 * own.stiffness * taut.depth
+        viscous = 0.0 if own.damping is None else 0.5 * own.damping * taut.share * sign * twist.rate
         torques.append(elastic + bounded(elastic, viscous))
     return torques[0] - torques[1]
 
 
-def mean_torque(own: Between, twist: Twist, end: Any, length: Any) -> Any:
+def mean_torque(own: Compliance, twist: CouplingTwist, end: Any, length: Any) -> Any:
     """Mean torque over a step of a `length` [s] that begins at a twist and has a mean rate; `end`
     as of `pressing`, at the start. A spring's is what it takes of energy over its way (the discrete
     gradient), a damper acts on the share of the way on which the flank is touched.
@@ -233,7 +247,7 @@ def mean_torque(own: Between, twist: Twist, end: Any, length: Any) -> Any:
         viscous = 0 if damping is None else damping * twist.rate
         return sp.add(stiffness * (twist.value + 0.5 * length * twist.rate), viscous)
     half = 0.5 * play.play
-    place = sp.sub(twist.value, 0 if play.middle is None else play.middle)
+    place = sp.sub(twist.value, middle_of(play))
     torques = []
     for sign in (1.0, -1.0):
         depth, way = sign * place - half, sign * length * twist.rate
@@ -241,22 +255,18 @@ def mean_torque(own: Between, twist: Twist, end: Any, length: Any) -> Any:
             # A shaft that has let go is met where its end is.
             gap = sign * end - half
             depth = jnp.where(gap >= 0, depth, gap)
-        first, last = positive_part(depth), positive_part(depth + way)
-        touched = jnp.where(
-            way == 0, jnp.where(depth > 0, 1.0, 0.0), safe_divide(last - first, way)
-        )
-        elastic = 0.5 * stiffness * (first + last) * touched
-        viscous = 0.0 if damping is None else damping * touched * sign * twist.rate
+        touched = _over_way(depth, way)
+        elastic = stiffness * touched.depth
+        viscous = 0.0 if damping is None else damping * touched.share * sign * twist.rate
         torques.append(positive_part(play.law.torque(elastic, viscous)))
     return torques[0] - torques[1]
 
 
-def end_at_start(own: Transmission, twist: Twist) -> Any:
+def end_at_start(own: Transmission, twist: CouplingTwist) -> Any:
     """Where a relaxed shaft's far end is from the middle of its gap."""
     play = own.coupling.play
     half = 0.5 * play.play
-    middle = 0 if play.middle is None else play.middle
-    return jnp.clip(twist.value - middle, -half, half)
+    return jnp.clip(twist.value - middle_of(play), -half, half)
 
 
 def torque_on_flanks(own: Transmission, depths: Any, rates: Any) -> Any:
@@ -285,7 +295,7 @@ def within_gaps(system: System, layout: Layout, entries: list) -> list:
     return found
 
 
-class Acting(NamedTuple):
+class ActingWrench(NamedTuple):
     """A wrench on the child of a closure about its marker, in the parent marker's axes."""
 
     closure: Closure
@@ -310,13 +320,15 @@ def on_coordinates(
     return found
 
 
-def on_closures(motions: tuple[Motion, ...], own: Transmission, torque: Any) -> list[Acting]:
+def on_closures(motions: tuple[Motion, ...], own: Transmission, torque: Any) -> list[ActingWrench]:
     """What such a torque does between bodies that mesh, and in joints outside the tree."""
     along, closure = -torque / own.scale, own.closure
     if isinstance(closure.reading, CoordinateSum):
         found = outer_wrenches(motions, closure.reading, along)
-        return [Acting(term.closure, pose, wrench, term.joint) for term, pose, wrench in found]
+        return [
+            ActingWrench(term.closure, pose, wrench, term.joint) for term, pose, wrench in found
+        ]
     pose = kinematics.relative_motion(closure, motions)[1]
     (slope,) = pose_rows.gradients(closure.reading, pose)[1]
     parts = (sp.scale(along, part) for part in slope.wrench(pose))
-    return [Acting(closure, pose, Wrench(*parts), None)]
+    return [ActingWrench(closure, pose, Wrench(*parts), None)]

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxclear.components.acting import AbstractStateLoad
+from jaxclear.components.clearance.backlash import middle_of
 from jaxclear.components.coupling import AbstractForceCoupling
 from jaxclear.formulations.loads_over_step import forces_of_means, impulse_of
 from jaxclear.formulations.model import Instant
@@ -54,7 +55,7 @@ def _seated(history: StateHistory, name: str) -> CouplingHistory:
         torque = torque * scale_of(history.mechanism, own)
     play, none = own.play, jnp.zeros_like(torque)
     flank = jnp.sign(torque)
-    twist = (0.0 if play.middle is None else play.middle) + 0.5 * play.play * flank
+    twist = middle_of(play) + 0.5 * play.play * flank
     twist = twist if own.stiffness is None else twist + torque / own.stiffness
     return CouplingHistory(twist, none, torque, none, flank.astype(int))
 

@@ -103,6 +103,11 @@ class Backlash(AbstractQuantified):
     def grown(self, worn: dict[str, Any]) -> "Backlash":
         """The play between flanks worn so deep [m]."""
         upper, lower = (worn[flank] / self.lever for flank in FLANKS)
-        middle = 0.0 if self.middle is None else self.middle
-        numbers = {"play": self.play + upper + lower, "middle": middle + 0.5 * (upper - lower)}
+        middle = middle_of(self) + 0.5 * (upper - lower)
+        numbers = {"play": self.play + upper + lower, "middle": middle}
         return dataclasses.replace(self, **numbers)
+
+
+def middle_of(play: Backlash) -> Any:
+    """Where the middle of a play is, 0 where nothing is told."""
+    return 0 if play.middle is None else play.middle

@@ -58,8 +58,11 @@ class Forward(eqx.Module):
 
     def row(self, values: Float[Array, " variables"]) -> Float[Array, " n"]:
         """The signals in one row."""
-        found = self.shown(self.problem, values).signals
-        return jnp.concatenate([found[name] for name in self.names])
+        return self.in_row(self.shown(self.problem, values))
+
+    def in_row(self, shown: Shown) -> Float[Array, " n"]:
+        """The signals of what was shown in one row."""
+        return jnp.concatenate([shown.signals[name] for name in self.names])
 
 
 class Answered(NamedTuple):
@@ -80,8 +83,7 @@ class _Rows(eqx.Module):
 
         def one(own: Array) -> tuple[Array, dict[str, Array]]:
             found = self.forward.shown(problem, own)
-            row = jnp.concatenate([found.signals[name] for name in self.forward.names])
-            return row, dict(found.responses)
+            return self.forward.in_row(found), dict(found.responses)
 
         return jax.vmap(one)(values)
 

@@ -26,8 +26,8 @@ from jaxclear.studies.identification.models import (
 )
 from jaxclear.studies.identification.regression import Regression, regression, told, told_alone
 from jaxclear.studies.identification.result import (
-    LEVEL,
     NOT,
+    NOTHING,
     ONE_RECORD,
     Evidence,
     Identified,
@@ -61,8 +61,6 @@ LEAST_RUNS = 64
 # Statistics tell an unknown where their left-out residuals are below this share of the prior's
 # deviation; beyond it, an interval that is narrower at some estimate is so by chance.
 TELLS = 0.9
-# Of a prior [1]: its middle and its interval.
-NOTHING = (0.5, 0.5 * (1 - LEVEL), 0.5 * (1 + LEVEL))
 
 
 @answering

@@ -25,6 +25,8 @@ NOT_ABOVE, PARTLY_ABOVE = 0.8, 0.5
 # Probability of all intervals, and the largest share of runs that may lie as far from the others as
 # a record that their laws explain.
 LEVEL, STRANGE = 0.95, 0.01
+# Of a prior [1]: its middle and its interval, what is known of an unknown of which nothing is told.
+NOTHING = (0.5, 0.5 * (1 - LEVEL), 0.5 * (1 + LEVEL))
 # Shares at which a prior ends where it has no end.
 LEAST_SHARE = 1e-6
 # A combination is told where its spread is below this share of the prior's, and that of each of
@@ -65,9 +67,8 @@ class Unknown(NamedTuple):
 def unknown_of(problem: AbstractProblem, name: str, shares: Any, told_by: str = "") -> Unknown:
     """What is known of an unknown whose interval is `shares`, (estimate, low, high) of its prior
     [1]. An interval wider than 0.8 of the prior's is the prior's."""
-    half = 0.5 * (1 - LEVEL)
-    values = prior_quantiles(problem, name, np.array([*shares, half, 1 - half, 0.5]))
-    estimate, low, high, prior_low, prior_high, middle = map(float, values)
+    values = prior_quantiles(problem, name, np.array([*shares, *NOTHING]))
+    estimate, low, high, middle, prior_low, prior_high = map(float, values)
     width = (high - low) / (prior_high - prior_low)
     verdict = verdict_of(width)
     if verdict == NOT:

@@ -15,6 +15,7 @@ from jaxclear.studies.identification.posterior import equally_weighted
 from jaxclear.studies.identification.result import (
     IDENTIFIED,
     NOT,
+    NOTHING,
     Identified,
     Unknown,
     prior_quantiles,
@@ -61,7 +62,7 @@ def of_signals(
     first = found.kept.models[0] if found.kept.models else next(iter(problems))
     problem: Any = problems[first][0]
     if found.refusal:
-        prior = [unknown_of(problem, name, (0.5, 0.025, 0.975)) for name in problem.names]
+        prior = [unknown_of(problem, name, NOTHING) for name in problem.names]
         shares = np.random.default_rng(seed).random((DRAWS, len(problem.names)))
         values = [prior_quantiles(problem, n, shares[:, i]) for i, n in enumerate(problem.names)]
         none = np.stack(values, axis=1)
