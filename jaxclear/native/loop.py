@@ -103,7 +103,8 @@ def _begun(constants: Sequence[Any]) -> Callable[[Table, Any], Any]:
 def reference_of_batch(*values: Any, program: Program, rank: int) -> list:
     """The same for batches of so many leading axes."""
     function = functools.partial(reference, program=program)
-    return _of_batch(function, _row_by_row if program.once else jax.vmap, values, program, rank)
+    apart = program.once and not program.whole
+    return _of_batch(function, _row_by_row if apart else jax.vmap, values, program, rank)
 
 
 def reference_in_pieces(*values: Any, program: Program, rank: int) -> list:
@@ -236,9 +237,10 @@ def _by_portions(*values, program, rank, samples):
 
 
 def _lower_elsewhere(ctx, *values, program, rank, reason=NOT_A_CPU):
-    if not program.length:
+    if not program.length and not program.whole:
         tell(ctx, reason)
-    written = reference_in_pieces if reason is NOT_A_CPU else reference_of_batch
+    pieces = reason is NOT_A_CPU and not program.whole
+    written = reference_in_pieces if pieces else reference_of_batch
     lower = mlir.lower_fun(written, multiple_results=True)
     return lower(ctx, *values, program=program, rank=rank)
 
@@ -267,7 +269,8 @@ def _lower_on_cpu(ctx, *values, program, rank):
         kernels.keep(kernel, ctx.module_context)
         lower = mlir.lower_fun(_native, multiple_results=True)
         out = lower(ctx, *values, program=program, rank=rank, number=kernel.number)
-        tell(ctx, None)
+        if not program.whole:
+            tell(ctx, None)
         return out
     except (Unsupported, ImportError) as missing:
         reason = f"there is no machine code for {missing}"
