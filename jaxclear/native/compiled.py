@@ -52,10 +52,11 @@ LATEST = 256
 
 
 class _Found(NamedTuple):
-    """A compiled program over a list of arrays, and what its results are put together to: things
-    that are no arrays, and `Place`s for those that are."""
+    """A compiled program over a list of arrays, whether it calls `lapack`, and what its results are
+    put together to: things that are no arrays, and `Place`s for those that are."""
 
     program: Any
+    lapack: bool
     leaves: list[Any]
     structure: Any
 
@@ -110,6 +111,24 @@ def compiled_quickly(
                 _unknown.update(lacking)
 
     return call
+
+
+class Prepared(NamedTuple):
+    """A compiled function of arrays that are all of one form, and whether it calls `lapack`."""
+
+    call: Callable[[Any], Any]
+    lapack: bool
+
+
+def prepared(function: Callable[..., Any], *arguments: Any) -> Prepared | None:
+    """A function of what is like the last of these arguments, an array, the others being these:
+    they are looked at once, so that a call costs little. None where programs are JAX's to keep."""
+    leaves, tree = jax.tree.flatten(arguments)
+    found = _found(function, {}, leaves, tree)
+    if found is None:
+        return None
+    arrays = [jnp.asarray(leaf) for leaf in leaves[:-1] if eqx.is_array(leaf)]
+    return Prepared(lambda last: found([*arrays, last]), found.lapack)
 
 
 def _known(options: dict[str, Any], unknown: frozenset[str]) -> dict[str, Any]:
@@ -186,11 +205,11 @@ def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: A
     flat.__name__ = flat.__qualname__ = getattr(function, "__name__", "program")
     with uncollected():
         lowered = jax.jit(flat).lower(*(leaf for leaf in leaves if eqx.is_array(leaf)))
-        found = _Found(lowered.compile(compiler_options=options), *form)
+        lapack = verdicts.any_lapack(lowered.compiler_ir().operation)
+        found = _Found(lowered.compile(compiler_options=options), lapack, *form)
     if key is None:
         return found
     try:
-        lapack = "lapack" in lowered.as_text()
         content = pickle.dumps((_packed(found), lapack, verdicts.SENTENCES))
     except Exception:
         # Not every program can be kept: one that calls back into Python, for one.
@@ -220,7 +239,7 @@ def _from_disk(key: str) -> _Found | None:
         # Of another version, or without its kernels: as if it were not there.
         return None
     verdicts.SENTENCES.update(sentences)
-    return _Found(loaded, *jax.tree.flatten(whole))
+    return _Found(loaded, lapack, *jax.tree.flatten(whole))
 
 
 @functools.cache
@@ -243,19 +262,19 @@ def kernels_or(soon: Callable[..., Any], usual: Callable[..., Any]) -> Callable[
 
     @functools.wraps(usual)
     def call(*arguments):
-        if refused and kind_of(arguments) in refused:
+        if refused and _kind(arguments) in refused:
             return usual(*arguments)
         try:
             with only_kernels():
                 return soon(*arguments)
         except NoKernel:
-            refused.add(kind_of(arguments))
+            refused.add(_kind(arguments))
         return usual(*arguments)
 
     return call
 
 
-def kind_of(arguments: Any) -> Any:
+def _kind(arguments: Any) -> Any:
     """What of arguments decides which program they are compiled to."""
     leaves, structure = jax.tree.flatten(arguments)
     shapes = (jax.typeof(x) if eqx.is_array(x) else x for x in leaves)

@@ -108,15 +108,16 @@ def _lower(context, _):
 
 
 def _lower_lapack(context, *_):
-    return [mlir.ir_constant(np.bool_(_any_lapack(context.module_context.module.operation)))]
+    return [mlir.ir_constant(np.bool_(any_lapack(context.module_context.module.operation)))]
 
 
-def _any_lapack(operation: Any) -> bool:
+def any_lapack(operation: Any) -> bool:
+    """Whether a program, or a part of one, as it is handed to XLA calls LAPACK."""
     target = "call_target_name"
     if target in operation.attributes and "lapack" in str(operation.attributes[target]):
         return True
     return any(
-        _any_lapack(inner.operation)
+        any_lapack(inner.operation)
         for region in operation.regions
         for block in region
         for inner in block

@@ -9,7 +9,6 @@ the same program as alone.
 import functools
 import os
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
@@ -25,7 +24,7 @@ from tqdm import tqdm
 
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.native import calls_lapack, stop, stoppable, stops
-from jaxclear.native.compiled import kind_of
+from jaxclear.native.compiled import Prepared, prepared
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.ledger.ledger import CURRENT, Question
 
@@ -105,9 +104,8 @@ def sample_of_chunk(
         return jax.tree.map(lambda leaf: leaf[index % chunk], jax.block_until_ready(found))
 
 
-# Whether the latest programs call LAPACK, by what decides which program it is.
-_LAPACK: "OrderedDict[Any, bool]" = OrderedDict()
-LATEST = 256
+def _of_chunk(function: Callable, problem: AbstractProblem, values: Array) -> Any:
+    return function(problem, values)
 
 
 class Program:
@@ -122,37 +120,45 @@ class Program:
         self._function = _on_each if many else function
         self._laid_out = _on_all_devices if many else jnp.asarray
         self._compiling, self._alone = threading.Lock(), threading.Lock()
-        # By size of chunks: whether the program calls LAPACK.
-        self._lapack: dict[int, bool] = {}
+        # By size of chunks: what computes them, and whether it calls LAPACK.
+        self._prepared: dict[int, Prepared] = {}
 
     def run(self, values: np.ndarray, before: int, once: bool = False) -> Any:
         """What a chunk gives, on the host; `once`: no other follows. Raises `Stopped` where runs
         were stopped more often than `before`."""
+        program = self._program(values, once)
         # Programs that call LAPACK go one by one (a user's response may; see `calls_lapack`).
-        with self._alone if not once and self.compiled(values) else nullcontext():
-            found, _ = self._evaluated(self.problem, values)
+        with self._alone if program.lapack else nullcontext():
+            found = jax.tree.map(np.asarray, program.call(values))
         if stops() != before:
             raise Stopped
         return found
 
     def compiled(self, values: np.ndarray) -> bool:
-        """Compiles the program for chunks like this, by a run of no length, unless it has been;
-        whether it calls LAPACK."""
-        with self._compiling:
-            if len(values) not in self._lapack:
-                form = kind_of((self._function, self.problem, values))
-                if form not in _LAPACK:
-                    _, lapack = self._evaluated(self.problem.idle(), values)
-                    _LAPACK[form] = bool(lapack)
-                    while len(_LAPACK) > LATEST:
-                        _LAPACK.popitem(last=False)
-                self._lapack[len(values)] = _LAPACK[form]
-            return self._lapack[len(values)]
+        """Compiles the program for chunks like this; whether it calls LAPACK."""
+        return self._program(values).lapack
 
-    def _evaluated(self, problem: AbstractProblem, values: np.ndarray) -> tuple[Any, Any]:
-        evaluate: Callable = asked_of_lapack
-        found = evaluate(self._function, problem, self._laid_out(values))
-        return jax.tree.map(np.asarray, found)
+    def _program(self, values: np.ndarray, once: bool = False) -> Prepared:
+        with self._compiling:
+            found = self._prepared.get(len(values))
+            if found is None:
+                found = self._prepared[len(values)] = self._found(values, once)
+            return found
+
+    def _found(self, values: np.ndarray, once: bool) -> Prepared:
+        # Compiled as a part of the program that is prepared.
+        plain = getattr(self._function, "__wrapped__", self._function)
+        found = prepared(_of_chunk, plain, self.problem, values)
+        if found is not None:
+            return found
+
+        def evaluated(problem, values):
+            asked: Callable = asked_of_lapack
+            return asked(self._function, problem, self._laid_out(values))
+
+        # Compiled by a run of no length.
+        lapack = not once and bool(evaluated(self.problem.idle(), values)[1])
+        return Prepared(lambda values: evaluated(self.problem, values)[0], lapack)
 
 
 @functools.cache
