@@ -29,24 +29,31 @@ SCENES = {
     "slider-crank that wears": functools.partial(jc.scenes.slider_crank, wear=True),
     "four-bar": jc.scenes.four_bar,
 }
-# Scene, saving times, and whether it has no length.
+# What varies: a length moves the start of every sample, a clearance does not.
+VARIED = {
+    "clearance": lambda rig: rig.connections["B"].joint.clearance,
+    "length": lambda rig: rig.connections["B"].parent.at[0],
+}
+# Scene, what varies, saving times, and whether it has no length.
 STUDIES = (
-    ("slider-crank", 3, True),
-    ("slider-crank", 3, False),
-    ("slider-crank", 201, True),
-    ("slider-crank", 201, False),
-    ("slider-crank that wears", 51, False),
-    ("four-bar", 51, False),
+    ("slider-crank", "clearance", 3, True),
+    ("slider-crank", "clearance", 3, False),
+    ("slider-crank", "clearance", 201, True),
+    ("slider-crank", "clearance", 201, False),
+    ("slider-crank", "length", 3, True),
+    ("slider-crank that wears", "clearance", 51, False),
+    ("four-bar", "clearance", 51, False),
+    ("four-bar", "length", 51, False),
 )
 TURNS, CALLS = 7, 40
 
 
-def problem(scene: str, saves: int, idle: bool = False) -> jc.Problem:
-    clearance = jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=20e-6)
+def problem(scene: str, varied: str, saves: int, idle: bool = False) -> jc.Problem:
+    variable = jc.Variable(VARIED[varied], tolerance=20e-6)
     asked = jc.Problem(
         SCENES[scene](),
         jc.response.MeanContactForce("B"),
-        {"clearance": clearance},
+        {varied: variable},
         duration=DURATION,
         save=saves,
         integrator=STEP,
@@ -66,14 +73,15 @@ def by_turns(cases: dict[Any, Callable[[], Any]], turns: int) -> dict[Any, float
     return {name: statistics.median(own) for name, own in spent.items()}
 
 
-def sample_row(scene: str, saves: int, idle: bool, turns: int) -> dict[str, Any]:
+def sample_row(scene: str, varied: str, saves: int, idle: bool, turns: int) -> dict[str, Any]:
     """CPU microseconds a sample, by the size of chunks."""
-    asked = problem(scene, saves, idle)
+    asked = problem(scene, varied, saves, idle)
     spread = np.random.default_rng(0).uniform(-2e-5, 2e-5, size=(SAMPLES, 1))
     values = np.asarray(asked.nominal()) + spread
     cases = {n: functools.partial(batch.evaluate_all, asked, values, chunk=n) for n in CHUNKS}
     spent = by_turns(cases, turns)
-    row: dict[str, Any] = {"scene": scene, "saves": saves, "steps": "none" if idle else 500}
+    row: dict[str, Any] = {"scene": scene, "varied": varied, "saves": saves}
+    row["steps"] = "none" if idle else 500
     row |= {f"chunks of {n} [us/sample]": 1e6 * spent[n] / SAMPLES for n in CHUNKS}
     row["taken"] = batch.usual_batch(asked)
     row["taken over the smallest"] = spent[row["taken"]] / spent[CHUNKS[0]]
@@ -82,7 +90,7 @@ def sample_row(scene: str, saves: int, idle: bool, turns: int) -> dict[str, Any]
 
 def call_rows(turns: int) -> list[dict[str, Any]]:
     """CPU milliseconds of a call that hardly takes a step, beside one that takes 500."""
-    rig, asked = jc.scenes.slider_crank(), problem("slider-crank", 3)
+    rig, asked = jc.scenes.slider_crank(), problem("slider-crank", "clearance", 3)
     short = asked.idle()
     values = asked.nominal()
     run = functools.partial(jc.simulate, rig, integrator=STEP, save=3, verify=False)

@@ -44,8 +44,8 @@ On its way a loop passes through these files:
 - `barriers`: what XLA compiles for an accelerator, cut so that it works little out anew.
 
 JAX's own loop is taken instead where a primitive has no rule, where the program is long, on an
-accelerator, for derivatives of the loops of a library and of functions of one turn, and with
-JAXCLEAR_PLAIN_LOOPS=1. Of time loops the first two warn, once for each reason; all reasons are in
+accelerator, for derivatives of the loops of a library and of functions of one turn that are not to
+be `in_one`, and with JAXCLEAR_PLAIN_LOOPS=1. Of time loops the first two warn, once for each reason; all reasons are in
 the verdict. With JAXCLEAR_CHECK_KERNELS=1 every new kernel is compared with JAX before it is used
 (`check`), and one that disagrees is left to XLA with a warning: for those who write laws or rules.
 

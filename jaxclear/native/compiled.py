@@ -127,7 +127,7 @@ def prepared(function: Callable[..., Any], *arguments: Any) -> Prepared | None:
     found = _found(function, {}, leaves, tree)
     if found is None:
         return None
-    arrays = [jnp.asarray(leaf) for leaf in leaves[:-1] if eqx.is_array(leaf)]
+    arrays = [jax.device_put(leaf) for leaf in leaves[:-1] if eqx.is_array(leaf)]
     return Prepared(lambda last: found([*arrays, last]), found.lapack)
 
 

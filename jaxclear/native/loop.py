@@ -306,7 +306,7 @@ TOGETHER = 16
 
 
 def _differentiate(values, tangents, *, program, rank):
-    if program.once:
+    if program.once and not program.whole:
         return _differentiate_once(values, tangents, program, rank)
     c, b = program.condition_constants, program.condition_constants + program.body_constants
     moving = [not isinstance(t, ad.Zero) for t in tangents]

@@ -83,7 +83,7 @@ from jaxclear.studies.variable import (
 
 # Histories that a response may build from the saved states, in multiples of these.
 HISTORY_FACTOR = 12
-# A call of a compiled program costs some half a millisecond, whatever it is given: the time per
+# A call of a compiled program costs some tenth of a millisecond, whatever it is given: the time per
 # sample falls up to chunks of about this length. It rises again where one takes more memory [bytes]
 # than stays near a core (benchmarks/claims/fixed_costs.py). An accelerator wants many at once.
 LARGEST_CHUNK = {"cpu": 1024}
