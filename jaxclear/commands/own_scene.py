@@ -305,6 +305,7 @@ def identify(
     record: tuple[Path, ...],
     signal: tuple[str, ...],
     time: str = "time",
+    part: str | None = None,
     turn: str | None = None,
     runs: int = 256,
     how: str = "statistics",
@@ -313,15 +314,21 @@ def identify(
 ) -> None:
     """What records tell of what varies of a scene: prints each number's interval and whether it is
     identified; table, data set and figure go to `folder` (by default named after the scene).
-    `signal`: columns with their sensors; `turn`: the column of an encoder, or the period [s]."""
+    `signal`: columns with their sensors; `time`: a column in seconds, or with its unit, t:ms;
+    `part`: begin:end [s] of the records; `turn`: the column of an encoder, or the period [s]."""
     folder = Path(f"{scene.stem}_identified") if folder is None else folder
     with _mistakes():
         asked = _read(scene)
         signals = dict(map(sensor_of, signal))
+        column, _, unit = time.partition(":")
+        between = _between(part)
         with contextlib.suppress(TypeError, ValueError):
             turn = float(turn)  # type: ignore[arg-type,assignment]
         records = [
-            jc.Measurement.read_csv(path, time=time, signals=signals, turn=turn) for path in record
+            jc.Measurement.read_csv(
+                path, time=column, signals=signals, turn=turn, time_unit=unit or "s"
+            ).part(*between)
+            for path in record
         ]
         found = jc.identify(asked.problem(), records, runs, how=how, progress_bar=show)
     click.echo(str(found))
@@ -332,6 +339,17 @@ def identify(
     told = {"result": found.sentence(), "warnings": list(found.warned), "checks": str(found)}
     _tell(asked, folder, {"title": f"Identification of {scene.name}", **told})
     click.echo(f"Table, data set and figure in {folder.resolve()}; jaxclear report {folder}")
+
+
+def _between(part: str | None) -> tuple[float, float]:
+    """Begin and end [s] of what counts of a record."""
+    if part is None:
+        return -math.inf, math.inf
+    begin, _, end = part.partition(":")
+    try:
+        return float(begin or -math.inf), float(end or math.inf)
+    except ValueError:
+        raise ValueError(f'the part of a record is "{part}"; give BEGIN:END [s].') from None
 
 
 def monte_carlo(
