@@ -152,7 +152,7 @@ def test_a_record_is_identified_and_reported(here, capsys):
     record = pandas.DataFrame({"t": 1e3 * run.time, "a": shown})
     record.to_csv("record.csv", index=False, sep=";", decimal=",")
     asked = ["--signal", "a=accelerometer:rod:x:noise=0.5", "--runs", "64", "--quiet"]
-    asked += ["--time", "t:ms", "--part", "0.001:"]
+    asked += ["--time", "t:ms:0.001"]
     main(["identify", "scene.yaml", "record.csv", *asked])
     assert "clearance" in capsys.readouterr().out
     table = pandas.read_csv("scene_identified/identified.csv")

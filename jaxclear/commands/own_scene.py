@@ -305,7 +305,6 @@ def identify(
     record: tuple[Path, ...],
     signal: tuple[str, ...],
     time: str = "time",
-    part: str | None = None,
     turn: str | None = None,
     runs: int = 256,
     how: str = "statistics",
@@ -314,20 +313,19 @@ def identify(
 ) -> None:
     """What records tell of what varies of a scene: prints each number's interval and whether it is
     identified; table, data set and figure go to `folder` (by default named after the scene).
-    `signal`: columns with their sensors; `time`: a column in seconds, or with its unit, t:ms;
-    `part`: begin:end [s] of the records; `turn`: the column of an encoder, or the period [s]."""
+    `signal`: columns with their sensors; `time`: a column in seconds, or column:unit:begin:end;
+    `turn`: the column of an encoder, or the period [s]."""
     folder = Path(f"{scene.stem}_identified") if folder is None else folder
     with _mistakes():
         asked = _read(scene)
         signals = dict(map(sensor_of, signal))
-        column, _, unit = time.partition(":")
-        between = _between(part)
+        column, unit, *part = _time_of(time)
         with contextlib.suppress(TypeError, ValueError):
             turn = float(turn)  # type: ignore[arg-type,assignment]
         records = [
             jc.Measurement.read_csv(
-                path, time=column, signals=signals, turn=turn, time_unit=unit or "s"
-            ).part(*between)
+                path, time=column, signals=signals, turn=turn, time_unit=unit
+            ).part(*part)
             for path in record
         ]
         found = jc.identify(asked.problem(), records, runs, how=how, progress_bar=show)
@@ -341,15 +339,15 @@ def identify(
     click.echo(f"Table, data set and figure in {folder.resolve()}; jaxclear report {folder}")
 
 
-def _between(part: str | None) -> tuple[float, float]:
-    """Begin and end [s] of what counts of a record."""
-    if part is None:
-        return -math.inf, math.inf
-    begin, _, end = part.partition(":")
+def _time_of(text: str) -> tuple[str, str, float, float]:
+    """Column, unit, and begin and end [s] of what counts, as typed: t, t:ms or t:ms:0.1:0.6."""
+    column, unit, begin, end, *more = [*text.split(":"), "", "", ""]
     try:
-        return float(begin or -math.inf), float(end or math.inf)
+        if any(more):
+            raise ValueError
+        return column, unit or "s", float(begin or -math.inf), float(end or math.inf)
     except ValueError:
-        raise ValueError(f'the part of a record is "{part}"; give BEGIN:END [s].') from None
+        raise ValueError(f'the time is "{text}"; give COLUMN:UNIT:BEGIN:END, as t:ms.') from None
 
 
 def monte_carlo(
