@@ -214,6 +214,8 @@ def _lowered(traced: Any, arrays: list, name: str) -> tuple[Any, list[Place]]:
     where each result is then."""
     results = traced.jaxpr.jaxpr.outvars
     origins = [_origin(traced.jaxpr.jaxpr, result) for result in results]
+    # Numbers that come from NumPy are JAX's by being results.
+    origins = [x if x is None or isinstance(arrays[x], jax.Array) else None for x in origins]
     own = [i for i, origin in enumerate(origins) if origin is None]
     places = [
         Place(own.index(i)) if x is None else Place(x, given=True) for i, x in enumerate(origins)

@@ -16,7 +16,7 @@ from jaxclear.errors.estimates import HALF
 from jaxclear.errors.verification import Replica, verified
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
-from jaxclear.ground.latest import Key, Latest
+from jaxclear.ground.latest import Found, Key, Latest
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced, on_host
 from jaxclear.ground.warning import told
@@ -38,7 +38,7 @@ from jaxclear.simulation.derivatives import (
     run_where_alike,
 )
 from jaxclear.simulation.initial_state import Beginning, beginning, state_of
-from jaxclear.simulation.load_steps import judged_by, load_steps
+from jaxclear.simulation.load_steps import LoadSteps, judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.not_finite import told_of_the_end
 from jaxclear.simulation.sampling import check_instants
@@ -83,9 +83,10 @@ def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, 
     return forwards_only(NOT_BACKWARDS, found) if shown else found
 
 
-# Where runs from a mechanism's own start began, but for what was warned of; which forms of
-# mechanisms suit their integrators.
+# Where runs from a mechanism's own start began, and in which steps, but for what was warned of;
+# which forms of mechanisms suit their integrators.
 _BEGUN: Latest[Beginning] = Latest(16)
+_STEPS: Latest[LoadSteps] = Latest(16)
 _SUITS: Latest[bool] = Latest(64)
 
 _run = compiled_quickly(_both_ways, AROUND_A_KERNEL)
@@ -234,6 +235,18 @@ def _key(mechanism: Mechanism, integrator: AbstractIntegrator) -> Key | None:
     return None if is_traced(key.leaves) else key
 
 
+def _kept(latest: Latest[Found], key: Any, find: Callable[[], Found]) -> Found:
+    """What was found lately under a key, or what is found now (None: nobody may find it again).
+    What warns is looked for each time."""
+    known = None if key is None else latest.get(key)
+    if known is not None:
+        return known
+    before, found = told(), find()
+    if key is not None and told() == before:
+        latest.keep(key, found)
+    return found
+
+
 def _simulated(
     mechanism: Mechanism,
     duration: float,
@@ -243,22 +256,25 @@ def _simulated(
 ) -> Trajectory:
     """A run, however it ended. `asked`: its accuracy (None: what the integrator promises)."""
     key = None if how.state is not None else _key(mechanism, integrator)
-    begun = None if key is None else _BEGUN.get(key)
-    if begun is None:
+    if key is None or _BEGUN.get(key) is None:
         check_run(mechanism, integrator)
     saving = checked_saving(how.save, integrator)
     times = saving_times(duration, saving.at)
-    check_steps(integrator, times)
-    state, formulation = state_of(how.state), integrator.formulation
-    mechanism = formulation.seen(mechanism) if begun is None else begun.mechanism
+    state = State() if key is not None else state_of(how.state)
     saved = on_host(state.begins) + on_host(times)
-    integrator, passed = load_steps(mechanism, integrator, saved)
-    if begun is None:
-        before = told()
-        begun = beginning(mechanism, formulation, state)
-        if key is not None and told() == before:
-            _BEGUN.keep(key, begun)
-    mechanism, start, past, doubt = begun
+
+    def steps() -> LoadSteps:
+        check_steps(integrator, times)
+        return load_steps(mechanism, integrator, saved)
+
+    def begins() -> Beginning:
+        formulation = integrator.formulation
+        return beginning(formulation.seen(mechanism), formulation, state)
+
+    of_times = None if key is None or is_traced(times) else (key, np.asarray(times).tobytes())
+    own = _kept(_STEPS, of_times, steps)
+    mechanism, start, past, doubt = _kept(_BEGUN, key, begins)
+    integrator, passed = own
     whole = 1.0 if how.verify is False else 1.0 + 1 / HALF
     with progress.bar(how.progress_bar, "simulating", whole) as part:
         extras = Extras(how.balance, how.progress_bar, saving.events)
