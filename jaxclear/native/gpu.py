@@ -54,6 +54,11 @@ def is_ready() -> bool:
     return True
 
 
+def known() -> list[GpuKernel]:
+    """The kernels of this process, those that took one turn for a comparison among them."""
+    return list(_KERNELS.values())
+
+
 def build(program: Program, call: Call) -> GpuKernel:
     """Compile, compare where the machine does not know it yet, and make known. Raises
     `Unsupported`."""

@@ -337,6 +337,7 @@ def _lower_as_kernel(ctx, values, program, rank, kernel, call, instead):
     except Exception as failure:
         # The fast path must not cost a run: say so, and let XLA compile the loop.
         reason = f"the kernel could not be written: {failure!r}"
+    LOG.info("A loop is left to XLA: %s.", reason)
     if not program.once and not program.length:
         left_to_xla(reason)
         _warn_once(reason)
@@ -345,7 +346,6 @@ def _lower_as_kernel(ctx, values, program, rank, kernel, call, instead):
 
 def _warn_once(reason: str) -> None:
     """A loop takes ten times as long as need be: said once for each reason in a process."""
-    LOG.info("A loop is left to XLA: %s.", reason)
     if reason in _WARNED:
         return
     _WARNED.add(reason)
