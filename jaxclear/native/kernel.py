@@ -20,6 +20,7 @@ import numpy as np
 
 from jaxclear.native import check, dispatch, elementary, object_code, stopping
 from jaxclear.native import indexing as _indexing  # noqa: F401  (its rules register themselves)
+from jaxclear.native import linear_systems as _linear_systems  # noqa: F401
 from jaxclear.native.control import loop
 from jaxclear.native.program import (
     Program,
@@ -78,7 +79,7 @@ def text_of(program: Program, lanes: int, checked: bool = False) -> str:
     ]
     for position, (value, kind) in enumerate(numbers):
         store(writer, position, value, kind)
-    parts = [_head(lanes), *writer.lines, "  ret void\n}"]
+    parts = [_head(lanes), *writer.memory_lines(), *writer.lines, "  ret void\n}"]
     needs = set(writer.needs)
     for name, make in elementary.OWN.items():
         if name in needs:

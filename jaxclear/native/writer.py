@@ -26,6 +26,8 @@ PURE = "nounwind willreturn memory(none)"
 # Beyond this many instructions XLA's loops over arrays are the better program. Of 190 000, for the
 # derivative by all numbers of a ball, LLVM made a kernel in 30 s of CPU time; XLA took over 280 s.
 MOST_INSTRUCTIONS = 250_000
+# Memory of a kernel's own [bytes]: it stands on the stack of a thread.
+MOST_MEMORY = 2**21
 # An array longer than this stays in memory and is read by index; shorter ones live in registers.
 LONGEST_IN_REGISTERS = 64
 
@@ -78,6 +80,11 @@ class Writer:
         self._count = 0
         # Registers that can be read here, by their right-hand sides, as they came.
         self._seen: dict[str, str] = {}
+        # Numbers of each sample in memory of the kernel's own, by the register of its beginning.
+        self._own_memory: dict[str, int] = {}
+        # Patterns of linear systems by number, and what is factorised (`linear_systems`).
+        self.patterns: dict[Any, int] = {}
+        self.held: dict[Any, Any] = {}
         # How often arrays in memory have changed, by the register of the first sample's place.
         self._versions: dict[str, int] = {}
 
@@ -124,11 +131,28 @@ class Writer:
 
     def enter(self) -> int:
         """Open a region whose registers are not visible behind it; hand the result to `leave`."""
+        self.held.clear()
         return len(self._seen)
 
     def leave(self, before: int) -> None:
+        self.held.clear()
         while len(self._seen) > before:
             self._seen.popitem()
+
+    def own_memory(self, name: str, numbers: int) -> str:
+        """The register with the beginning of memory for so many numbers of each sample, those of
+        all samples side by side; the same for the same name."""
+        start = f"%{name}"
+        self._own_memory[start] = numbers
+        if 8 * self.lanes * sum(self._own_memory.values()) > MOST_MEMORY:
+            raise Unsupported("linear systems this large")
+        return start
+
+    def memory_lines(self) -> list[str]:
+        """What makes that memory, ahead of everything else."""
+        wide = self.wide(FLOAT)
+        pairs = self._own_memory.items()
+        return [f"  {start} = alloca [{count} x {wide}]" for start, count in pairs]
 
     def operate(self, form: str, kind: str, *values: Any) -> str:
         """`form` with {type} and the operands {0}, {1}, ..."""
