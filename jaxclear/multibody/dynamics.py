@@ -8,6 +8,7 @@ Dynamics Algorithms, chapters 6 and 8, doi:10.1007/978-1-4899-7560-7).
 Energy of a mechanism and what flows in and out of it, so that the balance can be closed.
 """
 
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ import jax.numpy as jnp
 from jaxclear.components.joint.base import drive_of
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import map_alike
+from jaxclear.ground.compiling import map_alike, map_many
 from jaxclear.ground.quantity import constant
 from jaxclear.multibody import constraints, kinematics, tree
 from jaxclear.multibody.constraints import ClosureEquations, Dependence
@@ -88,15 +89,18 @@ def constrained_inverse(
     multipliers; where rows depend on each other the least of them, torques measured by the longest
     arm. `alike` as of `ClosureEquations`: of rows that follow from others at a singular position
     the multipliers are 0."""
-    factors = [factorisation.factor(mass) if mass else None for mass in masses]
+    factors = iter(map_many(factorisation.factor, [(mass,) for mass in masses if mass]))
+    factors = [next(factors) if mass else None for mass in masses]
     size = sum(len(mass) for mass in masses)
 
     def respond(forces):
-        out: list[Any] = []
-        for mass, factor in zip(masses, factors, strict=True):
-            own = tuple(forces[len(out) : len(out) + len(mass)])
-            out += own if all(map(sp.is_zero, own)) else factorisation.solve(factor, own)
-        return out
+        rest = iter(forces)
+        out = [tuple(itertools.islice(rest, len(mass))) for mass in masses]
+        moved = [i for i, own in enumerate(out) if not all(map(sp.is_zero, own))]
+        found = map_many(factorisation.solve, [(factors[i], out[i]) for i in moved])
+        for i, own in zip(moved, found, strict=True):
+            out[i] = own
+        return [x for own in out for x in own]
 
     columns = [respond([row.get(j, 0) for j in range(size)]) for row in rows]
     schur = [[along(row, column) for column in columns] for row in rows]

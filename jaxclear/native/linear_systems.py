@@ -7,36 +7,32 @@ system only the first factorises it.
 """
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from jaxclear.ground.elimination import Pattern, Tables, tables_of
-from jaxclear.native.writer import FLOAT, TRUTH, Writer, array_of, rule
+from jaxclear.native.long_arrays import Room, entries_of, for_each, view
+from jaxclear.native.writer import FLOAT, TRUTH, Writer, in_registers, long_rule, rule
 
 # Systems of one pattern that stay factorised at a time: the stages of a step have one each.
 MOST_FACTORISED = 8
 # Marks in the text of a kernel that a pattern's functions take.
-FUNCTIONS = 9
+MARKS = 9
 
 
 @rule("jaxclear_symmetric_solve")
-def _solve(writer, equation, entries, *further):
-    *given, right = further
-    system = _System(writer, equation.params["pattern"])
-    given = [np.broadcast_to(a, (*right.shape[:-1], a.shape[-1])) for a in (entries, *given)]
-    out = np.empty(right.shape, object)
-    for index in np.ndindex(*right.shape[:-1]):
-        out[index] = system.solved(right[index], *(a[index] for a in given))
+@long_rule("jaxclear_symmetric_solve")
+def _solve(writer, equation, *given):
+    system, lead = _System(writer, equation.params["pattern"]), given[-1].shape[:-1]
+    if not lead:
+        return system.solved(*given)
+    given = [np.broadcast_to(a, (*lead, a.shape[-1])) for a in map(in_registers, given)]
+    out = np.empty(given[-1].shape, object)
+    for index in np.ndindex(*lead):
+        out[index] = in_registers(system.solved(*(a[index] for a in given)))
     return out
-
-
-class Held(NamedTuple):
-    """Factors in memory: in which of the places of a pattern, and where that begins."""
-
-    slot: int
-    start: str
 
 
 class _System:
@@ -46,53 +42,61 @@ class _System:
         self.writer, self.tables = writer, tables_of(pattern)
         self.number = writer.patterns.setdefault(pattern, len(writer.patterns))
 
-    def solved(self, right: np.ndarray, entries: np.ndarray, least: Any = None) -> np.ndarray:
-        """The solution for a right-hand side."""
-        factors = self._factorised(entries, least)
-        x = self._filled("x", len(right), zip(self.tables.unknown, right, strict=True))
+    def solved(self, *given: Any) -> Any:
+        """The solution for a matrix, with the least pivots or without, and a right-hand side."""
+        *matrix, right = given
+        factors = self._factorised(*matrix)
+        x = Room(self.writer, right.shape, FLOAT)
+        self._put(x, self.tables.unknown, right)
         self._call("solve", factors, x)
-        writer, wide = self.writer, self.writer.wide(FLOAT)
-        places = [self._place(x, place) for place in self.tables.unknown]
-        return array_of([writer.put(f"load {wide}, ptr {place}") for place in places], right.shape)
+        return view(self.writer, x.array(), FLOAT, np.array(self.tables.unknown))
 
-    def _factorised(self, entries: np.ndarray, least: Any) -> str:
-        """Where the factors of a matrix stand."""
-        key = (self.number, *entries, *([] if least is None else least))
-        held, tables = self.writer.held, self.tables
+    def _factorised(self, entries: Any, least: Any = None) -> Room:
+        """Memory with the factors of a matrix."""
+        writer, tables, number = self.writer, self.tables, self.number
+        names = (tuple(a.flat) if isinstance(a, np.ndarray) else a for a in (entries, least))
+        key, held = (number, *names), writer.held
         if key in held:
-            return held[key].start
-        own = [k for k in held if k[0] == self.number]
-        # A place that is free, or the one that was taken first.
-        slot = len(own) if len(own) < MOST_FACTORISED else held.pop(own[0]).slot
-        numbers = dict.fromkeys(range(tables.numbers), 0.0)
-        numbers |= dict(zip(tables.at, entries, strict=True))
-        start = self._filled(f"factors{slot}.", tables.numbers, numbers.items())
+            return writer.factors[number, held[key]]
+        own = [k for k in held if k[0] == number]
+        # Memory that is free, or was taken first.
+        slot = len(own) if len(own) < MOST_FACTORISED else held.pop(own[0])
+        if (number, slot) not in writer.factors:
+            writer.factors[number, slot] = Room(writer, (tables.numbers,), FLOAT)
+        room = writer.factors[number, slot]
+        filled = sorted(set(range(tables.numbers)) - set(tables.at))
+        self._put(room, filled, np.zeros(len(filled), object))
+        self._put(room, tables.at, entries)
         if least is None:
-            self._call("factorise", start)
+            self._call("factorise", room)
         else:
-            pairs = zip(tables.unknown, least, strict=True)
-            self._call("factorise_some", start, self._filled("least", len(least), pairs))
-        held[key] = Held(slot, start)
-        return start
+            bounds = Room(writer, least.shape, FLOAT)
+            self._put(bounds, tables.unknown, least)
+            self._call("factorise_some", room, bounds)
+        held[key] = slot
+        return room
 
-    def _filled(self, name: str, count: int, numbers: Iterable[tuple[int, Any]]) -> str:
-        """Memory of so many numbers, these at their places."""
-        writer, wide = self.writer, self.writer.wide(FLOAT)
-        start = writer.own_memory(f"{name}{self.number}", count)
-        for place, number in numbers:
-            word = writer.text(number, FLOAT)
-            writer.say(f"store {wide} {word}, ptr {self._place(start, place)}")
-        return start
+    def _put(self, room: Room, places: Sequence[int], array: Any) -> None:
+        """Puts the numbers of an array at places in memory."""
+        writer = self.writer
+        if isinstance(array, np.ndarray):
+            for place, number in zip(places, array, strict=True):
+                room.put(place, number)
+            return
+        entry, table = entries_of(writer, array, FLOAT), writer.table(np.array(places))
 
-    def _place(self, start: str, place: int) -> str:
-        wide = self.writer.wide(FLOAT)
-        return self.writer.put(f"getelementptr {wide}, ptr {start}, i64 {place}")
+        def turn(k):
+            at = writer.put(f"getelementptr i32, ptr {table}, i64 {k}")
+            said = writer.put(f"load i32, ptr {at}, !invariant.load !0")
+            room.put(writer.put(f"zext i32 {said} to i64"), entry(k))
 
-    def _call(self, name: str, *starts: str) -> None:
+        for_each(writer, len(places), turn)
+
+    def _call(self, name: str, *rooms: Room) -> None:
         make = _solving if name == "solve" else _factorising
         function = make(self.writer, name, self.number, self.tables)
         self.writer.needs |= {_tables(self.number, self.tables), function}
-        given = ", ".join(f"ptr {start}" for start in starts)
+        given = ", ".join(f"ptr {room.start}" for room in rooms)
         self.writer.say(f"call void @NAME.{name}{self.number}({given})")
 
 
@@ -131,7 +135,7 @@ def _factorising(writer: Writer, name: str, number: int, tables: Tables) -> str:
   %counts = fcmp ugt {wide} %said, %bound
   %pivot = select {writer.wide(TRUTH)} %counts, {wide} %said, {wide} {infinite}"""
     # Numbers of a stretch do not depend on each other: `parallel` says so.
-    once, loop, parallel = (f"!{FUNCTIONS * number + k + 3 * some}" for k in (1, 2, 3))
+    once, loop, parallel = (f"!{MARKS * number + k + 3 * some}" for k in (1, 2, 3))
     return f"""define internal void @NAME.{name}{number}(ptr noalias %a{
         ", ptr noalias %least" if some else ""
     }) noinline {{
@@ -203,7 +207,7 @@ def _solving(writer: Writer, name: str, number: int, tables: Tables) -> str:
     """The function that puts the solution in the place of a right-hand side b: y of L y = b, column
     by column, and over the pivots; x of L^T x = y, from the end."""
     wide, last = writer.wide(FLOAT), len(tables.unknown) - 1
-    once, loop, parallel = (f"!{FUNCTIONS * number + k}" for k in (7, 8, 9))
+    once, loop, parallel = (f"!{MARKS * number + k}" for k in (7, 8, 9))
     access = f"!llvm.access.group {once}"
 
     def of_column(ahead):

@@ -9,13 +9,14 @@ number. What has no rule raises `Unsupported`: the caller then leaves the progra
 stand in `arithmetic`, `elementary`, `indexing` and `control`.
 """
 
+import hashlib
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.extend.core import ClosedJaxpr, DropVar, Jaxpr, Literal
 
 FLOAT, WHOLE, TRUTH = "double", "i64", "i1"
 # The flag that stops all kernels, which each process has elsewhere (`stopping`).
@@ -26,8 +27,6 @@ PURE = "nounwind willreturn memory(none)"
 # Beyond this many instructions XLA's loops over arrays are the better program. Of 190 000, for the
 # derivative by all numbers of a ball, LLVM made a kernel in 30 s of CPU time; XLA took over 280 s.
 MOST_INSTRUCTIONS = 250_000
-# Memory of a kernel's own [bytes]: it stands on the stack of a thread.
-MOST_MEMORY = 2**21
 # An array longer than this stays in memory and is read by index; shorter ones live in registers.
 LONGEST_IN_REGISTERS = 64
 
@@ -61,6 +60,20 @@ class InMemory:
         return InMemory(self.places, shape, self.version)
 
 
+class Long:
+    """An array too long for registers, which stands in memory or is looked up there: `entry` makes
+    a register of its entry at a row-major index, known or in a register that is one for all
+    samples. `room`: the memory that it stands in by itself (None: it is looked up)."""
+
+    def __init__(self, shape: tuple[int, ...], kind: str, entry: Callable, room: Any = None):
+        self.shape, self.kind, self.entry, self.room = tuple(shape), kind, entry, room
+        self.size = math.prod(self.shape)
+
+    def reshaped(self, shape: tuple[int, ...]) -> "Long":
+        """The same numbers in another shape."""
+        return Long(shape, self.kind, self.entry, self.room)
+
+
 class Writer:
     """LLVM text under construction. A value is a register's name or a Python number; arrays are
     NumPy object arrays of them. `leaves_rows`: its turns do; `checked`: its outermost loop takes
@@ -78,13 +91,16 @@ class Writer:
         # Register with the turn of a scan, the same for all samples.
         self.turn = ""
         self._count = 0
+        # What the kernel keeps on its stack, and how much that is [bytes].
+        self.frame: list[str] = []
+        self.memory = 0
         # Registers that can be read here, by their right-hand sides, as they came.
         self._seen: dict[str, str] = {}
-        # Numbers of each sample in memory of the kernel's own, by the register of its beginning.
-        self._own_memory: dict[str, int] = {}
-        # Patterns of linear systems by number, and what is factorised (`linear_systems`).
+        # Patterns of linear systems by number, memory for their factors, and whose it holds here
+        # (`linear_systems`).
         self.patterns: dict[Any, int] = {}
-        self.held: dict[Any, Any] = {}
+        self.factors: dict[tuple[int, int], Any] = {}
+        self.held: dict[tuple, int] = {}
         # How often arrays in memory have changed, by the register of the first sample's place.
         self._versions: dict[str, int] = {}
 
@@ -139,21 +155,6 @@ class Writer:
         while len(self._seen) > before:
             self._seen.popitem()
 
-    def own_memory(self, name: str, numbers: int) -> str:
-        """The register with the beginning of memory for so many numbers of each sample, those of
-        all samples side by side; the same for the same name."""
-        start = f"%{name}"
-        self._own_memory[start] = numbers
-        if 8 * self.lanes * sum(self._own_memory.values()) > MOST_MEMORY:
-            raise Unsupported("linear systems this large")
-        return start
-
-    def memory_lines(self) -> list[str]:
-        """What makes that memory, ahead of everything else."""
-        wide = self.wide(FLOAT)
-        pairs = self._own_memory.items()
-        return [f"  {start} = alloca [{count} x {wide}]" for start, count in pairs]
-
     def operate(self, form: str, kind: str, *values: Any) -> str:
         """`form` with {type} and the operands {0}, {1}, ..."""
         return self.put(form.format(*[self.text(v, kind) for v in values], type=self.wide(kind)))
@@ -202,6 +203,13 @@ class Writer:
         first = self.put(f"insertelement {wide} poison, {kind} {number}, i64 0")
         zeros = f"<{self.lanes} x i32> zeroinitializer"
         return self.put(f"shufflevector {wide} {first}, {wide} poison, {zeros}")
+
+    def table(self, numbers: np.ndarray) -> str:
+        """Whole numbers that are known, in memory."""
+        words = ", ".join(f"i32 {x}" for x in numbers.tolist())
+        name = f"@NAME.table{hashlib.sha256(words.encode()).hexdigest()[:16]}"
+        self.needs.add(f"{name} = private constant [{len(numbers)} x i32] [{words}]")
+        return name
 
     def library(self, name: str, *values: Any) -> str:
         """A function of the C mathematical library, called for each sample."""
@@ -294,6 +302,8 @@ Rule = Callable[..., Any]
 RULES: dict[str, Rule] = {}
 # Names of the rules that take arrays in memory as well.
 READ_MEMORY: set[str] = set()
+# Rules of primitives of which some inputs are long arrays; others are given their entries.
+LONG_RULES: dict[str, Rule] = {}
 
 
 def rule(*names: str, reads_memory: bool = False) -> Callable[[Rule], Rule]:
@@ -302,6 +312,16 @@ def rule(*names: str, reads_memory: bool = False) -> Callable[[Rule], Rule]:
     def keep(function: Rule) -> Rule:
         RULES.update(dict.fromkeys(names, function))
         READ_MEMORY.update(names if reads_memory else ())
+        return function
+
+    return keep
+
+
+def long_rule(*names: str) -> Callable[[Rule], Rule]:
+    """Registers the rule of some primitives where one of their inputs is a long array."""
+
+    def keep(function: Rule) -> Rule:
+        LONG_RULES.update(dict.fromkeys(names, function))
         return function
 
     return keep
@@ -343,13 +363,38 @@ def write(writer: Writer, jaxpr: Jaxpr, constants: Any, arguments: Any) -> list:
         if name not in RULES:
             raise Unsupported(f"the primitive {name}")
         inputs = [get(atom) for atom in equation.invars]
-        if name not in READ_MEMORY and any(isinstance(value, InMemory) for value in inputs):
+        own = RULES[name]
+        if name == "unstack":
+            equation = equation.replace(outvars=read_alone(equation.outvars, jaxpr))
+        refused = name not in READ_MEMORY and any(isinstance(value, InMemory) for value in inputs)
+        if name in LONG_RULES and (refused or any(isinstance(value, Long) for value in inputs)):
+            own, refused = LONG_RULES[name], False
+        else:
+            inputs = [in_registers(value) for value in inputs]
+        if refused:
             raise Unsupported(f"{name} of a long array")
-        found = RULES[name](writer, equation, *inputs)
+        found = own(writer, equation, *inputs)
         values |= dict(
             zip(equation.outvars, found if isinstance(found, list) else [found], strict=True)
         )
     return [get(atom) for atom in jaxpr.outvars]
+
+
+def read_alone(variables: Sequence[Any], jaxpr: Jaxpr) -> list[Any]:
+    """Variables of a program; those that it never reads are marked as such."""
+    atoms = [atom for equation in jaxpr.eqns for atom in equation.invars] + jaxpr.outvars
+    read = {atom for atom in atoms if not isinstance(atom, Literal)}
+    return [v if v in read else DropVar(v.aval) for v in variables]
+
+
+def in_registers(array: Any) -> Any:
+    """The entries of a long array one by one; any other as it is."""
+    if not isinstance(array, Long):
+        return array
+    found = array_of(None, (array.size,))
+    for k in range(array.size):
+        found[k] = array.entry(k)
+    return found.reshape(array.shape)
 
 
 def write_closed(writer: Writer, program: Any, arguments: Any) -> list:
