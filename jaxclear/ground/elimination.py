@@ -121,11 +121,10 @@ def _stretches(numbers: Sequence[int]) -> list[tuple[int, int, int]]:
 solve_p = Primitive("jaxclear_symmetric_solve")
 
 
-def solved(pattern: Pattern, entries: Sequence[Any], least: Sequence | None, right: Sequence) -> Any:
+def solved(pattern: Pattern, entries: Any, least: Any, right: Any) -> Any:
     """x of M x = right, for a matrix of this pattern whose entries are given in its order. Where a
     pivot is not above the `least` of its row the unknown is 0 (in a kernel; None: nowhere)."""
-    given = [sp.stack(entries)] if least is None else [sp.stack(entries), sp.stack(least)]
-    return solve_p.bind(*given, sp.stack(right), pattern=pattern)
+    return solve_p.bind(entries, *([] if least is None else [least]), right, pattern=pattern)
 
 
 def _by_lapack(entries, *further, pattern):

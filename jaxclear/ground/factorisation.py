@@ -28,6 +28,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.elimination import Pattern, solved
+from jaxclear.ground.grouping import unstacked
 from jaxclear.ground.numerics import OFF_THE_TIES, safe_divide, safe_sqrt
 
 # Unknowns of a search among all that is written out.
@@ -43,8 +44,8 @@ class Unsolved(NamedTuple):
     """A system that is factorised in loops, where it is solved."""
 
     pattern: Pattern
-    entries: list
-    least: list | None
+    entries: Any
+    least: Any
 
 
 def is_written_out(matrix: Rows) -> bool:
@@ -71,9 +72,9 @@ def factor(matrix: Rows, least: Sequence[Any | None] | None = None) -> Any:
     n = len(matrix)
     if not is_written_out(matrix):
         places = [(i, j) for i in range(n) for j in range(i + 1) if not sp.is_zero(matrix[i][j])]
-        entries = [matrix[i][j] for i, j in places]
+        entries = sp.stack([matrix[i][j] for i, j in places])
         if least is not None:
-            least = [-jnp.inf if each is None else each for each in least]
+            least = sp.stack([-jnp.inf if each is None else each for each in least])
         return Unsolved(Pattern(n, tuple(places)), entries, least)
     lower = [[0] * n for _ in range(n)]
     inverse_pivots: list[Any] = []
@@ -97,8 +98,7 @@ def factor(matrix: Rows, least: Sequence[Any | None] | None = None) -> Any:
 def solve(factored: Any, right: tuple) -> tuple:
     """x of M x = right, for what `factor` makes of M."""
     if isinstance(factored, Unsolved):
-        solution = solved(*factored, right)
-        return tuple(solution[i] for i in range(len(right)))
+        return tuple(unstacked(solved(*factored, sp.stack(right))))
     lower, inverse_pivots = factored
     n = len(right)
     x = list(right)
