@@ -101,6 +101,9 @@ def _mapped(function, calls):
             varying.remove(position)
         else:
             columns.append(stacked(own, least))
+    if not columns:
+        yield from [function(*calls[0])] * len(calls)
+        return
     template: dict[str, Any] = {}
 
     def one(arrays):

@@ -190,10 +190,22 @@ def to_array(rows: Rows) -> jnp.ndarray:
     if not places:
         return jnp.zeros(shape)
     i, j = zip(*places, strict=True)
-    entries = sp.stack([rows[a][b] for a, b in places])
+    own = [rows[a][b] for a, b in places]
+    if all(isinstance(x, (int, float)) for x in own):
+        known = np.zeros(shape)
+        known[i, j] = own
+        return jnp.asarray(known)
+    entries = sp.stack(own)
+    if shape[1] >= MANY_COLUMNS:
+        # XLA compiles what is looked up faster than what is put into place.
+        looked_up = np.zeros(shape, np.int32)
+        looked_up[i, j] = np.arange(1, len(own) + 1)
+        return jnp.concatenate([jnp.zeros(1), entries])[looked_up]
     return jnp.zeros(shape).at[np.array(i), np.array(j)].set(entries, unique_indices=True)
 
 
+# Of this many columns on.
+MANY_COLUMNS = 36
 # A pivot that is this share of the largest, or less, is rounding: the matrix has lost rank here (a
 # linkage stretched flat), and the row waits until it says something again.
 VANISHED = 1e-13

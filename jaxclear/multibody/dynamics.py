@@ -203,19 +203,27 @@ def mechanical_energy(system: System, forces: Forces) -> tuple[Any, Any]:
     ground's origin.
     """
     kinetic, potential = 0.0, forces.stored
-    for index, (link, motion) in enumerate(zip(system.links, forces.motions, strict=True)):
-        v, w = motion.twist
-        if link.rotor is not None:
-            kinetic = kinetic + 0.5 * link.rotor * _speed(system, forces, index) ** 2
-        kinetic = kinetic + 0.5 * (
-            sp.add(sp.mul(link.mass, sp.dot(v, v)), sp.dot(w, sp.apply(link.inertia, w)))
-            + sp.mul(2.0, sp.dot(v, sp.cross(w, link.first_moment)))
+
+    def energies(mass, moment, inertia, pose, twist):
+        v, w = twist
+        moving = 0.5 * (
+            sp.add(sp.mul(mass, sp.dot(v, v)), sp.dot(w, sp.apply(inertia, w)))
+            + sp.mul(2.0, sp.dot(v, sp.cross(w, moment)))
         )
         weighted = sp.plus(
-            sp.scale(link.mass, motion.pose.translation),
-            sp.apply(motion.pose.rotation, link.first_moment),
+            sp.scale(mass, pose.translation),
+            sp.apply(pose.rotation, moment),
         )
-        potential = sp.sub(potential, sp.dot(system.gravity, weighted))
+        return moving, sp.dot(system.gravity, weighted)
+
+    pairs = list(zip(system.links, forces.motions, strict=True))
+    calls = [(own.mass, own.first_moment, own.inertia, m.pose, m.twist) for own, m in pairs]
+    for index, (moving, lifted) in enumerate(map_many(energies, calls)):
+        rotor = system.links[index].rotor
+        if rotor is not None:
+            kinetic = kinetic + 0.5 * rotor * _speed(system, forces, index) ** 2
+        kinetic = kinetic + moving
+        potential = sp.sub(potential, lifted)
     return kinetic, jnp.asarray(potential, float)
 
 
