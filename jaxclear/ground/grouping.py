@@ -99,6 +99,18 @@ def looked_up(array: jax.Array, places: np.ndarray) -> jax.Array:
     )
 
 
+def summed(terms: jax.Array, places: np.ndarray, count: int) -> jax.Array:
+    """So many sums, each of the terms whose known place it is."""
+    numbers = lax.ScatterDimensionNumbers((), inserted_window_dims=(0,), scatter_dims_to_operand_dims=(0,))
+    return lax.scatter_add(
+        jnp.zeros(count),
+        places[:, None].astype(np.int32),
+        terms,
+        numbers,
+        mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS,
+    )
+
+
 class _Packed(eqx.Module):
     """What is no single number of a tree, and its single numbers as one array."""
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from jaxclear.native import check, dispatch, elementary, object_code, stopping
 from jaxclear.native import indexing as _indexing  # noqa: F401  (its rules register themselves)
+from jaxclear.native import linear_systems as _linear_systems  # noqa: F401
 from jaxclear.native import long_rules as _long_rules  # noqa: F401
 from jaxclear.native.control import loop
 from jaxclear.native.long_arrays import for_each

@@ -64,8 +64,8 @@ class Room:
         writer.memory += 8 * writer.lanes * count
         if writer.memory > MOST_MEMORY:
             raise Unsupported("arrays this long")
-        self._start = writer.fresh("room")
-        writer.frame.append(f"  {self._start} = alloca [{count} x {writer.wide(kind)}], align 64")
+        self.start = writer.fresh("room")
+        writer.frame.append(f"  {self.start} = alloca [{count} x {writer.wide(kind)}], align 64")
 
     def put(self, index: Any, value: Any) -> None:
         """Writes an entry."""
@@ -82,7 +82,7 @@ class Room:
 
     def _place(self, index: Any) -> str:
         wide = self.writer.wide(self.kind)
-        return self.writer.put(f"getelementptr {wide}, ptr {self._start}, i64 {index}")
+        return self.writer.put(f"getelementptr {wide}, ptr {self.start}, i64 {index}")
 
 
 def entries_of(writer: Writer, array: Any, kind: str) -> Callable[[Any], Any]:
