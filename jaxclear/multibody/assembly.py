@@ -19,17 +19,18 @@ from jaxtyping import Array, Bool
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, expect
+from jaxclear.ground.compiling import map_many
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced, is_tracing
 from jaxclear.ground.warning import warn
 from jaxclear.multibody import (
     assembly_modes,
     contact_point,
-    kinematics,
     redundancy,
     start_check,
 )
 from jaxclear.multibody.assembly_modes import Beginning, Mode, Nominal, at_guess
+from jaxclear.multibody.forces import relative_motions
 from jaxclear.multibody.mechanism import Mechanism, loosened, ungiven, with_redundancy
 from jaxclear.multibody.motors_at_start import turned
 from jaxclear.multibody.newton import Near, closed, least, nearer
@@ -120,8 +121,8 @@ def _solved(
         return _searched(asked, begun, v, time)
 
     # In a batch more may move the one than the other.
-    found = call(search)
-    return call(lambda: _started(asked, *found, time))
+    there, moving = call(search)
+    return call(lambda: _started(asked, there, moving, time))
 
 
 def _searched(asked: Ask, q: Array, v: Array, time: Any) -> tuple[Array, Array]:
@@ -198,13 +199,19 @@ def _depths(asked: Ask, q: Array, v: Array, time: Any) -> dict[str, Array]:
     if asked.concentric and not asked.mechanism.start:
         return {}
     motions = motions_at(asked, q, v, time)[2]
-    out, worn = {}, readings(asked.system, asked.worn)
-    for name, bearing in asked.system.bearings.items():
-        pose = kinematics.relative_motion(bearing.closure, motions)[1]
-        depths = contact_point.depths(bearing.joint, pose, worn.get(name, {}))
-        allowed = DEEPEST * jnp.min(sp.stack(bearing.radii))
-        out[name] = jnp.stack([jnp.max(sp.stack(depths)), allowed])
-    return out
+    worn = readings(asked.system, asked.worn)
+
+    def one(joint, pose, radii, worn):
+        depths = contact_point.depths(joint, pose, worn)
+        return jnp.stack([jnp.max(sp.stack(depths)), DEEPEST * jnp.min(sp.stack(radii))])
+
+    bearings = asked.system.bearings
+    relative = relative_motions(asked.system, motions)
+    calls = [
+        (own.joint, seen.pose, own.radii, worn.get(name, {}))
+        for (name, own), seen in zip(bearings.items(), relative, strict=True)
+    ]
+    return dict(zip(bearings, map_many(one, calls), strict=True))
 
 
 def is_sound(mechanism: Mechanism, start: Start) -> Bool[Array, ""]:
