@@ -5,7 +5,7 @@ costs more to start than to compute. A time step of a mechanism is some hundred 
 Written as one function of scalars in registers it runs at the speed of C, and several samples of a
 batch run side by side in the lanes of a vector register.
 
-The boundary is nine functions, five that tell of the program, and three for Ctrl-C:
+The boundary is ten functions, five that tell of the program, and three for Ctrl-C:
 
 - `while_loop(condition, body, first)` in the place of `jax.lax.while_loop`;
 - `scan(turn, first, rows)` in the place of `jax.lax.scan(turn, first, rows)`: loops within its
@@ -45,9 +45,10 @@ On its way a loop passes through these files:
 
 JAX's own loop is taken instead where a primitive has no rule, where the program is long, on an
 accelerator, for derivatives of the loops of a library and of functions of one turn that are not to
-be `in_one`, and with JAXCLEAR_PLAIN_LOOPS=1. Of time loops the first two warn, once for each reason; all reasons are in
-the verdict. With JAXCLEAR_CHECK_KERNELS=1 every new kernel is compared with JAX before it is used
-(`check`), and one that disagrees is left to XLA with a warning: for those who write laws or rules.
+be `in_one`, and with JAXCLEAR_PLAIN_LOOPS=1. Of time loops the first two warn, once for each
+reason; all reasons are in the verdict. With JAXCLEAR_CHECK_KERNELS=1 every new kernel is compared
+with JAX before it is used (`check`), and one that disagrees is left to XLA with a warning: for
+those who write laws or rules.
 
 What a kernel holds of its arguments: constants and the first state as one packed row of floats for
 each sample (whole numbers and truth values as floats, exact to 2^53); constant arrays of more than

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.native import kernel
+from jaxclear.native import compiled, kernel, stops
 from jaxclear.native.verdicts import calls_lapack
 from jaxclear.studies.ledger import batch
 
@@ -115,6 +115,22 @@ def test_a_program_tells_whether_it_calls_lapack():
     assert told(solve) and told(jax.jit(solve))
     assert told(lambda x: jax.lax.fori_loop(0, 3, lambda _, b: jnp.linalg.solve(x, b), jnp.ones(3)))
     assert not told(lambda x: x @ jnp.ones(3))
+
+
+def test_a_program_is_looked_up_once_and_gives_what_it_gives_among_others(monkeypatch):
+    root = lambda a, b: {"root": jnp.sqrt(a) - b}
+    varied = {"a": jc.Dimension(2.0, tolerance=0.1), "b": jc.Dimension(1.0, tolerance=0.1)}
+    question = jc.FunctionProblem(root, varied)
+    values = np.random.default_rng(0).uniform(1.0, 2.0, (12, 2))
+    sought, own = [], compiled._found
+    monkeypatch.setattr(compiled, "_found", lambda *given: sought.append(given) or own(*given))
+    program = batch.Program(question)
+    for piece in (values[:4], values[4:8], values[8:]):
+        found, wanted = program.run(piece, stops()), batch.evaluate_chunk(question, piece)
+        np.testing.assert_array_equal(found.responses["root"], wanted.responses["root"])
+    assert len(sought) == 1 and not program.compiled(values[:4])
+    solved = lambda a, b: {"root": jnp.linalg.solve(jnp.eye(3) + a, jnp.ones(3))[0] - b}
+    assert batch.Program(jc.FunctionProblem(solved, varied)).compiled(values[:4])
 
 
 HANGS = """
