@@ -4,12 +4,9 @@ takes the PTX, where it is installed; and what is refused is said.
 """
 
 import ctypes
-import importlib.util
 import os
-import re
 import subprocess
 import sys
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +14,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from benchmarks.claims.accelerator import assembled, ptxas
 from benchmarks.claims.slopes import bouncing
 from jaxclear.native import (
     explain,
@@ -171,6 +169,25 @@ def test_memory_used_in_a_way_that_is_not_known_is_refused():
         gpu_threads._thread(["  %v = ptrtoint ptr %in to i64"], [])
     with pytest.raises(Unsupported, match="not known on a GPU"):
         gpu_threads._thread(["  %v = load double, ptr %of_nobody"], [])
+    with pytest.raises(Unsupported, match="factorise"):
+        gpu_threads._thread(["  call void @NAME.factorise1(ptr %in)"], [])
+
+
+def test_what_a_thread_keeps_for_itself_stays_together():
+    lines = [
+        "  %room = alloca [9 x double], align 64",
+        "  %at = getelementptr i32, ptr @NAME.table, i64 %k",
+        "  %said = load i32, ptr %at, !invariant.load !0",
+        "  %own = getelementptr double, ptr %room, i64 %k",
+        "  store double %x, ptr %own, !llvm.access.group !1",
+        "  call void @NAME.factorise1(ptr %room, ptr %room)",
+    ]
+    assert gpu_threads._thread(lines, []) == lines
+    apart = gpu_threads._thread(["  %v = getelementptr double, ptr %out, i64 %k"], [])
+    assert apart == [
+        "  %v.ahead = mul i64 %k, %samples",
+        "  %v = getelementptr double, ptr %out, i64 %v.ahead",
+    ]
 
 
 WORDS = ctypes.c_uint64
@@ -246,29 +263,9 @@ def test_a_failing_launch_is_an_error_of_xla():
     assert called(context=8) == ([gpu_call.ELSEWHERE], [])
 
 
-def ptxas():
-    spec = importlib.util.find_spec("nvidia")
-    for folder in (spec.submodule_search_locations or []) if spec else []:
-        for found in Path(folder).glob("*/bin/ptxas"):
-            return str(found)
-    return None
-
-
 needs_ptxas = pytest.mark.skipif(
     ptxas() is None, reason="NVIDIA's assembler is in the package nvidia-cuda-nvcc-cu12"
 )
-
-
-def assembled(program, folder):
-    """What NVIDIA's assembler says of a loop's kernel: registers of a thread, and bytes that it
-    stores beside them."""
-    ptx = gpu_ptx.ptx_of(gpu_threads.text_of(program).replace("@NAME", "@jaxclear"), "sm_80")
-    (folder / "kernel.ptx").write_text(ptx)
-    asked = [ptxas(), "-v", "-arch=sm_90", folder / "kernel.ptx", "-o", folder / "kernel.cubin"]
-    said = subprocess.run(asked, capture_output=True, text=True, check=True)
-    own = said.stdout + said.stderr
-    count = lambda form: max(int(number) for number in re.findall(form, own))
-    return count(r"Used (\d+) registers"), count(r"(\d+) bytes spill stores")
 
 
 def programs_of(scene, rung, built):
@@ -279,18 +276,18 @@ def programs_of(scene, rung, built):
 
 
 @needs_ptxas
-def test_a_step_of_a_slider_crank_stays_in_a_threads_registers(built, tmp_path):
+def test_a_step_of_a_slider_crank_stays_in_a_threads_registers(built):
     programs = programs_of(jc.scenes.slider_crank(), "fixed", built)
     for program in programs:
-        registers, stored = assembled(program, tmp_path)
+        found = assembled(program)
         # Some may stand aside so that more threads fit beside each other.
-        assert registers <= 255 and stored <= 128
+        assert found.registers <= 255 and found.stored <= 128
 
 
 @needs_ptxas
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "rung"), list(scenes_and_rungs()))
-def test_nvidias_assembler_takes_every_scene(name, rung, built, tmp_path):
+def test_nvidias_assembler_takes_every_scene(name, rung, built):
     scene = getattr(jc.scenes, name)(**GIVEN.get(name, {}))
     try:
         programs = programs_of(scene, rung, built)
@@ -299,4 +296,4 @@ def test_nvidias_assembler_takes_every_scene(name, rung, built, tmp_path):
     for program in programs:
         # Larger ones take the assembler minutes.
         if gpu_threads.text_of(program).count("\n") < 10_000:
-            assert assembled(program, tmp_path)[0] <= 255
+            assert assembled(program).registers <= 255
