@@ -107,7 +107,8 @@ def _begun(constants: Sequence[Any]) -> Callable[[Table, Any], Any]:
 def reference_of_batch(*values: Any, program: Program, rank: int) -> list:
     """The same for batches of so many leading axes."""
     function = functools.partial(reference, program=program)
-    return _of_batch(function, _row_by_row if program.once else jax.vmap, values, program, rank)
+    apart = program.once and not program.whole
+    return _of_batch(function, _row_by_row if apart else jax.vmap, values, program, rank)
 
 
 def reference_in_pieces(*values: Any, program: Program, rank: int) -> list:
@@ -260,8 +261,10 @@ def _by_portions(*values, program, rank, samples):
 
 
 def _lower_elsewhere(ctx, *values, program, rank, reason=NOT_A_CPU, written=reference_in_pieces):
-    if not program.length:
+    if not program.length and not program.whole:
         tell(ctx, reason)
+    if program.whole:
+        written = reference_of_batch
     lower = mlir.lower_fun(written, multiple_results=True)
     return lower(ctx, *values, program=program, rank=rank)
 
@@ -330,7 +333,8 @@ def _lower_as_kernel(ctx, values, program, rank, kernel, call, instead):
         number = kernel(samples)
         lower = mlir.lower_fun(call, multiple_results=True)
         out = lower(ctx, *values, program=program, rank=rank, number=number)
-        tell(ctx, None)
+        if not program.whole:
+            tell(ctx, None)
         return out
     except (Unsupported, ImportError) as missing:
         reason = f"there is no machine code for {missing}"
