@@ -134,7 +134,9 @@ def _by_lapack(entries, *further, pattern):
     rows, columns = np.array(pattern.places).T
     lower = jnp.zeros((*lead, pattern.size, pattern.size)).at[..., rows, columns].set(entries)
     right = jnp.broadcast_to(right, (*lead, pattern.size))
-    return jsl.cho_solve((jnp.linalg.cholesky(lower, symmetrize_input=False), True), right[..., None])[..., 0]
+    return jsl.cho_solve(
+        (jnp.linalg.cholesky(lower, symmetrize_input=False), True), right[..., None]
+    )[..., 0]
 
 
 def _differentiate(primals, tangents, *, pattern):
@@ -162,7 +164,9 @@ def _parts(array: Any) -> list:
 
 def _backwards(cotangent, *operands, pattern):
     *given, _ = operands
-    found = None if isinstance(cotangent, ad.Zero) else solve_p.bind(*given, cotangent, pattern=pattern)
+    found = (
+        None if isinstance(cotangent, ad.Zero) else solve_p.bind(*given, cotangent, pattern=pattern)
+    )
     return [*[None] * len(given), found]
 
 
@@ -171,14 +175,19 @@ def _batch(operands, dims, *, pattern):
     size = next(v.shape[d] for v, d in zip(operands, dims, strict=True) if d is not None)
     first = [v if d is None else jnp.moveaxis(v, d, 0) for v, d in zip(operands, dims, strict=True)]
     if any(dim is not None for dim in dims[:-1]):
-        own = [v if d is not None else jnp.broadcast_to(v, (size, *v.shape)) for v, d in zip(first, dims, strict=True)]
+        own = [
+            v if d is not None else jnp.broadcast_to(v, (size, *v.shape))
+            for v, d in zip(first, dims, strict=True)
+        ]
         lead = own[-1].ndim - own[0].ndim
         first = [v.reshape(size, *(1,) * lead, *v.shape[1:]) for v in own[:-1]] + own[-1:]
     return solve_p.bind(*first, pattern=pattern), 0
 
 
 solve_p.def_impl(lambda *v, pattern: jax.jit(functools.partial(_by_lapack, pattern=pattern))(*v))
-solve_p.def_abstract_eval(lambda *avals, pattern: jax.core.ShapedArray(avals[-1].shape, avals[-1].dtype))
+solve_p.def_abstract_eval(
+    lambda *avals, pattern: jax.core.ShapedArray(avals[-1].shape, avals[-1].dtype)
+)
 ad.primitive_jvps[solve_p] = _differentiate
 ad.primitive_transposes[solve_p] = _backwards
 batching.primitive_batchers[solve_p] = _batch

@@ -26,7 +26,6 @@ from jaxclear.ground.warning import warn
 from jaxclear.multibody import (
     assembly_modes,
     contact_point,
-    kinematics,
     redundancy,
     start_check,
 )

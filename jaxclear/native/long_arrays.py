@@ -15,8 +15,6 @@ import numpy as np
 from jax.extend.core import DropVar
 
 from jaxclear.native.writer import (
-    FLOAT,
-    LONGEST_IN_REGISTERS,
     WHOLE,
     InMemory,
     Long,
@@ -180,7 +178,9 @@ def entrywise(writer: Writer, rule: Callable, equation: Any, arrays: Sequence[An
     room = Room(writer, tuple(aval.shape), kind_of(aval.dtype))
     # Arrays of one number stand for all.
     each = [
-        entries_of(writer, array, kind) if math.prod(array.shape) > 1 else lambda _, a=array: a.item()
+        entries_of(writer, array, kind)
+        if math.prod(array.shape) > 1
+        else lambda _, a=array: a.item()
         for array, kind in zip(arrays, kinds, strict=True)
     ]
 
