@@ -121,8 +121,8 @@ def _solved(
         return _searched(asked, begun, v, time)
 
     # In a batch more may move the one than the other.
-    found = call(search)
-    return call(lambda: _started(asked, *found, time))
+    there, moving = call(search)
+    return call(lambda: _started(asked, there, moving, time))
 
 
 def _searched(asked: Ask, q: Array, v: Array, time: Any) -> tuple[Array, Array]:
