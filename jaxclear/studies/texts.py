@@ -74,11 +74,9 @@ def difference(one: AbstractProblem, other: AbstractProblem) -> str:
 
 
 def first_difference(one: dict[str, str], other: dict[str, str]) -> str:
-    """The first part in which two descriptions differ, in words; "" where they are the same. What
-    classes hold, up to 0.32 nothing told; what uses it is another function where it came later."""
-    here = (name for name in other if name not in one)
-    for part in [*one, *(n for n in here if not _is_value_of_class(n, other[n]))]:
-        mine, others = (_kept(own.get(part, "absent")) for own in (one, other))
+    """The first part in which two descriptions differ, in words; "" where they are the same."""
+    for part in [*one, *(name for name in other if name not in one)]:
+        mine, others = (own.get(part, "absent") for own in (one, other))
         if mine.startswith(FUNCTION) and others.startswith(FUNCTION) and mine != others:
             return f"{part} is another function"
         if mine != others:
@@ -86,24 +84,8 @@ def first_difference(one: dict[str, str], other: dict[str, str]) -> str:
     return ""
 
 
-def _is_value_of_class(part: str, text: str) -> bool:
-    return part.startswith(CLASS) and not text.startswith(FUNCTION) and text != TOLD
-
-
 def _named(names: tuple[str, ...]) -> str:
     return listed(names) or "none"
-
-
-def _kept(text: str) -> str:
-    """A text as it is told today; up to 0.30 parts of a mechanism were an OrderedDict."""
-    return "dict" if text == "OrderedDict" else text
-
-
-def texts_of(thing: Any) -> dict[str, str]:
-    """As `in_texts`, of any thing."""
-    found: dict[str, str] = {}
-    _tell(thing, "", found)
-    return found
 
 
 def parts_of(thing: Any) -> dict[str, Any] | None:
