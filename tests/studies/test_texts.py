@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.texts import difference, first_difference, in_texts, texts_of
+from jaxclear.studies.texts import difference, first_difference, in_texts, tell
 
 MODULE = """
 import functools
@@ -59,6 +59,12 @@ def written(factor=2.0, nested=2.0):
     held = {"__name__": "a_users_module"}
     exec(MODULE.format(factor=factor, nested=nested), held)
     return held
+
+
+def texts_of(thing):
+    found = {}
+    tell(thing, "", found)
+    return found
 
 
 def asked(function):
@@ -142,9 +148,10 @@ PROGRAM = """
 import sys
 sys.path.insert(0, sys.argv[1])
 import a_users_own, hashlib
-from jaxclear.studies.texts import difference, first_difference, in_texts
-print(hashlib.sha256(repr([sorted(texts_of(getattr(a_users_own, n)).items())
-      for n in sys.argv[2:]]).encode()).hexdigest())
+from jaxclear.studies.texts import tell
+found = {}
+tell([getattr(a_users_own, name) for name in sys.argv[2:]], "", found)
+print(hashlib.sha256(repr(sorted(found.items())).encode()).hexdigest())
 """
 
 
