@@ -81,7 +81,7 @@ def test_loops_that_are_far_from_closed_close_in_runs_and_in_studies(inertia):
     told = np.arccos((gap**2 + 0.3**2 - 0.25**2) / (2 * gap * 0.3))
     assert abs(float(jc.assemble(rig).coordinates[0])) == pytest.approx(told, abs=1e-9)
     run = jc.simulate(rig, 0.01, save=2, integrator=problem.integrator)
-    found = problem.evaluate(problem.nominal()).responses["turned"]
+    found = jax.jit(problem.evaluate)(problem.nominal()).responses["turned"]
     assert float(found) == pytest.approx(float(run.coordinate("A")[-1]), abs=1e-9)
 
 
@@ -326,7 +326,7 @@ def test_a_start_in_a_worn_hollow_is_judged_on_the_worn_surface():
         state=state,
         integrator=jc.integrator.FixedStep(1e-5),
     )
-    sample = problem.evaluate(problem.nominal())
+    sample = jax.jit(problem.evaluate)(problem.nominal())
     assert int(sample.outcome) == 0 and float(sample.responses["y"]) == pytest.approx(-0.9e-3)
 
 
