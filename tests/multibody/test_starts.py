@@ -1,5 +1,7 @@
 """What a mechanism starts with: closed loops, given values held, and derivatives of both."""
 
+import re
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -94,7 +96,11 @@ def test_a_batch_of_starts_calls_no_factorisation_of_another_library():
         def coordinates(own, rest=rest):
             return assemble_arrays(eqx.combine(own, rest)).coordinates
 
-        assert "custom_call" not in jax.jit(jax.vmap(coordinates)).lower(many).as_text()
+        called = re.findall(
+            r"custom_call @(\w+)", jax.jit(jax.vmap(coordinates)).lower(many).as_text()
+        )
+        # Kernels of this package's own do not wait.
+        assert not [name for name in called if not name.startswith("jaxclear_")]
 
 
 def test_the_least_change_meets_what_it_can_and_moves_no_further():
