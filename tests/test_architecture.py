@@ -1,9 +1,10 @@
 """The rules of the house that a program can read: who imports whom, what may be subclassed, who may
-ask what of whom, how long things may be.
+ask what of whom, how long things may be. Each rule lists all that is against it.
 """
 
 import ast
 import dataclasses
+import functools
 import importlib
 import inspect
 import pkgutil
@@ -72,24 +73,40 @@ NOTHING_NAMES = {"utils", "util", "helpers", "helper", "misc", "common", "core",
 FILES = sorted(ROOT.rglob("*.py"))
 
 
+@functools.cache
+def nodes(path):
+    """All that a file's syntax tree consists of, outermost first."""
+    return tuple(ast.walk(ast.parse(path.read_text())))
+
+
 def module_name(path):
     parts = path.relative_to(ROOT.parent).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+@functools.cache
 def imports(path):
     """Every module that a file imports, inside functions too."""
     package = module_name(path).split(".")
     if path.name != "__init__.py":
         package = package[:-1]
-    for node in ast.walk(ast.parse(path.read_text())):
+    found = []
+    for node in nodes(path):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else []
             stem = ".".join([*base, *([node.module] if node.module else [])])
-            yield stem
-            yield from (f"{stem}.{alias.name}" for alias in node.names)
+            found += [stem, *(f"{stem}.{alias.name}" for alias in node.names)]
+    return tuple(found)
+
+
+def functions(path):
+    return [n for n in nodes(path) if isinstance(n, (ast.FunctionDef, ast.AsyncFunctionDef))]
+
+
+def calls(path):
+    return [node for node in nodes(path) if isinstance(node, ast.Call)]
 
 
 def room(module):
@@ -101,24 +118,28 @@ def identify(path):
     return str(path.relative_to(ROOT))
 
 
+def holds(rule, paths=FILES):
+    """A rule of one file, which gives what is against it in words, holds in all of them."""
+    against = [f"{identify(path)}: {fault}" for path in paths for fault in rule(path)]
+    assert not against, "\n".join(against)
+
+
 def test_every_file_is_in_a_room():
     loose = [identify(path) for path in FILES if room(module_name(path)) is None]
     assert set(loose) <= {"__init__.py", "__main__.py", "offered_later.py"}
 
 
-@pytest.mark.parametrize("path", FILES, ids=identify)
-def test_imports_point_downward(path):
-    here = room(module_name(path))
-    if here is None:
-        return
-    for module in imports(path):
-        there = room(module)
-        assert there in (None, here) or FLOOR[there] < FLOOR[here], (
-            f"{identify(path)} imports {module}"
-        )
-        assert module != "jaxclear" or here == "commands", (
-            f"{identify(path)} imports the whole package"
-        )
+def test_imports_point_downward():
+    def rule(path):
+        here = room(module_name(path))
+        for module in imports(path) if here is not None else ():
+            there = room(module)
+            if there not in (None, here) and FLOOR[there] >= FLOOR[here]:
+                yield f"imports {module}"
+            if module == "jaxclear" and here != "commands":
+                yield "imports the whole package"
+
+    holds(rule)
 
 
 def floor_of_studies(module):
@@ -130,17 +151,22 @@ def floor_of_studies(module):
     return known[max(fits, key=len)] if own != module and fits else None
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "studies").rglob("*.py")), ids=identify)
-def test_imports_between_studies_point_downward(path):
-    name, stated = module_name(path), {own for names in STUDIES for own in names.split()}
-    here = floor_of_studies(name)
-    assert here is not None or name == "jaxclear.studies", "the file stands on no floor"
-    # `from file import name` is the file; a name in it has its file's floor too.
-    for module in imports(path):
-        there = floor_of_studies(module)
-        assert there is None or there <= here, f"{identify(path)} imports {module}"
+def test_imports_between_studies_point_downward():
+    def rule(path):
+        name = module_name(path)
+        here = floor_of_studies(name)
+        if here is None and name != "jaxclear.studies":
+            yield "stands on no floor"
+            return
+        # `from file import name` is the file; a name in it has its file's floor too.
+        for module in imports(path):
+            there = floor_of_studies(module)
+            if there is not None and there > here:
+                yield f"imports {module}"
+
+    holds(rule, sorted((ROOT / "studies").rglob("*.py")))
     files = {module_name(file).removeprefix("jaxclear.studies.") for file in FILES}
-    assert stated <= files
+    assert {own for names in STUDIES for own in names.split()} <= files
 
 
 def test_no_circle_of_imports():
@@ -157,62 +183,70 @@ def test_no_circle_of_imports():
         pytest.fail(" imports ".join(reversed(error.args[1])))
 
 
-@pytest.mark.parametrize("path", FILES, ids=identify)
-def test_no_import_within_a_function(path):
+def test_no_import_within_a_function():
     """But of libraries that most runs do without."""
-    for function in functions(path):
-        for node in ast.walk(function):
-            if isinstance(node, ast.Import):
-                named = [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                named = [node.module or ""]
-            else:
-                continue
-            late = {name.split(".")[0] for name in named}
-            assert late <= LATE, f"{function.name} imports {', '.join(late)}"
+
+    def rule(path):
+        for function in functions(path):
+            for node in ast.walk(function):
+                if isinstance(node, ast.Import):
+                    named = [alias.name for alias in node.names]
+                elif isinstance(node, ast.ImportFrom):
+                    named = [node.module or ""]
+                else:
+                    continue
+                for name in named:
+                    if name.split(".")[0] not in LATE:
+                        yield f"{function.name} imports {name}"
+
+    holds(rule)
 
 
-def outside(path):
-    return {module.split(".")[0] for module in imports(path)}
+def test_solvers_stay_in_their_rooms():
+    def rule(path):
+        outside = {module.split(".")[0] for module in imports(path)}
+        if FLOOR.get(room(module_name(path)), 0) < FLOOR["integrators"] and "diffrax" in outside:
+            yield "imports diffrax"
+        if identify(path) != "studies/design/lagrangian.py" and "optax" in outside:
+            yield "imports optax"
+
+    holds(rule)
 
 
-@pytest.mark.parametrize("path", FILES, ids=identify)
-def test_solvers_stay_in_their_rooms(path):
-    here = room(module_name(path))
-    if FLOOR.get(here, 0) < FLOOR["integrators"]:
-        assert "diffrax" not in outside(path)
-    if identify(path) != "studies/design/lagrangian.py":
-        assert "optax" not in outside(path)
+def test_files_are_short_and_well_named():
+    def rule(path):
+        lines = path.read_text().splitlines()
+        if len(lines) > LONGEST_FILE:
+            yield f"{len(lines)} lines"
+        if max(map(len, lines), default=0) > LONGEST_LINE:
+            yield "a line is too long"
+        yield from set(path.relative_to(ROOT).with_suffix("").parts) & NOTHING_NAMES
+
+    holds(rule)
 
 
-@pytest.mark.parametrize("path", FILES, ids=identify)
-def test_file_is_short_and_well_named(path):
-    lines = path.read_text().splitlines()
-    assert len(lines) <= LONGEST_FILE
-    assert max(map(len, lines), default=0) <= LONGEST_LINE
-    assert not set(path.relative_to(ROOT).with_suffix("").parts) & NOTHING_NAMES
+def test_functions_are_short_and_take_few_arguments():
+    def rule(path):
+        for function in functions(path):
+            lines = function.end_lineno - function.lineno + 1
+            if lines > LONGEST_FUNCTION:
+                yield f"{function.name} has {lines} lines"
+            given = function.args
+            names = {a.arg for a in chain(given.posonlyargs, given.args, given.kwonlyargs)}
+            most = FRONT_DOORS.get((identify(path), function.name), MOST_ARGUMENTS)
+            if len(names - {"self", "cls"}) > most:
+                yield f"{function.name} takes more than {most} arguments"
+
+    holds(rule)
 
 
-def functions(path):
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-            yield node
+def test_modules_open_with_what_they_decide():
+    def rule(path):
+        (tree, *_) = nodes(path)
+        if tree.body and not ast.get_docstring(tree):
+            yield "has no docstring"
 
-
-@pytest.mark.parametrize("path", FILES, ids=identify)
-def test_function_is_short_and_takes_few_arguments(path):
-    for function in functions(path):
-        assert function.end_lineno - function.lineno + 1 <= LONGEST_FUNCTION, function.name
-        given = function.args
-        arguments = [a.arg for a in chain(given.posonlyargs, given.args, given.kwonlyargs)]
-        most = FRONT_DOORS.get((identify(path), function.name), MOST_ARGUMENTS)
-        assert len(set(arguments) - {"self", "cls"}) <= most, function.name
-
-
-@pytest.mark.parametrize("path", FILES, ids=identify)
-def test_module_opens_with_what_it_decides(path):
-    tree = ast.parse(path.read_text())
-    assert not tree.body or ast.get_docstring(tree)
+    holds(rule)
 
 
 def modules():
@@ -234,36 +268,35 @@ def own_classes():
 CLASSES = own_classes()
 
 
-@pytest.mark.parametrize("name", CLASSES)
-def test_class_is_abstract_or_final(name):
-    for parent in CLASSES[name].__mro__[1:]:
-        if parent.__module__.startswith("jaxclear"):
-            assert parent.__name__.startswith("Abstract"), (
-                f"{name} subclasses the final class {parent.__name__}"
-            )
-
-
-@pytest.mark.parametrize("name", CLASSES)
-def test_abstract_class_has_no_fields(name):
-    if CLASSES[name].__name__.startswith("Abstract"):
-        assert not dataclasses.fields(CLASSES[name])
-
-
-@pytest.mark.parametrize("path", FILES, ids=identify)
-def test_no_super_and_no_hasattr(path):
-    called = [
-        n.func.id
-        for n in ast.walk(ast.parse(path.read_text()))
-        if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
+def test_classes_are_abstract_or_final():
+    against = [
+        f"{name} subclasses the final class {parent.__name__}"
+        for name, kind in CLASSES.items()
+        for parent in kind.__mro__[1:]
+        if parent.__module__.startswith("jaxclear") and not parent.__name__.startswith("Abstract")
     ]
+    assert not against
+
+
+def test_abstract_classes_have_no_fields():
+    abstract = [kind for kind in CLASSES.values() if kind.__name__.startswith("Abstract")]
+    assert not [kind.__name__ for kind in abstract if dataclasses.fields(kind)]
+
+
+def test_no_super_and_no_hasattr():
     # an exception hands its message to Python's own base class; a module of the platform may lack a
     # function
-    lines = {"simulation/simulate.py": ["super"], "studies/ledger/batch.py": ["hasattr"]}
-    assert [name for name in called if name in ("super", "hasattr")] == lines.get(
-        identify(path), []
-    )
+    allowed = {"simulation/simulate.py": ["super"], "studies/ledger/batch.py": ["hasattr"]}
+
+    def rule(path):
+        named = [call.func.id for call in calls(path) if isinstance(call.func, ast.Name)]
+        found = [name for name in named if name in ("super", "hasattr")]
+        return [] if found == allowed.get(identify(path), []) else [f"calls {found}"]
+
+    holds(rule)
 
 
+@functools.cache
 def members(room_name):
     """Names of the laws or joints that are defined in a room: final classes of a family."""
     return {
@@ -276,28 +309,28 @@ def members(room_name):
     }
 
 
-@pytest.mark.parametrize("path", FILES, ids=identify)
-def test_members_of_a_family_are_not_told_apart_elsewhere(path):
+def test_members_of_a_family_are_not_told_apart_elsewhere():
     """What a formulation wants of a law or a joint is a method of its family: a new member is one
     file.
     """
-    for room_name in ("laws", "components"):
-        if room(module_name(path)) == room_name:
-            continue
-        for node in ast.walk(ast.parse(path.read_text())):
-            if not isinstance(node, ast.Call) or ast.unparse(node.func) != "isinstance":
-                continue
-            asked = {ast.unparse(n).split(".")[-1] for n in ast.walk(node.args[1])}
-            named = asked & members(room_name) - ASKED_BY_NAME
-            assert not named, f"line {node.lineno} asks for {', '.join(named)}"
+
+    def rule(path):
+        foreign = {"laws", "components"} - {room(module_name(path))}
+        kinds = set[str]().union(*map(members, foreign)) - ASKED_BY_NAME
+        for node in calls(path):
+            if isinstance(node.func, ast.Name) and node.func.id == "isinstance":
+                asked = {ast.unparse(n).split(".")[-1] for n in ast.walk(node.args[1])}
+                for name in asked & kinds:
+                    yield f"line {node.lineno} asks for {name}"
+
+    holds(rule)
 
 
-@pytest.mark.parametrize("path", FILES, ids=identify)
-def test_warnings_stand_at_the_users_line(path):
+def test_warnings_stand_at_the_users_line():
     """One function finds that line; a depth that is counted by hand is wrong with the next call."""
-    said = [
-        node.lineno
-        for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "warnings.warn"
-    ]
-    assert not said or identify(path) == "ground/warning.py"
+
+    def rule(path):
+        said = [call.lineno for call in calls(path) if ast.unparse(call.func) == "warnings.warn"]
+        return [] if identify(path) == "ground/warning.py" else said
+
+    holds(rule)

@@ -53,7 +53,7 @@ class OverStep(AbstractCoordinateLoad):
         return self.load.dry_friction()
 
 
-class Held(NamedTuple):
+class HeldCoordinate(NamedTuple):
     """What a step finds the force of: the coordinate `on` which it acts, of a joint, a motor, or
     the twist of a coupling (then a `flank`), the sides at which it stops that, and its friction."""
 
@@ -84,11 +84,11 @@ def with_rigid_flanks(system: System) -> System:
     return dataclasses.replace(system, transmissions=others, flanks=flanks)
 
 
-def held(system: System) -> dict[str, Held]:
+def held(system: System) -> dict[str, HeldCoordinate]:
     """What steps find the force of, by the name under which states hold its impulse: loads, then
     plays."""
     found = {
-        impulse_of(name): Held(load.connection, load.sides(), load.dry_friction())
+        impulse_of(name): HeldCoordinate(load.connection, load.sides(), load.dry_friction())
         for name, load in coordinate_loads(system)
         if isinstance(load, OverStep)
     }
@@ -96,7 +96,7 @@ def held(system: System) -> dict[str, Held]:
         play: Any = own.coupling.play
         middle, half = middle_of(play), 0.5 * play.play
         sides = Side(1.0, middle - half, play), Side(-1.0, middle + half, play)
-        found[play_of(name)] = Held(name, sides, None, True)
+        found[play_of(name)] = HeldCoordinate(name, sides, None, True)
     return found
 
 

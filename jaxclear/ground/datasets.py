@@ -11,7 +11,6 @@ import datetime
 import json
 import math
 import platform
-import re
 from collections.abc import Iterable, Mapping
 from importlib import metadata
 from typing import Any, NamedTuple
@@ -37,10 +36,6 @@ def installed(library: str) -> str:
         return metadata.version(library)
     except metadata.PackageNotFoundError:
         return "unknown"
-
-
-# "depth [m]": a label with its unit.
-LABEL = re.compile(r"^(.*?) ?\[([^\[\]]*)\]$")
 
 
 class Column(NamedTuple):
@@ -81,19 +76,6 @@ def provenance() -> dict[str, str]:
     """What computed this and when, as attributes."""
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     return {"versions": json.dumps(told_versions()), "created": now}
-
-
-def of_table(table: Any, dimension: str, units: Mapping[str, str] | None = None) -> dict:
-    """Columns of a pandas table along a dimension; units are those of the labels "name [unit]", or
-    of `units`. A label that holds "/" or "%" is spelt out."""
-    found = {}
-    for label in table.columns:
-        own = LABEL.match(str(label))
-        name, unit = (own[1], own[2]) if own else (str(label), (units or {}).get(label, ""))
-        values = table[label].to_numpy()
-        numbers = np.asarray(values).dtype.kind in "fiub"
-        found[spelt(name)] = Column((dimension,), values, unit or ("1" if numbers else ""))
-    return found
 
 
 def spelt(name: str) -> str:

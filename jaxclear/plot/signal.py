@@ -18,7 +18,7 @@ from jaxclear.results.trajectory import Trajectory
 AXES, TURN, FORCE = ("x", "y", "z"), "turn", "force"
 
 
-class Signal(NamedTuple):
+class TimeCurve(NamedTuple):
     """`values` over `time` [s] in `unit`, their `rates` [unit/s] (None where there are none), and
     how they are called."""
 
@@ -42,7 +42,7 @@ class Signal(NamedTuple):
         return factor * self.rates, f"{self.rate_label} [{unit}/s]"
 
 
-def signal(run: Trajectory, of: str, axis: str | None = None) -> Signal:
+def signal(run: Trajectory, of: str, axis: str | None = None) -> TimeCurve:
     """A number of a body or a joint. Of a body: the place "x", "y" or "z" of its centre of mass, or
     its "turn" about the z axis, in the ground frame. Of a joint: the place or the turn of the
     child's marker in the axes of the parent's, or, of one with contacts, the normal "force" of all
@@ -61,11 +61,11 @@ def signal(run: Trajectory, of: str, axis: str | None = None) -> Signal:
         if axis == TURN:
             turn = np.asarray(motion.rotation)
             angle = np.unwrap(np.arctan2(turn[:, 1, 0], turn[:, 0, 0]))
-            return Signal(time, angle, np.asarray(motion.spin)[:, 2], "rad", f"turn of {of}",
+            return TimeCurve(time, angle, np.asarray(motion.spin)[:, 2], "rad", f"turn of {of}",
                           f"angular velocity of {of}")  # fmt: skip
         at = AXES.index(axis)
         values, rates = np.asarray(motion.com)[:, at], np.asarray(motion.velocity)[:, at]
-        return Signal(time, values, rates, "m", f"{axis} of {of}", f"velocity {axis} of {of}")
+        return TimeCurve(time, values, rates, "m", f"{axis} of {of}", f"velocity {axis} of {of}")
     return _of_joint(run, of, _usual(run, of) if axis is None else axis)
 
 
@@ -76,20 +76,20 @@ def _usual(run: Trajectory, of: str) -> str:
     return TURN if "z" in getattr(joint, "rows", ()) else "z"
 
 
-def _of_joint(run: Trajectory, of: str, axis: str) -> Signal:
+def _of_joint(run: Trajectory, of: str, axis: str) -> TimeCurve:
     touching = of in run.formulation.contact_joints(run.mechanism)
     known = (*AXES, TURN, *([FORCE] if touching else []))
     check_known("axis", axis, known, f' of joint "{of}"')
     time = np.asarray(run.time)
     if axis == FORCE:
         force = np.asarray(run.contact(of).normal_force).sum(axis=1)
-        return Signal(time, force, None, "N", f"normal force in {of}", "")
+        return TimeCurve(time, force, None, "N", f"normal force in {of}", "")
     motion = relative_motion(run, of)
     if axis == TURN:
-        return Signal(time, motion.turn, motion.spin, "rad", f"turn in {of}",
+        return TimeCurve(time, motion.turn, motion.spin, "rad", f"turn in {of}",
                       f"angular velocity in {of}")  # fmt: skip
     at = AXES.index(axis)
-    return Signal(time, motion.offset[:, at], motion.rate[:, at], "m", f"{axis} in {of}",
+    return TimeCurve(time, motion.offset[:, at], motion.rate[:, at], "m", f"{axis} in {of}",
                   f"velocity {axis} in {of}")  # fmt: skip
 
 
@@ -129,7 +129,7 @@ def phase_portrait(
     return warned(sheet, {"": run})
 
 
-def at_periods(own: Signal, period: float, since: float, until: float) -> tuple:
+def at_periods(own: TimeCurve, period: float, since: float, until: float) -> tuple:
     """(times [s], values, rates) once a period from `since` to `until` [s]; between saving times by
     cubics through values and rates."""
     times = np.arange(since, until * (1 + 1e-12), period)
@@ -138,7 +138,7 @@ def at_periods(own: Signal, period: float, since: float, until: float) -> tuple:
     return times, curve(times), curve.derivative()(times)
 
 
-def _checked(run: Trajectory, own: Signal, period: float, since: float, what: str) -> float:
+def _checked(run: Trajectory, own: TimeCurve, period: float, since: float, what: str) -> float:
     """The end of the run [s]. Raises `ValueError` where no two periods are left."""
     own.rates_shown()
     check_number(f"period of {what}", period, "s", above=0)

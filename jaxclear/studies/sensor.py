@@ -11,6 +11,7 @@ from abc import abstractmethod
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -109,17 +110,13 @@ class AbstractSensor(AbstractSignal):
         found = np.atleast_2d(np.asarray(signals, float))
         runs, samples = found.shape
         draw = lambda value: _drawn(value, runs, rng)
-        if self.bandwidth is not None:
-            found = _low_pass(found, draw(self.bandwidth) / rate)
-        lag = draw(self.delay) * rate
-        if np.any(lag > 0):
-            found = _read(found, np.arange(samples) - lag[:, None])
-        found = draw(self.gain)[:, None] * found
+        cut = None if self.bandwidth is None else draw(self.bandwidth)
+        found = _passed_each(found, rate, cut, draw(self.delay), draw(self.gain))
         if self.sampling is not None:
             every = rate / draw(self.sampling)[:, None]
             at = np.arange(samples)
-            found = _read(found, np.where(every > 1, np.floor(at / every) * every, at))
-        noise = draw(self.noise)
+            found = _read_each(found, np.where(every > 1, np.floor(at / every) * every, at))
+        found, noise = np.asarray(found), draw(self.noise)
         if np.any(noise > 0):
             found = found + noise[:, None] * rng.standard_normal(found.shape)
         return self.rounded(found)
@@ -133,23 +130,33 @@ def _drawn(value: Any, runs: int, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(value.nominal + value.distribution.quantile(shares))
 
 
-def _low_pass(signals: np.ndarray, cut: np.ndarray) -> np.ndarray:
-    """First-order low-pass, exact for signals that are constant between samples; it begins settled.
-    `cut` (runs,): cut-off beside the sampling rate."""
-    from scipy.signal import lfilter
+def passed(signal: Array, rate: Scalar, bandwidth: Any, delay: Any, gain: Any) -> Array:
+    """What an instrument whose numbers are known makes of a signal (n,) at `rate` [Hz], without
+    noise. Its first-order low-pass (None: none) is exact for signals that are constant between
+    samples, and begins settled."""
+    if bandwidth is not None:
+        kept = jnp.exp(-2 * jnp.pi * bandwidth / rate)
 
-    found = np.empty_like(signals)
-    for i, (own, share) in enumerate(zip(signals, cut, strict=True)):
-        kept = np.exp(-2 * np.pi * share)
-        found[i] = lfilter([1 - kept], [1, -kept], own, zi=[kept * own[0]])[0]
-    return found
+        def mixed(before, now):
+            after = kept * before + (1 - kept) * now
+            return after, after
+
+        signal = jax.lax.scan(mixed, signal[0], signal)[1]
+    return gain * _read(signal, jnp.arange(len(signal)) - delay * rate)
 
 
-def _read(signals: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Signals at fractions of their samples, along straight lines between these."""
-    samples = np.arange(signals.shape[1])
-    at = np.broadcast_to(at, signals.shape)
-    return np.stack([np.interp(own, samples, each) for own, each in zip(at, signals, strict=True)])
+def _read(signal: Array, at: Array) -> Array:
+    """A signal at fractions of its samples, along straight lines between these."""
+    at = jnp.clip(at, 0, len(signal) - 1)
+    first = jnp.floor(at).astype(int)
+    share = at - first
+    # Where a sample is met, its neighbour is not asked: it may not be finite.
+    second = jnp.where(share > 0, first + 1, first)
+    return (1 - share) * signal[first] + share * signal[second]
+
+
+_passed_each = jax.jit(jax.vmap(passed, (0, None, 0, 0, 0)))
+_read_each = jax.jit(jax.vmap(_read))
 
 
 class Accelerometer(AbstractSensor):

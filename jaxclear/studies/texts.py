@@ -52,11 +52,11 @@ def in_texts(problem: AbstractProblem) -> dict[str, str]:
     and functions by a digest."""
     found: dict[str, str] = {}
     for what, part in problem.parts().items():
-        _tell(part, what, found)
+        tell(part, what, found)
     for name in problem.names:
-        _tell(problem.variables[name].distribution, f'distribution of "{name}"', found)
+        tell(problem.variables[name].distribution, f'distribution of "{name}"', found)
     if problem.correlation is not None:
-        _tell(problem.correlation, "correlation of the variables", found)
+        tell(problem.correlation, "correlation of the variables", found)
     return found
 
 
@@ -74,11 +74,9 @@ def difference(one: AbstractProblem, other: AbstractProblem) -> str:
 
 
 def first_difference(one: dict[str, str], other: dict[str, str]) -> str:
-    """The first part in which two descriptions differ, in words; "" where they are the same. What
-    classes hold, up to 0.32 nothing told; what uses it is another function where it came later."""
-    here = (name for name in other if name not in one)
-    for part in [*one, *(n for n in here if not _is_value_of_class(n, other[n]))]:
-        mine, others = (_kept(own.get(part, "absent")) for own in (one, other))
+    """The first part in which two descriptions differ, in words; "" where they are the same."""
+    for part in [*one, *(name for name in other if name not in one)]:
+        mine, others = (own.get(part, "absent") for own in (one, other))
         if mine.startswith(FUNCTION) and others.startswith(FUNCTION) and mine != others:
             return f"{part} is another function"
         if mine != others:
@@ -86,24 +84,8 @@ def first_difference(one: dict[str, str], other: dict[str, str]) -> str:
     return ""
 
 
-def _is_value_of_class(part: str, text: str) -> bool:
-    return part.startswith(CLASS) and not text.startswith(FUNCTION) and text != TOLD
-
-
 def _named(names: tuple[str, ...]) -> str:
     return listed(names) or "none"
-
-
-def _kept(text: str) -> str:
-    """A text as it is told today; up to 0.30 parts of a mechanism were an OrderedDict."""
-    return "dict" if text == "OrderedDict" else text
-
-
-def texts_of(thing: Any) -> dict[str, str]:
-    """As `in_texts`, of any thing."""
-    found: dict[str, str] = {}
-    _tell(thing, "", found)
-    return found
 
 
 def parts_of(thing: Any) -> dict[str, Any] | None:
@@ -122,7 +104,7 @@ def parts_of(thing: Any) -> dict[str, Any] | None:
     return None
 
 
-def _tell(thing: Any, path: str, found: dict[str, str], inside: tuple[int, ...] = ()) -> None:
+def tell(thing: Any, path: str, found: dict[str, str], inside: tuple[int, ...] = ()) -> None:
     """Puts the texts of a thing and of its parts into `found`. `inside`: whose part it is."""
     if id(thing) in inside:
         found[path] = "what it is a part of"
@@ -141,7 +123,7 @@ def _tell(thing: Any, path: str, found: dict[str, str], inside: tuple[int, ...] 
         kind = dict if isinstance(thing, dict) else type(thing)
         found[path] = _tell_class(kind, found, inside)
         for key, part in parts.items():
-            _tell(part, f"{path}{key}", found, inside)
+            tell(part, f"{path}{key}", found, inside)
     else:
         _tell_piece(thing, path, found, inside)
 
@@ -153,7 +135,7 @@ def _tell_piece(thing: Any, path: str, found: dict[str, str], inside: tuple[int,
     if ADDRESS.search(shown) and held:
         found[path] = _tell_class(type(thing), found, inside)
         for name, value in held.items():
-            _tell(value, f"{path}.{name}", found, inside)
+            tell(value, f"{path}.{name}", found, inside)
     else:
         found[path] = _short(ADDRESS.sub("", shown))
 
@@ -173,7 +155,7 @@ def _tell_class(kind: type, found: dict[str, str], inside: tuple[int, ...]) -> s
             if told and (function := _function(member)) is not None:
                 _tell_function(function, f"{path}.{name}", found, inside)
             elif isinstance(member, VALUES) and not _is_field(owner, name):
-                _tell(member, f"{path}.{name}", found, inside)
+                tell(member, f"{path}.{name}", found, inside)
     return kind.__name__
 
 
@@ -199,7 +181,7 @@ def _tell_function(
     text = _digest(_code(function.__code__).encode())
     found[path] = f"{FUNCTION} {function.__name__} {text}"
     for what, part in _held(function):
-        _tell(part, f"{path} {what}", found, inside)
+        tell(part, f"{path} {what}", found, inside)
     outside = function.__globals__
     if _of_library(outside.get("__name__", "")):
         return
@@ -208,7 +190,7 @@ def _tell_function(
         # Told once: two functions may call one another.
         if name in outside and place not in found:
             found[place] = TOLD
-            _tell(outside[name], place, found)
+            tell(outside[name], place, found)
 
 
 def _held(function: Any) -> Iterator[tuple[str, Any]]:

@@ -216,5 +216,5 @@ def test_a_study_takes_a_mechanism_with_a_table():
         integrator=jc.integrator.FixedStep(0.1),
         save=2,
     )
-    found = problem.evaluate(problem.nominal())
+    found = jax.jit(problem.evaluate)(problem.nominal())
     np.testing.assert_allclose(found.responses["response"], 0.25, rtol=1e-12)

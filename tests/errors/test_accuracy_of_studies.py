@@ -1,6 +1,7 @@
 """A problem that asks for an accuracy of its responses has an integrator that keeps it, chosen
 once; and arguments that meant other things by that word go on by their old names for a version."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -37,7 +38,7 @@ def exact():
 
 
 def test_responses_are_as_accurate_as_was_asked(asked, exact):
-    found = asked.evaluate(asked.nominal()).responses
+    found = jax.jit(asked.evaluate)(asked.nominal()).responses
     assert asked.accuracy == 0.01 and "ImplicitStep(" in asked.why_integrator
     np.testing.assert_allclose(found["force"], FORCE(exact), rtol=0.01)
     np.testing.assert_allclose(found["wear"], WEAR(exact), rtol=0.01)
@@ -46,7 +47,7 @@ def test_responses_are_as_accurate_as_was_asked(asked, exact):
 def test_numbers_are_in_units_and_by_name(exact):
     """Of the force alone, which steps four times as long tell."""
     coarse = problem(accuracy={"force": 5.0})
-    found = float(coarse.evaluate(coarse.nominal()).responses["force"])
+    found = float(jax.jit(coarse.evaluate)(coarse.nominal()).responses["force"])
     assert abs(found - float(FORCE(exact))) <= 5.0
     assert coarse.accuracy == (("force", 5.0),)
 

@@ -74,15 +74,16 @@ def contact_laws():
 
 
 def contact_products():
-    """Every elastic force times every dissipation factor, as pytest's parameters: a fifth of
-    them, with each force and each factor, runs always, the rest as slow tests."""
+    """Every elastic force times every dissipation factor, as pytest's parameters: as many as hold
+    each force and each factor run always, the rest as slow tests."""
     forces = family(contact.AbstractElasticForce)
     factors = family(contact.AbstractDissipation)
+    always = {(i % len(forces), i % len(factors)) for i in range(max(len(forces), len(factors)))}
     return [
         pytest.param(
             contact.ContactForce(force, factor),
             id=f"{force_name}-x-{factor_name}",
-            marks=[] if (i + j) % 5 == 0 else [pytest.mark.slow],
+            marks=() if (i, j) in always else pytest.mark.slow,
         )
         for i, (force_name, force) in enumerate(forces)
         for j, (factor_name, factor) in enumerate(factors)
@@ -115,9 +116,6 @@ def assert_finite_derivatives(function, law, arguments):
     rows = jnp.asarray(np.array(arguments, dtype=float))
     results = jax.jit(jax.vmap(everything))(rows)
     assert_finite(results, type(law).__name__)
-    single = jax.jit(everything)(rows[0])
-    for one, all_ in zip(jax.tree.leaves(single), jax.tree.leaves(results), strict=False):
-        np.testing.assert_allclose(one, all_[0], rtol=1e-12, atol=1e-300)
     pulled = sum(
         jnp.sum(leaf, axis=tuple(range(1, leaf.ndim))) for leaf in jax.tree.leaves(results[1])
     )

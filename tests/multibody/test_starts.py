@@ -1,5 +1,7 @@
 """What a mechanism starts with: closed loops, given values held, and derivatives of both."""
 
+import re
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -81,7 +83,7 @@ def test_loops_that_are_far_from_closed_close_in_runs_and_in_studies(inertia):
     told = np.arccos((gap**2 + 0.3**2 - 0.25**2) / (2 * gap * 0.3))
     assert abs(float(jc.assemble(rig).coordinates[0])) == pytest.approx(told, abs=1e-9)
     run = jc.simulate(rig, 0.01, save=2, integrator=problem.integrator)
-    found = problem.evaluate(problem.nominal()).responses["turned"]
+    found = jax.jit(problem.evaluate)(problem.nominal()).responses["turned"]
     assert float(found) == pytest.approx(float(run.coordinate("A")[-1]), abs=1e-9)
 
 
@@ -94,7 +96,11 @@ def test_a_batch_of_starts_calls_no_factorisation_of_another_library():
         def coordinates(own, rest=rest):
             return assemble_arrays(eqx.combine(own, rest)).coordinates
 
-        assert "custom_call" not in jax.jit(jax.vmap(coordinates)).lower(many).as_text()
+        called = re.findall(
+            r"custom_call @(\w+)", jax.jit(jax.vmap(coordinates)).lower(many).as_text()
+        )
+        # Kernels of this package's own do not wait.
+        assert not [name for name in called if not name.startswith("jaxclear_")]
 
 
 def test_the_least_change_meets_what_it_can_and_moves_no_further():
@@ -326,7 +332,7 @@ def test_a_start_in_a_worn_hollow_is_judged_on_the_worn_surface():
         state=state,
         integrator=jc.integrator.FixedStep(1e-5),
     )
-    sample = problem.evaluate(problem.nominal())
+    sample = jax.jit(problem.evaluate)(problem.nominal())
     assert int(sample.outcome) == 0 and float(sample.responses["y"]) == pytest.approx(-0.9e-3)
 
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.plot.signal import Signal, at_periods, signal, spectral_density
+from jaxclear.plot.signal import TimeCurve, at_periods, signal, spectral_density
 
 SPEED = 50.0
 PERIOD = 1e-3
@@ -106,7 +106,7 @@ def test_the_rate_of_a_signal_is_its_slope(run):
 def test_a_motion_that_repeats_is_one_point_of_its_section():
     time = np.linspace(0.0, 5.0, 1001)
     turn = 2 * np.pi * time
-    own = Signal(time, np.sin(turn), 2 * np.pi * np.cos(turn), "m", "x", "velocity x")
+    own = TimeCurve(time, np.sin(turn), 2 * np.pi * np.cos(turn), "m", "x", "velocity x")
     times, values, rates = at_periods(own, 1.0, 0.3, 5.0)
     assert len(times) == 5
     np.testing.assert_allclose(values, np.sin(0.6 * np.pi), atol=1e-7)
@@ -115,7 +115,7 @@ def test_a_motion_that_repeats_is_one_point_of_its_section():
 
 def test_every_second_period_is_two_points_of_its_section():
     time = np.linspace(0.0, 8.0, 3001)
-    own = Signal(time, np.sin(np.pi * time), np.pi * np.cos(np.pi * time), "m", "x", "")
+    own = TimeCurve(time, np.sin(np.pi * time), np.pi * np.cos(np.pi * time), "m", "x", "")
     _, values, _ = at_periods(own, 1.0, 0.5, 8.0)
     np.testing.assert_allclose(np.unique(values.round(6)), [-1.0, 1.0])
 

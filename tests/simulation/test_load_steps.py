@@ -1,6 +1,7 @@
 """A push that is shorter than a step is told of, and steps that find their own length do not pass
 over it. Oracle: a body on a slide that is pushed moves by the impulse over its mass."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -93,7 +94,7 @@ def test_a_study_is_held_to_the_push_too_and_says_what_its_steps_pass_over():
         integrator=integrator,
     )
     held = question(jc.integrator.Adaptive())
-    found = held.evaluate(held.nominal()).responses["speed"]
+    found = jax.jit(held.evaluate)(held.nominal()).responses["speed"]
     assert float(found) == pytest.approx(FORCE * LASTS / MASS, rel=1e-5)
     passing = question(jc.integrator.FixedStep(1e-4))
     assert "push" in passing.doubts()[0]

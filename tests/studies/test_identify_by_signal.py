@@ -8,10 +8,9 @@ import pytest
 import scipy
 
 import jaxclear as jc
-from jaxclear.studies.identification.autocorrelation import correlation_time
 from jaxclear.studies.identification.posterior import importance_sampled, shortest_interval
 from jaxclear.studies.identification.several_records import next_record
-from jaxclear.studies.identification.signal_fit import Interval
+from jaxclear.studies.identification.signal_fit import CredibleInterval, correlation_time
 
 TIME = np.linspace(0.0, 1.0, 100)
 NOISE = 0.1
@@ -113,7 +112,7 @@ def test_several_records_tell_the_next_one_by_their_differences():
 
 
 def test_the_next_record_is_a_students_t():
-    told = [Interval(x, 0.0, 0.0, 0.01, -9.0, 9.0) for x in (1.0, 2.0, 4.0)]
+    told = [CredibleInterval(x, 0.0, 0.0, 0.01, -9.0, 9.0) for x in (1.0, 2.0, 4.0)]
     own = next_record(told)
     values = np.array([1.0, 2.0, 4.0])
     half = scipy.stats.t.ppf(0.975, 2) * values.std(ddof=1) * np.sqrt(4 / 3)

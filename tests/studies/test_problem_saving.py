@@ -1,5 +1,6 @@
 """A study keeps what a run keeps: saving times, and touches and releases in between."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -30,7 +31,7 @@ def test_touches_of_a_sample_are_those_of_its_run():
         integrator=integrator,
         save=saving,
     )
-    found = problem.evaluate(problem.nominal())
+    found = jax.jit(problem.evaluate)(problem.nominal())
     alone = jc.simulate(fall(), 0.05, integrator=integrator, save=saving)
     assert float(next(iter(found.responses.values()))) == len(alone.events()) > 0
 

@@ -7,7 +7,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.studies.identification.result import Identified, Unknown
 from jaxclear.studies.identification.several_records import next_record
-from jaxclear.studies.identification.signal_fit import Interval
+from jaxclear.studies.identification.signal_fit import CredibleInterval
 from jaxclear.studies.identification.told import of_records
 from tests.plot.identified import identified
 
@@ -69,7 +69,7 @@ def test_what_cannot_be_asked_is_refused():
 def test_several_records_by_statistics_tell_the_next_one():
     every = [found(value) for value in (1.0e-4, 1.1e-4, 1.2e-4)]
     whole = of_records(PROBLEM, every, 0)
-    told = [Interval(own["gap"].estimate, 0.0, 0.0, ERROR, 0.0, 4e-4) for own in every]
+    told = [CredibleInterval(own["gap"].estimate, 0.0, 0.0, ERROR, 0.0, 4e-4) for own in every]
     expected = next_record(told)
     assert whole["gap"].estimate == pytest.approx(expected.value)
     assert whole["gap"].high == pytest.approx(expected.high, rel=1e-3)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from jaxclear.studies.identification.signal_fit import REFUSED, Interval, SignalFit
+from jaxclear.studies.identification.signal_fit import REFUSED, CredibleInterval, SignalFit
 
 
 class Kept(NamedTuple):
@@ -64,11 +64,11 @@ def _log_ratio(fit: SignalFit, nearest: SignalFit) -> float:
     )
 
 
-def hull(told: Sequence[Interval]) -> Interval:
+def hull(told: Sequence[CredibleInterval]) -> CredibleInterval:
     """The interval that holds those that each model tells of one unknown, or of a response."""
     values = np.array([own.value for own in told])
     deviation = np.sqrt(np.mean([own.deviation**2 for own in told]) + values.var())
-    return Interval(
+    return CredibleInterval(
         float(values.mean()),
         min(own.low for own in told),
         max(own.high for own in told),

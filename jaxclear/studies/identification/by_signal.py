@@ -11,8 +11,13 @@ import jax.numpy as jnp
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.identification.alternatives import Kept, hull, kept_models
 from jaxclear.studies.identification.forward import Forward, Record
-from jaxclear.studies.identification.several_records import FEWEST, NextRecord, next_record
-from jaxclear.studies.identification.signal_fit import Interval, SignalFit, fit_signal
+from jaxclear.studies.identification.several_records import (
+    FEWEST,
+    NextRecord,
+    interval_of,
+    next_record,
+)
+from jaxclear.studies.identification.signal_fit import CredibleInterval, SignalFit, fit_signal
 
 
 class Compared(NamedTuple):
@@ -30,9 +35,9 @@ class BySignal(NamedTuple):
 
     fits: dict[str, tuple[SignalFit, ...]]
     kept: Kept
-    unknowns: dict[str, Interval]
-    answers: dict[str, Interval]
-    own: dict[str, dict[str, Interval]]
+    unknowns: dict[str, CredibleInterval]
+    answers: dict[str, CredibleInterval]
+    own: dict[str, dict[str, CredibleInterval]]
     between: dict[str, dict[str, NextRecord]]
 
     @property
@@ -61,13 +66,13 @@ def by_signal(
         for name, every in models.items()
     }
     kept = kept_models(fits)
-    unknowns: dict[str, dict[str, Interval]] = {}
-    answers: dict[str, dict[str, Interval]] = {}
+    unknowns: dict[str, dict[str, CredibleInterval]] = {}
+    answers: dict[str, dict[str, CredibleInterval]] = {}
     between: dict[str, dict[str, NextRecord]] = {}
     for name in kept.models:
         own, problem = fits[name], models[name][0].forward.problem
         told = [{**fit.unknowns, **fit.answers} for fit in own]
-        found = {key: _of_records([each[key] for each in told]) for key in told[0]}
+        found = {key: interval_of([each[key] for each in told]) for key in told[0]}
         unknowns[name] = {key: _within(problem, key, found[key]) for key in own[0].unknowns}
         answers[name] = {key: found[key] for key in own[0].answers}
         if len(own) >= FEWEST:
@@ -76,17 +81,7 @@ def by_signal(
     return BySignal(fits, kept, shared, _shared(answers)[0], rest, between)
 
 
-def _of_records(told: list[Interval]) -> Interval:
-    """One record's interval as it is; of several that of the next."""
-    if len(told) < FEWEST:
-        return told[0]
-    found = next_record(told)
-    deviation = max(found.between, found.within)
-    ends = told[0].prior_low, told[0].prior_high
-    return Interval(found.value, found.low, found.high, deviation, *ends)
-
-
-def _within(problem: AbstractProblem, name: str, own: Interval) -> Interval:
+def _within(problem: AbstractProblem, name: str, own: CredibleInterval) -> CredibleInterval:
     """An interval of an unknown within the ends of its prior."""
     place = problem.names.index(name)
     distribution, nominal = problem.inputs.distributions[place], float(problem.nominal()[place])
@@ -95,8 +90,8 @@ def _within(problem: AbstractProblem, name: str, own: Interval) -> Interval:
 
 
 def _shared(
-    every: dict[str, dict[str, Interval]],
-) -> tuple[dict[str, Interval], dict[str, dict[str, Interval]]]:
+    every: dict[str, dict[str, CredibleInterval]],
+) -> tuple[dict[str, CredibleInterval], dict[str, dict[str, CredibleInterval]]]:
     """What all models tell of, together; and what only some do, by model."""
     told = list(every.values())
     names = [n for n in told[0] if all(n in own for own in told)] if told else []

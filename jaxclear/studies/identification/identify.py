@@ -118,7 +118,7 @@ def identify(
         check_only_signals(statistics=statistics, laws=laws, store=store)
         return told_by_signals(models, records, runs, seed)
     found: list[Identified] = []
-    fitted: list[tuple[Any, Measurement, Fit]] = []
+    fitted: list[tuple[Any, Measurement, RegressedStatistics]] = []
     for own, record in zip(only_one(models), records, strict=True):
         check_identifiable(own, record)
         same = [fit for one, other, fit in fitted if one is own and same_sensing(other, record)]
@@ -150,7 +150,7 @@ def _statistics(given: Any, record: Measurement) -> dict[str, Callable]:
     return dict(given)
 
 
-class Fit(NamedTuple):
+class RegressedStatistics(NamedTuple):
     """A sample of a problem, regressed on the `statistics` of what a record's sensors see of it:
     what any record of the same sensors and sampling is compared with. `signals` are those of the
     sample as they were sensed, `cut` into turns; `kinds` their statistics (runs, numbers) by kind,
@@ -171,7 +171,7 @@ def fit(
     sample: Sample,
     statistics: dict[str, Callable],
     seed: int = 0,
-) -> Fit:
+) -> RegressedStatistics:
     """The sample as a record's sensors see it, and the unknowns by what they see."""
     if len(sample.values) < LEAST_RUNS:
         raise ValueError(
@@ -185,10 +185,10 @@ def fit(
     groups = next(iter(sample.choices.values()), None)
     regressed = regression(np.concatenate(list(kinds.values()), axis=1), shares, groups)
     tellers = _tellers(kinds, shares, problem.names)
-    return Fit(problem, sample, statistics, cut, kinds, regressed, tellers)
+    return RegressedStatistics(problem, sample, statistics, cut, kinds, regressed, tellers)
 
 
-def answered(known: Fit, record: Measurement) -> Identified:
+def answered(known: RegressedStatistics, record: Measurement) -> Identified:
     """What a record tells beside a sample that is fitted."""
     problem, sample, fitted = known.problem, known.sample, known.regressed
     own = {name: values[None] for name, values in record.signals.items()}

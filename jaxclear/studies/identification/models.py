@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -23,7 +22,7 @@ from jaxclear.studies.identification.measurement import Measurement
 from jaxclear.studies.identification.sample import check_identifiable, watched
 from jaxclear.studies.mechanism_problem import responses_of
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.sensor import AbstractSensor, Series
+from jaxclear.studies.sensor import AbstractSensor, Series, passed
 
 Model: TypeAlias = AbstractProblem | Callable[[Measurement], AbstractProblem]
 # The model that is asked about where there is only one.
@@ -130,7 +129,7 @@ class _OfFunction(eqx.Module):
     def __call__(self, asked: FunctionProblem, values: Array) -> Shown:
         """Those of one set of values."""
         found = asked.answers(values)
-        signals = {name: _sensed(own, own(found), self.rate) for name, own in self.sensors.items()}
+        signals = {n: _sensed(own, found, self.rate) for n, own in self.sensors.items()}
         return Shown(signals, {name: found[name] for name in asked.response_names})
 
 
@@ -146,22 +145,9 @@ class _OfRun(eqx.Module):
         """Those of one set of values; nan where the run did not reach its end."""
         run = asked.started(values)[2]
         last = lambda signal: jnp.where(run.succeeded, signal, jnp.nan)[-self.count :]
-        signals = {
-            name: last(_sensed(own, own(run), self.rate)) for name, own in self.sensors.items()
-        }
+        signals = {n: last(_sensed(own, run, self.rate)) for n, own in self.sensors.items()}
         return Shown(signals, responses_of(self.problem, run))
 
 
-def _sensed(sensor: Any, signal: Array, rate: Array) -> Array:
-    """What an instrument shows of a signal (n,), without its noise."""
-    if sensor.bandwidth is not None:
-        kept = jnp.exp(-2 * jnp.pi * sensor.bandwidth / rate)
-
-        def passed(before, now):
-            after = kept * before + (1 - kept) * now
-            return after, after
-
-        signal = jax.lax.scan(passed, signal[0], signal)[1]
-    at = jnp.arange(len(signal))
-    signal = jnp.interp(at - sensor.delay * rate, at, signal)
-    return sensor.gain * signal
+def _sensed(sensor: Any, run: Any, rate: Array) -> Array:
+    return passed(sensor(run), rate, sensor.bandwidth, sensor.delay, sensor.gain)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from jaxclear.studies.identification.signal_fit import Interval
+from jaxclear.studies.identification.signal_fit import CredibleInterval
 
 # Of two records nothing is known of how records differ but their one difference; an interval of
 # Student's t is 6.5 times that of many records then, and 2.2 times with three.
@@ -34,10 +34,6 @@ class NextRecord(NamedTuple):
     within: float
     freedom: int
 
-    def draws(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Values (count,) in records yet to come."""
-        return self.value + self.scale * rng.standard_t(self.freedom, count)
-
     @property
     def scale(self) -> float:
         """Of Student's t."""
@@ -48,7 +44,7 @@ def _scale(between: float, within: float, records: int) -> float:
     return float(max(between, within) * np.sqrt(1.0 + 1.0 / records))
 
 
-def next_record(told: Sequence[Interval]) -> NextRecord:
+def next_record(told: Sequence[CredibleInterval]) -> NextRecord:
     """An unknown, or a response, in the next record, from what each record (two at least) tells of
     it."""
     values = np.array([own.value for own in told])
@@ -59,7 +55,17 @@ def next_record(told: Sequence[Interval]) -> NextRecord:
     return NextRecord(middle, middle - half, middle + half, between, within, freedom)
 
 
-def left_out(told: Sequence[Interval]) -> list[tuple[float, NextRecord]]:
+def interval_of(told: Sequence[CredibleInterval]) -> CredibleInterval:
+    """What one record tells; what several tell of the next."""
+    if len(told) < FEWEST:
+        return told[0]
+    found = next_record(told)
+    deviation = max(found.between, found.within)
+    ends = told[0].prior_low, told[0].prior_high
+    return CredibleInterval(found.value, found.low, found.high, deviation, *ends)
+
+
+def left_out(told: Sequence[CredibleInterval]) -> list[tuple[float, NextRecord]]:
     """For each record (three at least) its value, and what all others say of it: whether the
     records agree with what is told of the next one."""
     others = lambda i: [own for k, own in enumerate(told) if k != i]

@@ -6,7 +6,8 @@ that a model which misses a record by more than its noise is not believed to the
 known noise the sum of squares must be what that noise makes; if it is not, no interval is told.
 
 Source: likelihoods to a power, Bissiri, Holmes & Walker 2016, J. R. Stat. Soc. B 78, 1103,
-doi:10.1111/rssb.12158.
+doi:10.1111/rssb.12158; the time scale of correlated samples, Thiébaux & Zwiers 1984, J. Clim. Appl.
+Meteorol. 23, 800; where to end its sum, Geyer 1992, Stat. Sci. 7, 473, doi:10.1214/ss/1177011137.
 """
 
 from typing import NamedTuple
@@ -16,7 +17,6 @@ import numpy as np
 import scipy
 from jax.scipy.special import ndtr
 
-from jaxclear.studies.identification.autocorrelation import correlation_time
 from jaxclear.studies.identification.forward import (
     Answered,
     Forward,
@@ -66,7 +66,7 @@ class Misfit(NamedTuple):
         return not self.chi2 > self.limit
 
 
-class Interval(NamedTuple):
+class CredibleInterval(NamedTuple):
     """A median, the ends of a 95 % interval, a standard deviation, and the ends of the prior's
     interval, all in the unit of what they are of."""
 
@@ -97,8 +97,8 @@ class SignalFit(NamedTuple):
     values: np.ndarray
     weights: np.ndarray
     responses: dict[str, np.ndarray]
-    unknowns: dict[str, Interval]
-    answers: dict[str, Interval]
+    unknowns: dict[str, CredibleInterval]
+    answers: dict[str, CredibleInterval]
     together: dict[tuple[str, str], float]
     runs: int
     refusal: str = ""
@@ -139,6 +139,21 @@ def fit_signal(
         return _refused(forward, record, best, refusal)
     sampled = _sampled(forward, record, found, misfits, draws, seed)
     return _told(forward, record, best, misfits, sampled)
+
+
+def correlation_time(residual: np.ndarray) -> float:
+    """Samples (at least 1) that one independent sample of a residual (n,) is worth:
+    1 + 2 (sum of its autocorrelations until the first that is not positive)."""
+    centred = np.asarray(residual, float) - np.mean(residual)
+    count, power = len(centred), centred @ centred
+    if count < 2 or power <= 0.0:
+        return 1.0
+    # Twice as long with zeros, so that the transform's circle does not close.
+    spectrum = np.abs(np.fft.rfft(centred, 2 * count)) ** 2
+    correlation = np.fft.irfft(spectrum, 2 * count)[:count] / power
+    ends = np.flatnonzero(correlation <= 0.0)
+    last = ends[0] if len(ends) else count
+    return float(1.0 + 2.0 * correlation[1:last].sum())
 
 
 _NOT_FINITE = (
@@ -297,7 +312,7 @@ def _told(
     for name, own in sample.responses.items():
         middle, low, high = (weighted_quantile(own, weights, x) for x in (0.5, *ENDS))
         prior = (weighted_quantile(own, sample.draws.prior_weights, x) for x in ENDS)
-        answers[name] = Interval(middle, low, high, _deviation(own, weights), *prior)
+        answers[name] = CredibleInterval(middle, low, high, _deviation(own, weights), *prior)
     values = np.asarray(problem.inputs.values(jnp.asarray(best.normal)))
     return SignalFit(
         values,
@@ -313,14 +328,14 @@ def _told(
     )
 
 
-def _interval_of_unknown(problem, place, shares, values, weights) -> Interval:
+def _interval_of_unknown(problem, place, shares, values, weights) -> CredibleInterval:
     low, high = shortest_interval(shares, weights)
     own, nominal = problem.inputs.distributions[place], float(problem.nominal()[place])
     at = lambda share: nominal + float(own.quantile(jnp.asarray(share)))
     inside = lambda share, extreme: at(share) if np.isfinite(at(share)) else extreme
     ends = inside(low, values.min()), inside(high, values.max())
     median = weighted_quantile(values, weights, 0.5)
-    return Interval(median, *ends, _deviation(values, weights), *map(at, ENDS))
+    return CredibleInterval(median, *ends, _deviation(values, weights), *map(at, ENDS))
 
 
 def _deviation(values: np.ndarray, weights: np.ndarray) -> float:

@@ -22,8 +22,13 @@ from jaxclear.studies.identification.result import (
     unknown_of,
     verdict_of,
 )
-from jaxclear.studies.identification.several_records import FEWEST, NextRecord, next_record
-from jaxclear.studies.identification.signal_fit import Interval, SignalFit
+from jaxclear.studies.identification.several_records import (
+    FEWEST,
+    NextRecord,
+    interval_of,
+    next_record,
+)
+from jaxclear.studies.identification.signal_fit import CredibleInterval, SignalFit
 from jaxclear.studies.problem import Problem
 
 # Searches that begin at different places of the priors, and windows of a record of runs in time,
@@ -83,11 +88,11 @@ def of_signals(
     return Identified(problem, tuple(unknowns), drawn, runs, 0, how, said, answers=answers)
 
 
-def _unknown(problem: AbstractProblem, name: str, own: Interval) -> Unknown:
+def _unknown(problem: AbstractProblem, name: str, own: CredibleInterval) -> Unknown:
     return _row(name, problem.variable_units[problem.names.index(name)], own)
 
 
-def _row(name: str, unit: str, own: Interval) -> Unknown:
+def _row(name: str, unit: str, own: CredibleInterval) -> Unknown:
     """An unknown, or a response; one that is not identified has its prior's interval."""
     verdict = verdict_of(own.width)
     prior = float(own.prior_low), float(own.prior_high)
@@ -224,11 +229,11 @@ def of_records(problem: Any, every: Sequence[Identified], seed: int) -> Identifi
         for own in every:
             row, values = own.unknowns[i], own.posterior_values[:, i]
             prior = row.prior_low, row.prior_high
-            told.append(Interval(row.estimate, row.low, row.high, float(values.std()), *prior))
+            told.append(
+                CredibleInterval(row.estimate, row.low, row.high, float(values.std()), *prior)
+            )
         nexts.append(next_record(told))
-        last = nexts[-1]
-        interval = Interval(last.value, last.low, last.high, last.scale, *prior)
-        unknowns.append(_unknown(problem, name, interval))
+        unknowns.append(_unknown(problem, name, interval_of(told)))
     drawn = [np.corrcoef(own.posterior_values.T) for own in every]
     correlation = np.atleast_2d(np.mean(drawn, axis=0))
     values = next_values(nexts, correlation, DRAWS, np.random.default_rng(seed))

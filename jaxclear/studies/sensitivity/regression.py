@@ -181,7 +181,7 @@ def runs_at_ends(
     return Ends(densities, ends, values, responses, group)
 
 
-class Fit:
+class LocalPolynomial:
     """Polynomials of the variables in standard deviations about nominal: as many terms as the
     samples bear, those of the variable in question up to its cube."""
 
@@ -237,7 +237,7 @@ def regressions(
     if why:
         return {one.label: refused(why) for one in wanted}
     assert outer is not None
-    fit = Fit(problem, i, len(values))
+    fit = LocalPolynomial(problem, i, len(values))
     normal = np.asarray(normal_scores_of(problem.inputs, jnp.asarray(values)))
     weight = weights(problem, direction, np.concatenate([normal, outer.normal]))
     many = Many.drawn(problem, direction, fit, len(np.unique(group)), MANY_SEED + sample.seed)
@@ -322,7 +322,7 @@ class Ending(NamedTuple):
     scrambling: np.ndarray
 
 
-def ending_of(ends: Ends, fit: Fit, direction: Direction, one: Functional) -> Ending:
+def ending_of(ends: Ends, fit: LocalPolynomial, direction: Direction, one: Functional) -> Ending:
     """The ends as the response of one statistic sees them."""
     speeds = np.ones(2) if direction.number is None else ends.velocities / direction.number
     basis = np.stack([fit.basis(own) for own in ends.values])
