@@ -10,9 +10,8 @@ from scipy import stats
 import jaxclear as jc
 from jaxclear.studies.sampling import draw, groups
 from jaxclear.studies.sensitivity.derivative import Estimate, confirmed, from_parts
-from jaxclear.studies.sensitivity.estimand import Size
 from jaxclear.studies.sensitivity.differences import differences, moved
-from jaxclear.studies.sensitivity.estimand import Functional, directions
+from jaxclear.studies.sensitivity.estimand import Functional, Size, directions
 
 D = jc.distribution
 SLOPES, SPREADS = np.array([1.0, -0.8, 0.5]), np.array([0.1, 0.2, 0.15])

@@ -182,7 +182,8 @@ class Length(NamedTuple):
 class Trial(NamedTuple):
     """A step that was tried, kept or taken back: the node `after` it; what the volume of each
     surface may be off by the estimate, as `shares` of what is lost in the step, beyond what `noise`
-    explains (shares too), up to which share it is `smooth`, and how much such a share `counts` [1]."""
+    explains (shares too), up to which share it is `smooth`, and how much such a share `counts`
+    [1]."""
 
     after: Node
     shares: np.ndarray

@@ -58,9 +58,9 @@ def wear_life(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> WearLife:
-    """The wear of a life of so many `cycles`, up to 2^53, from few simulated ones: of a mechanism and its
-    `period` [s], as in `settled`, or of a `Problem` whose duration is the period and whose
-    responses are followed, at its nominal numbers.
+    """The wear of a life of so many `cycles`, 2^53 at the most, from few simulated ones: of a
+    mechanism and its `period` [s], as in `settled`, or of a `Problem` whose duration is the period
+    and whose responses are followed, at its nominal numbers.
 
     Steps are as long as lets each be wrong by `accuracy` [1] of what it wears, and so the whole
     life (root mean square over the cells of a surface); `jump` [cycles] gives them a fixed length
