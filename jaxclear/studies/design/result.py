@@ -144,7 +144,8 @@ class Design(AbstractAnswer):
         return choice.labels[int(np.argmin(np.abs(np.subtract(choice.offered, number))))]
 
     def sentence(self) -> str:
-        """That no choice keeps the limits, and by how much; or the cost, whether the limits hold, which of them decide and what they cost."""
+        """That no choice keeps the limits, and by how much; or the cost, whether the limits hold,
+        which of them decide and what they cost."""
         said = [f"Cost {self.cost:.6g}."]
         if self.infeasible:
             said = [

@@ -145,8 +145,8 @@ class Identified(AbstractAnswer):
 
     @property
     def explains(self) -> bool | None:
-        """Whether the record is like the sample's runs; None where nothing says so, as of fewer than
-        a hundred runs."""
+        """Whether the record is like the sample's runs; None where nothing says so, as of
+        fewer than a hundred runs."""
         if self.refusal:
             return False
         if self.explained is None or 1 / (self.runs + 1) > STRANGE:
