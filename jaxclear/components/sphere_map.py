@@ -308,6 +308,10 @@ class SphereMap(AbstractWearMap):
     radius: Scalar = quantity(unit="m", meaning="radius of the socket", above=0)
     clearance: Scalar = quantity(unit="m", meaning="radial clearance in it", above=0)
 
+    @property
+    def thickness(self):
+        return self.radius
+
     def areas(self) -> Float[Array, "around along"]:
         around, along = self.cells
         bands = jnp.diff(jnp.sin(jnp.linspace(-jnp.pi / 2, jnp.pi / 2, along + 1)))

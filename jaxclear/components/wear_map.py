@@ -11,7 +11,7 @@ worn surface enters the gap.
 import functools
 import math
 from abc import abstractmethod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import equinox.internal as eqxi
@@ -266,6 +266,12 @@ class AbstractWearMap(AbstractQuantified):
         and the run ends. It is not unless overridden."""
         return False
 
+    @property
+    def thickness(self) -> Any:
+        """Depth [m] at which nothing is left of what wears, as of a journal worn to its middle;
+        infinite where that is not known."""
+        return math.inf
+
     @abstractmethod
     def areas(self) -> Float[Array, "around along"]:
         """Area of each cell [m2]."""
@@ -309,6 +315,10 @@ class CylinderMap(AbstractWearMap):
     radius: Scalar = quantity(unit="m", meaning="radius of the wall", above=0)
     length: Scalar = quantity(unit="m", meaning="length of the wall", above=0)
     clearance: Scalar = quantity(unit="m", meaning="radial clearance in it", above=0)
+
+    @property
+    def thickness(self):
+        return self.radius
 
     def areas(self) -> Float[Array, "around along"]:
         around, along = self.cells

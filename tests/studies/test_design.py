@@ -244,8 +244,11 @@ def test_choices_of_a_catalogue_are_the_best_of_all_combinations(name):
 def test_what_cannot_be_kept_is_said():
     tight = jc.limit.MeanAndDeviation("gap", at_most=GAP + 1e-9)
     found = jc.design(problem(), reciprocal(), tight, tolerance=WIDE)
-    assert not found.holds and "does not hold" in found.sentence()
-    assert "No candidate within the bounds" in found.sentence()
+    assert not found.holds and found.infeasible and np.isnan(found.prices).all()
+    said = found.sentence()
+    assert said.startswith("Infeasible: no choice within the bounds keeps all limits.")
+    over = found.numbers[0] - (GAP + 1e-9)
+    assert f"{1e6 * over:.3g}e-06 m above" in said and "decides" not in said
 
 
 @pytest.mark.slow

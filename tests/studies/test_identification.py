@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.identification import laws, regression, result
+from jaxclear.studies.identification import identify, laws, regression, result
 from jaxclear.studies.identification.sample import check_identifiable
 
 LOSS = jc.contact.dissipation
@@ -43,6 +43,18 @@ def test_intervals_hold_what_they_promise_and_no_more(fitted):
     assert np.all(np.abs(held.mean(0) - 0.95) < 0.03)
     assert np.median(width[:, 0]) < 0.2
     assert np.all(np.abs(regression.calibration(fitted).mean(0) - 0.95) < 0.02)
+
+
+@pytest.mark.parametrize("runs", [64, 98, 99])
+def test_few_runs_cannot_call_a_record_strange_and_say_so(runs):
+    """Of so many runs the strangest record is one in runs + 1."""
+    rng = np.random.default_rng(7)
+    shares = rng.random((runs, 3))
+    small = regression.regression(statistics(shares, rng), shares)
+    strange = small.distance(np.full(10, 1e6)) <= result.STRANGE
+    said = identify._too_few(runs)
+    assert strange == (runs >= 99) == (not said)
+    assert all("takes 100 runs or more" in own for own in said)
 
 
 def test_what_is_told_together_is_named(fitted):

@@ -187,3 +187,9 @@ def test_intervals_of_skewed_contributions_are_moved():
             found = jackknifed(np.mean, parts, group, skewed)
             missed[skewed] += not found.low <= 1.0 <= found.high
     assert missed[False] > 0.07 * 600 and missed[True] < 0.8 * missed[False]
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3, 4])
+def test_studies_of_a_few_samples_can_be_printed(samples):
+    """No number of samples of one scrambling bounds a quantile."""
+    assert f"{samples} samples, 0 failed" in str(jc.monte_carlo(STACK, samples))

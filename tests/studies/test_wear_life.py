@@ -216,6 +216,16 @@ def test_a_life_ends_where_its_cycles_fail():
     assert "not 1" in life.until("depth", 1.0).sentence
 
 
+@pytest.mark.slow
+def test_a_bearing_worn_through_ends_its_life():
+    """A wall as deep as its radius is none."""
+    life = jc.wear_life(problem(wearing_ring(slope=0.0)), cycles=1e12, accuracy=0.3)
+    assert life.ended.startswith('Worn through: the bearing of "B"') and "radius of 0.01 m" in str(
+        life
+    )
+    assert 0.5 * RADIUS < life.at_end("depth") < RADIUS
+
+
 def test_table_figure_and_dataset_tell_the_life(lived):
     life = lived.life()
     table = life.table()
@@ -289,6 +299,8 @@ def test_a_life_is_a_response_as_any_other():
     [
         (lambda: jc.wear_life(jc.scenes.slider_crank(), period=0.1), "nothing wears"),
         (lambda: jc.wear_life(problem(wearing_ring()), cycles=-1), "cycles of wear_life is -1"),
+        (lambda: jc.wear_life(problem(wearing_ring()), cycles=1e300), r"at most 9\.0072e\+15"),
+        (lambda: jc.wear_lives(problem(wearing_ring()), cycles=1e300), r"at most 9\.0072e\+15"),
         (lambda: jc.wear_life(problem(wearing_ring()), jump=0.5), "jump of wear_life is 0.5"),
         (lambda: jc.wear_life(problem(wearing_ring()), store=3), "must be the path of a folder"),
         (lambda: jc.wear_life(wearing_ring()), r"needs its period \[s\]"),
@@ -396,6 +408,19 @@ def test_the_error_told_is_one_to_five_times_the_true_one(law, tolerance):
     told = last.error[0] + 1.96 * np.sqrt(last.variance[0])
     assert 1.0 < last.error[0] / abs(last.depth[0] - exact) < 5.0
     assert told < 5.0 * max(abs(last.depth[0] - exact), tolerance * exact)
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-4])
+@pytest.mark.parametrize("turns", [1e8, 1e12, 9e15])
+def test_wear_that_comes_to_an_end_costs_no_steps(turns, tolerance):
+    """Steps of a rate that dies away would never grow if their errors were shares of what they wear
+    themselves; what is told holds the true depth."""
+    found = stepped(lambda h: 1e-6 * np.maximum(1 - h, 0.0), turns, tolerance)
+    last = found.nodes[-1]
+    assert last.cycles == pytest.approx(turns) and not found.ended
+    assert len(found.nodes) + found.rejected < 120
+    told = last.error[0] + 1.96 * np.sqrt(last.variance[0])
+    assert abs(last.depth[0] - 1.0) <= told < 3 * tolerance
 
 
 def test_a_stiff_scar_is_followed_one_by_one():

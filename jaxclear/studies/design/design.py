@@ -139,7 +139,7 @@ def _told(found: Sought, runs: Runs, settings: DesignSettings, before: tuple) ->
     samples = question.samples(place, found.model, found.points)
     none = np.full(len(question.limits), np.nan)
     limited = [one.response for one in question.limits]
-    check = last.check
+    check, prices = last.check, prices_of(question, last.candidate.multipliers, samples)
     return Design(
         runs.problem,
         question,
@@ -149,7 +149,7 @@ def _told(found: Sought, runs: Runs, settings: DesignSettings, before: tuple) ->
         none if check is None else check.numbers,
         none if check is None else check.errors,
         none if check is None else check.excess,
-        prices_of(question, last.candidate.multipliers, samples),
+        none if found.ended == "infeasible" else prices,
         tuple(found.rounds),
         found.ended,
         float(settings.allowed_excess),

@@ -25,7 +25,7 @@ FEW_FAILED = 0.01
 ENDINGS = {
     "rounds": "The rounds that were allowed are used up.",
     "interrupted": "Interrupted: this is the best so far.",
-    "infeasible": "No candidate within the bounds keeps the limits; this one breaks them least.",
+    "infeasible": "",
     "holds": "",
 }
 
@@ -85,6 +85,17 @@ class Design(AbstractAnswer):
         return kept and not self._too_lost and not self._in_doubt
 
     @property
+    def infeasible(self) -> bool:
+        """Whether no choice within the bounds keeps all limits, as far as the search has seen; then
+        the limits have no price."""
+        return self.ended == "infeasible"
+
+    @property
+    def _beyond(self):
+        """The limits that new runs found broken, by number."""
+        return np.flatnonzero(~(self.excess <= self.allowed_excess))
+
+    @property
     def _in_doubt(self):
         """What is said of the new runs where too many of them warn of what a limit is about."""
         check = self.rounds[-1].check
@@ -133,21 +144,28 @@ class Design(AbstractAnswer):
         return choice.labels[int(np.argmin(np.abs(np.subtract(choice.offered, number))))]
 
     def sentence(self) -> str:
-        """The cost, whether the limits hold, which of them decide and what they cost."""
+        """That no choice keeps the limits, and by how much; or the cost, whether the limits hold,
+        which of them decide and what they cost."""
         said = [f"Cost {self.cost:.6g}."]
+        if self.infeasible:
+            said = [
+                "Infeasible: no choice within the bounds keeps all limits. Of the one that breaks "
+                f"them least, at a cost of {self.cost:.6g}, {self._told_broken()}. Widen what may "
+                "be chosen, or the limits."
+            ]
         if self.processes:
             made = (f"{name} {process}" for name, process in self.processes.items())
             said.append(f"Processes: {', '.join(made)}.")
-        if not self.verified:
+        if self.infeasible:
+            pass
+        elif not self.verified:
             said.append("Not verified by runs of its own.")
         elif self.holds:
             within = f"to within {100 * self.allowed_excess:g} %"
             said.append(f"All limits hold, by {self.seen_by} new runs, {within}.")
         else:
-            beyond = np.flatnonzero(~(self.excess <= self.allowed_excess))
-            broken = [self._broken(i) for i in beyond]
-            broken += [self._lost()] if self._too_lost else []
-            said += [f"It does not hold: {'; '.join(broken)}."] if broken else []
+            broken = self._told_broken()
+            said += [f"It does not hold: {broken}."] if broken else []
             said += [f"It is not known to hold, by runs in doubt. {own}" for own in self._in_doubt]
         said += [self._priced(i) for i in np.flatnonzero(self.prices > 0)]
         if self.failed:
@@ -168,10 +186,15 @@ class Design(AbstractAnswer):
         )
         return self.limits[i].unit(units[self.limits[i].response])
 
+    def _told_broken(self):
+        broken = [self._broken(i) for i in self._beyond]
+        return "; ".join([*broken, self._lost()] if self._too_lost else broken)
+
     def _broken(self, i):
         limit, number = self.limits[i], with_error(float(self.numbers[i]), float(self.errors[i]))
-        side = "above" if limit.upper() else "below"
-        return f"the {limit.words()} is {number}, {side} {as_written(limit.bound())}"
+        side, unit = "above" if limit.upper() else "below", self.unit(i).removeprefix("1")
+        apart = f"{in_few(abs(float(self.numbers[i] - limit.bound())), 3)} {unit}".rstrip()
+        return f"the {limit.words()} is {number}, {apart} {side} {as_written(limit.bound())}"
 
     def _lost(self):
         check = self.rounds[-1].check

@@ -145,12 +145,13 @@ class _Seeking:
             # Kept before it is verified: an interrupt may come in between.
             self.rounds.append(self._round(candidate, None))
             infeasible = candidate.broken > self.settings.allowed_excess
-            self.ended = "infeasible" if infeasible else "rounds"
             check = self._checked(number, candidate)
             self.rounds[-1] = self._round(candidate, check)
             if self._good(candidate, check):
                 self.ended = "holds"
                 return
+            infeasible &= bool(np.any(~(check.excess <= self.settings.allowed_excess)))
+            self.ended = "infeasible" if infeasible else "rounds"
             if infeasible and self.direct:
                 return
             wrong = check.excess - (candidate.excess - self.shift)

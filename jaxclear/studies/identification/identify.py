@@ -29,6 +29,7 @@ from jaxclear.studies.identification.result import (
     NOT,
     NOTHING,
     ONE_RECORD,
+    STRANGE,
     Evidence,
     Identified,
     prior_quantiles,
@@ -207,6 +208,7 @@ def answered(known: RegressedStatistics, record: Measurement) -> Identified:
     remarks = (
         *together(problem.names, fitted, [own.verdict for own in unknowns]),
         *_laws_in_words(sample.laws),
+        *_too_few(len(sample.values)),
         ONE_RECORD,
     )
     return Identified(
@@ -240,6 +242,17 @@ def _joint(fitted: Regression, here: np.ndarray, open_: list[bool]) -> np.ndarra
     at = np.clip(fitted.estimates(here)[0], 0.0, 1.0)
     found = np.clip(at + fitted.missed(at), 0.0, 1.0)
     return np.where(open_, fitted.unknowns, found)
+
+
+def _too_few(runs: int) -> tuple[str, ...]:
+    """That so many runs cannot say that no law of theirs explains a record."""
+    if 1 / (runs + 1) <= STRANGE:
+        return ()
+    enough = round(1 / STRANGE)
+    return (
+        f"Of {runs} runs one in {runs + 1} lies as far from the others as the record by chance: "
+        f"whether their laws explain it takes {enough} runs or more.",
+    )
 
 
 def _laws_in_words(laws: Ensemble) -> tuple[str, ...]:

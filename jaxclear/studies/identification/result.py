@@ -145,10 +145,13 @@ class Identified(AbstractAnswer):
 
     @property
     def explains(self) -> bool | None:
-        """Whether the record is like the sample's runs; None where nothing says so."""
+        """Whether the record is like the sample's runs; None where nothing says so, as of
+        fewer than a hundred runs."""
         if self.refusal:
             return False
-        return None if self.explained is None else self.explained > STRANGE
+        if self.explained is None or 1 / (self.runs + 1) > STRANGE:
+            return None
+        return self.explained > STRANGE
 
     def calibration(self) -> dict[str, float]:
         """Of each unknown the share of the sample's runs whose interval, the run left out, holds

@@ -49,6 +49,8 @@ SAME_PLACE = 1e-5
 # Parts of a cycle after which drives are looked at: no drive repeats after a ratio of Fibonacci
 # numbers that does not repeat throughout.
 LOOKS = (0.0, 2 / 13, 3 / 8, 8 / 13, 7 / 8)
+# Beyond so many cycles one more is no other number in double precision.
+MOST_CYCLES = 2.0**53
 
 
 class Cycle(eqx.Module):
@@ -343,6 +345,11 @@ def _driven_to(joint: Any, time: float) -> float:
     drive = drive_of(joint)
     assert drive is not None
     return float(drive.motion(time)[0])
+
+
+def check_cycles(owner: str, cycles: Any) -> None:
+    """Raises `ValueError` with a sentence for a life of no number of cycles."""
+    check_number(f"cycles of {owner}", cycles, above=0, at_most=MOST_CYCLES)
 
 
 def check_period(owner: str, problem: Problem, begins: float, cycles: int = 1) -> None:

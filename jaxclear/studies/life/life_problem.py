@@ -28,7 +28,7 @@ from jaxclear.results.response import REACHES
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import answered
-from jaxclear.studies.life.cycle import asked_of, first_state, kind_of_cycle
+from jaxclear.studies.life.cycle import asked_of, check_cycles, first_state, kind_of_cycle
 from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import CONFIDENCE, DEPTH, VOLUME, WearLife
 from jaxclear.studies.life.settling import Patience
@@ -208,7 +208,7 @@ class LifeProblem(AbstractProblem):
         expect(problem, Problem, "the problem of a LifeProblem", "a jaxclear.Problem of one cycle")
         check_asked(problem)
         if cycles is not None:
-            check_number("cycles of a LifeProblem", cycles, above=0)
+            check_cycles("a LifeProblem", cycles)
         check_number("accuracy of a LifeProblem", accuracy, above=0)
         check_count("most of a LifeProblem", most)
         self.problem, self.response = problem, by_name("response", response)

@@ -77,6 +77,7 @@ class Rates:
         """What a cycle wears on surfaces of these depths; not the one in which the machine is
         `set_down`. Raises `CycleFailed`."""
         depth, found = row[: self.count], None
+        self._refuse_worn_through(depth)
         if self.begins:
             found = settle_side_by_side(
                 self._cycles, self.begins, self.unflat(depth), self.patience, self._is_known
@@ -96,6 +97,18 @@ class Rates:
         self.begins = self._begins_after(found)
         wear = self._row(found.wear, found.lost)
         return Rate(wear, self._row(found.noise, found.noise_of_lost), len(found.cycles), found)
+
+    def _refuse_worn_through(self, depth: np.ndarray) -> None:
+        """Raises `CycleFailed` where nothing is left of a surface of this depth."""
+        wearing = wearing_in(self.problem.mechanism)
+        for joint, surfaces in self.unflat(depth).items():
+            for surface, own in surfaces.items():
+                thickness = float(wearing[joint].maps()[surface][0].thickness)
+                if float(own.max()) >= thickness:
+                    raise CycleFailed(
+                        f'Worn through: the {surface} of "{joint}" is {float(own.max()):.4g} m '
+                        f"deep, of a radius of {thickness:.4g} m."
+                    )
 
     def carry(self, row: np.ndarray, losses: Losses, parts: int) -> np.ndarray:
         """What is left of these depths by so many cycles of each of some rates, in so many `parts`,

@@ -26,7 +26,7 @@ from jaxclear.studies.problem import Problem
 CONFIDENCE = 1.96
 # Places between two stages at which a limit is looked for.
 LOOKS = 64
-# The slope of a response is taken over twice this share of the life.
+# The slope of a response is taken over twice this share of the way between two stages.
 SLOPE_OVER = 1e-3
 DEPTH, VOLUME = "depth", "volume"
 TINY = np.finfo(float).tiny
@@ -191,7 +191,8 @@ class WearLife(AbstractAnswer):
         row, last = self._row_at(), float(self.cycles[-1])
         which = int(name.startswith(VOLUME))
         sizes = self.cells.means if which else self.cells.sizes
-        step = SLOPE_OVER * last
+        after = min(max(int(np.searchsorted(self.cycles, at)), 1), len(self.cycles) - 1)
+        step = SLOPE_OVER * float(self.cycles[after] - self.cycles[after - 1])
         low, high = max(at - step, 0.0), min(at + step, last)
         wear = np.abs(sizes(row(high) - row(low))) / (high - low)
         moved = _around(at, self.cycles, self._errors(which)) * np.abs(sizes(row(at) - row(0.0)))

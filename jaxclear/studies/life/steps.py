@@ -59,7 +59,8 @@ PARTS, MOST_PARTS, OF_TOLERANCE = 8, 64, 0.1
 ORDERS = np.sqrt(2.0), 4.0
 # Where a step is looked at on its way: more often where a new wall wears fast.
 ON_THE_WAY = (4**-4, 4**-3, 4**-2, 4**-1, 9 / 16)
-# A surface that wears less than this share of the one that wears most is judged beside that.
+# A surface that wears less than this share of the one that wears most is judged beside that, and a
+# step that wears less than this share of what is worn so far.
 NEGLIGIBLE = 0.01
 # A normal variable stays within this many deviations in 95 % of cases; errors told are that many.
 NORMAL = 1.96
@@ -181,12 +182,14 @@ class Length(NamedTuple):
 class Trial(NamedTuple):
     """A step that was tried, kept or taken back: the node `after` it; what the volume of each
     surface may be off by the estimate, as `shares` of what is lost in the step, beyond what `noise`
-    explains (shares too), and up to which share it is `smooth`."""
+    explains (shares too), up to which share it is `smooth`, and how much such a share `counts`
+    [1]."""
 
     after: Node
     shares: np.ndarray
     noise: np.ndarray
     smooth: float
+    counts: float
 
 
 class Machine(NamedTuple):
@@ -212,12 +215,15 @@ def live(machine: Machine, start: Node, cycles: float, tolerance: float, first: 
     trials: list[Trial] = []
     while cycles - nodes[-1].cycles > 1e-9 * cycles:
         now, left = nodes[-1], cycles - nodes[-1].cycles
+        # What wears nothing goes on so.
+        if not (now.rate.wear.any() or now.rate.noise.any()):
+            length = ceiling = left
         length = min(length, ceiling)
         length = left / np.ceil(left / length - 1e-9)
         try:
             if min(length, left) <= len(STAGES) * now.rate.cost:
                 nodes.append(_one_by_one(machine, now, min(1.0, left)))
-                length = max(length, 1.0) * GROWTH
+                length, ceiling = max(length, 1.0) * GROWTH, ceiling * WIDENS
                 machine.hear(min(1.0, left) / cycles)
                 continue
             trial, error = _stepped(machine, nodes, length, tolerance)
@@ -307,18 +313,20 @@ def _stepped(
     wears, of its shape as one of all that is worn). Its losses are put on in so many `parts`, or
     more where that tells."""
     now, cells = nodes[-1], machine.cells
-    rates = [now.rate]
+    rates, so_far = [now.rate], now.depth - nodes[0].depth
     for row in STAGES[:-1]:
         depth = machine.carry(now.depth, _summed(length * row, rates), parts)
         rates.append(machine.evaluate(depth))
         if len(rates) == 2:
             change = _change(cells, rates[0], rates[1]) / row[0]
-            far = change * (OF_CUBE / tolerance) ** (1 / 3)
+            counts = _counts(cells, _most(cells, length, rates), so_far)
+            # What is little is off by all of itself at the most.
+            share = OF_CUBE * change**3 if counts == 1 else counts * min(OF_CUBE * change**3, 1.0)
+            far = (share / tolerance) ** (1 / 3)
             if far > HOPELESS:
                 return None, tolerance * far**3
     # The last stage is the answer of third order.
     losses = _summed(length * STAGES[-1], rates)
-    so_far = now.depth - nodes[0].depth
     depth, parts, by_parts = _carried(machine, now.depth, losses, so_far, tolerance, parts)
     rates.append(machine.evaluate(depth))
     other = machine.carry(now.depth, _summed(length * (WEIGHTS - ERRORS), rates), parts)
@@ -337,11 +345,26 @@ def _stepped(
     shares = _beyond(cells.shares(cells.means(estimate), lost), known)
     change = _change(cells, rates[0], rates[-1])
     smooth = np.minimum(shares, SMOOTH * change**2)
-    error = smooth * OF_THIRD_ORDER * change
-    told = error + OF_SCATTER * (shares - smooth) + off
+    most = _most(cells, length, rates)
+    error = np.minimum(smooth * OF_THIRD_ORDER * change, cells.shares(most, lost))
+    counts = _counts(cells, most, so_far)
+    told = (error + OF_SCATTER * (shares - smooth)) * counts + off
     after = _after(machine, now, losses, depth, rates[-1], shape, parts)
     after = after._replace(error=now.error + error * np.abs(lost))
-    return Trial(after, shares, known, SMOOTH * change**2), float(told.max(initial=0.0))
+    trial = Trial(after, shares, known, SMOOTH * change**2, counts)
+    return trial, float(told.max(initial=0.0))
+
+
+def _most(cells: Cells, length: float, rates: Sequence[Rate]) -> np.ndarray:
+    """Mean depth of each surface that a step of this length wears by the largest of its rates."""
+    return length * np.max([np.abs(cells.means(rate.wear)) for rate in rates], axis=0)
+
+
+def _counts(cells: Cells, lost: np.ndarray, so_far: np.ndarray) -> float:
+    """How much an error counts [1] that is a share of what a step loses, `lost` at the most: less
+    where that is little beside what is worn so far, as of wear that comes to an end."""
+    share = cells.shares(lost, np.abs(cells.means(so_far)) + np.abs(lost)).max(initial=0.0)
+    return float(min(share / NEGLIGIBLE, 1.0))
 
 
 def _summed(weights: np.ndarray, rates: Sequence[Rate]) -> list[tuple[float, Rate]]:
@@ -426,7 +449,8 @@ def _after(
 def _change(cells: Cells, one: Rate, other: Rate) -> float:
     """Relative change between the volumes of two rates, beyond their noise."""
     volumes = [cells.means(rate.wear) for rate in (one, other)]
-    less = min(volumes, key=lambda own: float(np.abs(own).max(initial=0.0)))
+    less, more = sorted(np.abs(volumes), key=lambda own: float(own.max(initial=0.0)))
+    less = np.maximum(less, np.finfo(float).eps * more)
     noise = np.hypot(*(cells.means(rate.noise) for rate in (one, other)))
     found = _beyond(cells.shares(volumes[1] - volumes[0], less), cells.shares(noise, less))
     return float(found.max(initial=0.0))
@@ -487,6 +511,8 @@ def _scatter(trials: Sequence[Trial], surfaces: int) -> np.ndarray:
     """Of the estimates of steps, as shares of what they wear, by surface; from few steps a scatter
     is little known, and Student's factor widens it."""
     found = np.zeros(surfaces)
+    # The tail of wear that comes to an end is no scatter.
+    trials = [trial for trial in trials if trial.counts == 1]
     if not trials:
         return found
     import scipy.stats

@@ -21,7 +21,7 @@ from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
 from jaxclear.studies.ledger.ledger import Ledger
-from jaxclear.studies.life.cycle import as_problem, check_period
+from jaxclear.studies.life.cycle import as_problem, check_cycles, check_period
 from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import DEPTH, VOLUME, Stage, WearLife
 from jaxclear.studies.life.settling import Patience
@@ -58,15 +58,16 @@ def wear_life(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> WearLife:
-    """The wear of a life of so many `cycles`, from few simulated ones: of a mechanism and its
-    `period` [s], as in `settled`, or of a `Problem` whose duration is the period and whose
-    responses are followed, at its nominal numbers.
+    """The wear of a life of so many `cycles`, 2^53 at the most, from few simulated ones: of a
+    mechanism and its `period` [s], as in `settled`, or of a `Problem` whose duration is the period
+    and whose responses are followed, at its nominal numbers.
 
     Steps are as long as lets each be wrong by `accuracy` [1] of what it wears, and so the whole
     life (root mean square over the cells of a surface); `jump` [cycles] gives them a fixed length
     instead, each with the losses at its start. They are those of a periodic cycle (`settled`);
     where none comes a mean over as many as bring its noise below that, `most` at the
-    most, and what noise is left belongs to the error. With `most` of 32 or more such cycles run
+    most, and what noise is left belongs to the error. What wears no more is not simulated further;
+    a life ends where a surface is worn through. With `most` of 32 or more such cycles run
     eight side by side from the second rate on, by a program of their own: once that is compiled
     (15 s for the 3RSR), each takes a third of the time. `store`: a folder that keeps every
     cycle; asked again, the life goes on from there. A cycle that fails ends the life, with what was
@@ -74,7 +75,7 @@ def wear_life(
     `SimulationError` where the very first cycle fails.
     """
     problem = as_problem("wear_life", asked, period)
-    check_number("cycles of wear_life", cycles, above=0)
+    check_cycles("wear_life", cycles)
     check_number("accuracy of wear_life", accuracy, above=0)
     if jump is not None:
         check_number("jump of wear_life", jump, at_least=1)
@@ -266,7 +267,7 @@ def wear_lives(
     row, with a sentence. Raises `ValueError` with a sentence for what cannot be asked.
     """
     expect(problem, Problem, "what lives", "a jaxclear.Problem")
-    check_number("cycles of wear_lives", cycles, above=0)
+    check_cycles("wear_lives", cycles)
     check_number("accuracy of wear_lives", accuracy, above=0)
     check_count("most of wear_lives", most)
     check_flags("wear_lives", progress_bar=progress_bar)

@@ -129,7 +129,9 @@ def coverage_of_deviation(values: np.ndarray) -> float:
 
 def samples_that_bound(share: float, groups: int) -> float:
     """So many independent samples, of so many scramblings, bound the quantile of a share [1] on
-    both sides: their interval leaves a sample beyond it."""
+    both sides: their interval leaves a sample beyond it. Of one scrambling none do."""
+    if groups < 2:
+        return math.inf
     tail = min(share, 1 - share)
     width = student(groups) * math.sqrt(1 - tail)
     return math.ceil((0.5 * (width + math.sqrt(width**2 + 4))) ** 2 / tail)
