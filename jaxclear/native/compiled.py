@@ -299,19 +299,19 @@ def kernels_or(soon: Callable[..., Any], usual: Callable[..., Any]) -> Callable[
 
     @functools.wraps(usual)
     def call(*arguments):
-        if refused and _kind(arguments) in refused:
+        if refused and kind_of(arguments) in refused:
             return usual(*arguments)
         try:
             with only_kernels():
                 return soon(*arguments)
         except NoKernel:
-            refused.add(_kind(arguments))
+            refused.add(kind_of(arguments))
         return usual(*arguments)
 
     return call
 
 
-def _kind(arguments: Any) -> Any:
+def kind_of(arguments: Any) -> Any:
     """What of arguments decides which program they are compiled to."""
     leaves, structure = jax.tree.flatten(arguments)
     shapes = (jax.typeof(x) if eqx.is_array(x) else x for x in leaves)

@@ -12,7 +12,6 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.formulations.model import Model, State
+from jaxclear.ground.grouping import packed, unpacked
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator, Interval
 from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.events import Events, Peaks, newest, together
@@ -210,10 +210,10 @@ def _first_warm_start(
     model: Model, integrator: AbstractIntegrator, time: Array, state: State
 ) -> Any:
     """What warm-starts the first step. It asks for forces, which compile faster as a kernel."""
-    arrays, rest = eqx.partition((model, integrator), eqx.is_array)
+    arrays, rest = packed((model, integrator))
 
     def first(arrays, time, state):
-        model, integrator = eqx.combine(arrays, rest)
+        model, integrator = unpacked(arrays, rest)
         return integrator.first_warm_start(model, time, state)
 
     return one_row(first, arrays, time, state)
@@ -233,10 +233,10 @@ class _Turn:
 
     def __init__(self, model: Model, integrator: AbstractIntegrator, report: bool):
         self.model, self.report = model, report
-        self.arrays, rest = eqx.partition((model, integrator), eqx.is_array)
+        self.arrays, rest = packed((model, integrator))
 
         def advance(arrays, read, ahead, state, warm_start):
-            model, integrator = eqx.combine(arrays, rest)
+            model, integrator = unpacked(arrays, rest)
             seen = model.seeing(read)
             return integrator.advance(seen, ahead, state, warm_start)
 
