@@ -226,4 +226,6 @@ def _named(*names: str) -> None:
 
 _named(*(name for name in (*__all__, "conformal") if name not in _LATER))
 sys.modules |= {f"{__name__}.{name}": _Later(f"{__name__}.{name}") for name in _MODULES_LATER}
+# What the package is made of before more of it is asked for.
+LOADED = frozenset(name for name in sys.modules if name.partition(".")[0] == __name__)
 remember()

@@ -7,8 +7,9 @@ coarsest setting from which three in a row meet the accuracy asked, and is timed
 installed is left out with a word: `pip install ".[test,peers]"` brings all.
 """
 
+import functools
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from benchmarks.peers.rig import Answer, Batch, Program
 
 # (turns of the crank, samples, longest run tried on the ladder [s], seconds for one batch).
 FULL, QUICK = (2.0, 1024, 25.0, 12.0), (0.2, 64, 2.0, 2.0)
+# Relative tolerance and samples of a short run, of which what surrounds the steps is a large share:
+# the least accurate that every program takes, its accuracy not asked for.
+SHORT, SHORT_BATCH, SHORT_REPEATS = 1e-5, 64, 15
 # A setting counts when it and the next finer ones meet the accuracy: errors near impacts are not
 # monotonic.
 IN_A_ROW = 3
@@ -303,10 +307,42 @@ def reference_rows(question: rig.Question) -> list[dict]:
     ]
 
 
+def short_rows(question: rig.Question) -> list[dict[str, Any]]:
+    """jaxclear's steps under error control beside the loop by hand, at one loose tolerance."""
+    ours = next(p for p in with_jaxclear.programs(question) if p.name == "jaxclear Adaptive")
+    hand = next(p for p in by_hand(question) if p.name == "numba, adaptive by hand")
+    clearances = np.random.default_rng(0).uniform(0.4e-3, 0.6e-3, SHORT_BATCH)
+    rows = []
+    for samples in (1, SHORT_BATCH):
+        cases = {
+            name: functools.partial(own.run, SHORT)
+            if samples == 1
+            else functools.partial(own.batch.go, SHORT, clearances)
+            for name, own in (("ours", ours), ("hand", hand))
+        }
+        spent = side_by_side(cases, SHORT_REPEATS)
+        rows.append(
+            {
+                "samples": samples,
+                "jaxclear Adaptive [ms]": 1e3 * spent["ours"][1],
+                "by hand [ms]": 1e3 * spent["hand"][1],
+                "ratio of CPU time": spent["ours"][1] / spent["hand"][1],
+                "ratio of wall time": spent["ours"][0] / spent["hand"][0],
+                "ratio of steps": ours.run(SHORT).steps / hand.run(SHORT).steps,
+            }
+        )
+    return rows
+
+
 def main() -> None:
-    options = arguments(__doc__)
+    options = arguments(__doc__, short={"action": "store_true", "help": "the short form alone"})
     turns, samples, patience, budget = QUICK if options.quick else FULL
     question = rig.question(turns)
+    title = f"short: {turns:g} turns at a tolerance of {SHORT:g}, error control beside that by hand"
+    report(title, short_rows(question), options)
+    if options.short:
+        sign("benchmarks.peers.slider_crank", options.json, [title])
+        return
     print(f"{turns:g} turns of the crank, {question.duration * 1e3:.3g} ms; no gravity.")
     print(
         f"Accuracy asked: {rig.PLACE_ACCURACY:g} m in the slider's place, {rig.FORCE_ACCURACY:g} "

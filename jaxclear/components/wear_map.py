@@ -226,9 +226,10 @@ class Wearing(AbstractQuantified):
     `acceleration` multiplies the worn volume: one simulated cycle standing for many (linear
     extrapolation, as in cycle-jump schemes). `worn_radius`: whether what the contact law takes from
     the geometry, its stiffness say, is that of the radius as worn at the contact, not as made.
-    `updates`: how often in a run the surface is worn at the most, evenly: at saving times as they
-    pass; as often as in a run that is saved by default. What fewer would change is part of the
-    errors that replicas tell: they wear it more often in proportion.
+    `updates`: how often in a run the surface is worn at the most, evenly (None: at every saving
+    time), where more states are saved than wear asks for; a worn depth asks for some hundred in a
+    turn. What fewer change is part of the error that replicas tell, which wear it more often in
+    proportion; a run whose steps are counted (`steps_per_save`) wears it at each.
     """
 
     law: AbstractWearLaw
@@ -240,7 +241,7 @@ class Wearing(AbstractQuantified):
     )
     acceleration: Scalar = quantity(1.0, "1", "worn volume per simulated volume", at_least=0)
     worn_radius: bool = eqx.field(static=True, default=False, kw_only=True)
-    updates: int = count(500, "most updates of the worn surface in a run", kw_only=True)
+    updates: int | None = count(None, "most updates of the worn surface in a run", kw_only=True)
 
     def __check_init__(self):
         if self.cells[0] < 4 or self.cells[1] < 1:

@@ -81,16 +81,14 @@ def public_name(kind: Any) -> str:
     """What a user types behind `jaxclear.` for a class or function, such as `contact.Hertz`; its
     own name where it is not of this package.
     """
-    return _offered(sys.modules[__name__.partition(".")[0]], kind) or kind.__qualname__
+    return _offered_by_package(kind) or kind.__qualname__
 
 
 def as_typed(path: str) -> str:
     """The dotted path of one of the package's classes as users type it; its name where they are
     offered none."""
     module, _, name = path.rpartition(".")
-    offered = _offered(
-        sys.modules[__name__.partition(".")[0]], getattr(sys.modules.get(module), name, path)
-    )
+    offered = _offered_by_package(getattr(sys.modules.get(module), name, path))
     return f"jaxclear.{offered}" if offered else name
 
 
@@ -114,10 +112,20 @@ def offered_like(name: str, path: str) -> str:
     return f"{place.__name__.partition('.')[0]}.{path.rpartition('.')[0]}.{found}" if found else ""
 
 
-def _offered(place: ModuleType, kind: Any) -> str:
-    """The path to a thing by the names that modules offer; "" where there is none."""
+def _offered_by_package(kind: Any) -> str:
+    """The path to a thing by the names that the package offers; "" where there is none. What it
+    loads when it is first asked for is asked only for things that came later than itself."""
+    package = sys.modules[__name__.partition(".")[0]]
+    known = vars(package).get("LOADED", ())
+    later = bool(known) and getattr(kind, "__module__", "") not in known
+    return _offered(package, kind) or (_offered(package, kind, asking=True) if later else "")
+
+
+def _offered(place: ModuleType, kind: Any, asking: bool = False) -> str:
+    """The path to a thing by the names that modules offer; "" where there is none. `asking`: those
+    too that a module only loads when it is asked."""
     for name in getattr(place, "__all__", ()):
-        thing = getattr(place, name, None)
+        thing = getattr(place, name, None) if asking else vars(place).get(name)
         if thing is kind:
             return name
         inner = _offered(thing, kind) if isinstance(thing, ModuleType) else ""

@@ -1,10 +1,10 @@
 """The loop of a run: the state is carried from one saving time to the next.
 
-Worn surfaces enter the gap as they were when they were updated last, which is at saving times, at
-the most so often in a run as they say (`Wearing.updates`): wear is slow, the motion is fast, and a
-map that is constant within an interval costs the equations of motion nothing but its reading. The
-whole loop is one kernel, which wears surfaces and writes what is saved itself. Where there are no
-kernels, and where steps are counted, XLA goes from save to save, and surfaces wear at each.
+Worn surfaces enter the gap as they were when they were updated last, which is at every saving time,
+or as rarely as they say (`Wearing.updates`): wear is slow, the motion is fast, and a map that is
+constant within an interval costs the equations of motion nothing but its reading. The whole loop is
+one kernel, which wears surfaces and writes what is saved itself. Where there are no kernels, and
+where steps are counted, XLA goes from save to save, and surfaces wear at each.
 """
 
 import dataclasses
@@ -143,9 +143,8 @@ def run(
     first = first._replace(peaks=turn.nothing_met(first))
     spans = Span(times[:-1], times[1:], jnp.diff(times) / (times[-1] - times[0]))
     if _whole(integrator, extras, worn):
-        if worn:
-            spans = _with_updates(model.system, spans, updates)
-        last, left = _in_one_kernel(turn, first, spans)
+        spans = _with_updates(model.system, spans, updates) if worn else spans
+        last, left = _in_one_kernel(turn, first, spans, updates)
     else:
         counted = integrator.steps_between_saves
         last, left = _from_save_to_save(turn, first, spans, counted, updates)
@@ -193,10 +192,13 @@ def _whole(integrator: AbstractIntegrator, extras: Extras, worn: Worn) -> bool:
 
 
 def _with_updates(system: System, spans: Span, updates: Any) -> Span:
-    """Saving intervals that know when surfaces wear: in `updates` parts of each, and of intervals
-    shorter than worn surfaces ask for in fewer, at the least between some of them."""
+    """Saving intervals that know when surfaces wear where all of these are to wear more rarely than
+    states are saved: in each as many as `updates` parts, and at the start of some alone."""
     asked = [own.updates for each in wear_maps(system).values() for _, own in each.values()]
-    share = updates * max(asked) / (spans.stop[-1] - spans.start[0])
+    most = [each for each in asked if each is not None]
+    if len(most) < len(asked):
+        return spans
+    share = updates * max(most) / (spans.stop[-1] - spans.start[0])
     # An interval that is as long as is asked for but for rounding is.
     passed = jnp.floor(share * (spans.start - spans.start[0]) + SLIVER)
     due = jnp.concatenate([jnp.ones(1, bool), jnp.diff(passed) > 0])
@@ -334,14 +336,14 @@ def _between_instants(system: System, loop: Callable, part: Callable) -> Callabl
     return parts
 
 
-def _in_one_kernel(turn: _Turn, first: Carry, spans: Span) -> tuple[Carry, Left]:
+def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Left]:
     """(what the last turn hands on, what is left at all saving times). Before a turn at whose start
     they are due surfaces are worn by what was lost until then, and after the last."""
     model, count = turn.model, len(spans.start)
     pending = pending_wear(model.system, model.layout, first.state) if first.worn else None
 
     def settled(
-        now: Carry, pending: Pending | None, due: Any = True
+        now: Carry, pending: Pending | None, due: Any = None
     ) -> tuple[Carry, Pending | None]:
         if pending is None:
             return now, None
@@ -361,6 +363,7 @@ def _in_one_kernel(turn: _Turn, first: Carry, spans: Span) -> tuple[Carry, Left]
 
     def one(carry, span):
         wears = pending is not None
+        span = span if span.parts is not None else span._replace(parts=updates)
         go = functools.partial(_in_parts, by_kernel, part) if wears else part
         carry, (_, noted) = go(carry, span)
         return carry, ((carry[0].state, carry[0].read), noted)

@@ -12,21 +12,25 @@ Manipulation, section 2.3), summed as series below SERIES_SQUARE, so every deriv
 rest.
 """
 
+import functools
 from math import factorial
 from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxclear.components.joint.base import ANGULAR, LINEAR, AbstractGroupJoint, angle, complete
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import Pose, quaternion_rate, rotation_from_quaternion, rotation_z
 from jaxclear.ground.quantity import concrete
+from jaxclear.native.compiled import compiled_quickly
 
 NO_TURN = (1.0, 0.0, 0.0, 0.0)
 
 
-@jax.jit
+# What runs once in building; compiled as JAX does, and kept for other processes.
+@functools.partial(compiled_quickly, options={})
 def _turned_by(x: Any, y: Any, z: Any) -> tuple:
     """Quaternion of a rotation vector [rad]."""
     import jaxlie
@@ -74,7 +78,11 @@ class Spherical(AbstractGroupJoint):
     def start(self, given):
         if len(given) in (1, 3):
             # A rotation vector [rad]; one number turns about z.
-            return _turned_by(*[0.0] * (3 - len(given)), *given)
+            turn = [0.0] * (3 - len(given)) + list(given)
+            # Numbers, by whose values no program is kept.
+            return _turned_by(
+                *(x if isinstance(x, jax.Array) else np.asarray(x, float) for x in turn)
+            )
         return complete(self, _with_rotation(given))
 
 

@@ -1,0 +1,63 @@
+"""What a run found at its beginning is found again by the next run of the same numbers, and by no
+other."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.multibody import assembly
+
+INTEGRATOR = jc.integrator.FixedStep(2e-5)
+
+
+def run(rig, duration=1e-3, **how):
+    return jc.simulate(rig, duration, integrator=INTEGRATOR, save=3, verify=False, **how)
+
+
+@pytest.fixture
+def searches(monkeypatch):
+    """How often a start was looked for."""
+    found, own = [], assembly.first_found
+    monkeypatch.setattr(assembly, "first_found", lambda *asked: found.append(1) or own(*asked))
+    return found
+
+
+def slider(clearance):
+    rig = jc.scenes.slider_crank()
+    return eqx.tree_at(lambda r: r.connections["B"].joint.clearance, rig, jnp.asarray(clearance))
+
+
+def test_the_same_numbers_begin_alike(searches):
+    first, again = run(slider(1.2345e-4)), run(slider(1.2345e-4))
+    assert len(searches) == 1
+    for one, other in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert run(slider(1.2345e-4), 2e-3).succeeded and len(searches) == 1
+
+
+def test_other_numbers_are_assembled(searches):
+    lengths = [run(slider(x)).mechanism.connections["B"].joint.clearance for x in (2.1e-4, 2.2e-4)]
+    assert len(searches) == 2 and lengths == [2.1e-4, 2.2e-4]
+
+
+def test_what_warns_warns_each_time():
+    rig = slider(2.3e-4)
+    for _ in range(2):
+        with pytest.warns(UserWarning, match="longer steps than the shortest saving interval"):
+            jc.simulate(rig, 1e-4, integrator=INTEGRATOR, save=31, verify=False)
+
+
+def test_what_is_refused_is_refused_each_time():
+    rig = jc.scenes.guide()
+    for _ in range(2):
+        with pytest.raises(ValueError, match="set-valued friction"):
+            run(rig)
+
+
+def test_arguments_among_results_are_jaxs(searches):
+    """Also where they are NumPy's, as saving times are."""
+    found = run(slider(2.4e-4))
+    assert all(isinstance(x, jax.Array) for x in jax.tree.leaves(eqx.filter(found, eqx.is_array)))

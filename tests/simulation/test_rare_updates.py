@@ -1,0 +1,64 @@
+"""Surfaces that wear more rarely than states are saved: the same loss, on maps that agree with
+those of as many saving times."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+import jaxclear as jc
+
+INTEGRATOR, DURATION = jc.integrator.FixedStep(2.5e-5), 0.02
+
+
+def rig(updates):
+    worn = lambda each: isinstance(each, jc.Wearing)
+    rarer = lambda each: dataclasses.replace(each, updates=updates) if worn(each) else each
+    return jax.tree.map(rarer, jc.scenes.slider_crank(wear=True), is_leaf=worn)
+
+
+def run(updates, saves, verify=False):
+    return jc.simulate(rig(updates), DURATION, save=saves, integrator=INTEGRATOR, verify=verify)
+
+
+def depth(run):
+    return np.asarray(run.worn["B"]["bearing"])
+
+
+def test_more_updates_than_saving_times_are_those():
+    alike, wanted = run(1000, 41), run(None, 41)
+    for one, other in zip(jax.tree.leaves(alike), jax.tree.leaves(wanted), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("saves", [81, 101])
+def test_as_many_updates_as_another_run_has_saving_times_wear_like_it(saves):
+    """40 in both: each at the first saving time past a 40th of the run. Fixed steps fit the
+    intervals of both, so that motions are the same but for what wear changes; the wear law of this
+    scene changes gaps by 1e-8 of themselves."""
+    found, wanted = run(40, saves), run(None, 41)
+    assert depth(wanted).max() > 0
+    np.testing.assert_allclose(depth(found).sum(), depth(wanted).sum(), rtol=1e-3)
+    # Twice as many states are saved and every second wears; of 2.5 to an update some wear late.
+    off = 1e-6 if saves == 81 else 0.1
+    np.testing.assert_allclose(depth(found), depth(wanted), atol=off * depth(wanted).max())
+
+
+def test_gaps_see_surfaces_as_they_were_worn_last():
+    seen = np.asarray(jax.tree.leaves(run(4, 41).history.read)[0])
+    changes = np.flatnonzero(np.abs(np.diff(seen, axis=0)).max(axis=1) > 0)
+    assert 1 <= len(changes) <= 4
+
+
+def test_replicas_wear_them_more_often_in_proportion():
+    """So that the error they tell holds what rare updates change."""
+    replica = run(20, 161, verify=True).verification.replicas[0]
+    finer = jc.integrator.FixedStep(INTEGRATOR.step / 2)
+    wanted = jc.simulate(rig(40), DURATION, save=161, integrator=finer, verify=False)
+    np.testing.assert_array_equal(depth(replica), depth(wanted))
+
+
+def test_how_often_is_a_whole_number():
+    with pytest.raises(ValueError, match="updates"):
+        jc.Wearing(jc.wear.Archard(), updates=0)
