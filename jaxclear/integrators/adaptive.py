@@ -35,6 +35,7 @@ from jaxclear.integrators.derivative_error import (
 from jaxclear.integrators.error_control import (
     EndingAtTouches,
     Solved,
+    StandingAtBounds,
     TakingImpactSpeeds,
     solve,
     stepped_by_hand,
@@ -235,7 +236,11 @@ class Adaptive(AbstractIntegrator):
         and without them it would step over touches. `size`: so many equations of a program are in a
         rate; `so_far`: the peaks of the run."""
         formulation, through = self.formulation, self.through_contacts
-        solver = stepped_by_hand(self.solver, size) or self.solver
+        solver = stepped_by_hand(self.solver, size)
+        if solver is None:
+            solver = self.solver
+            if rest.layout.states:
+                solver = StandingAtBounds(solver, functools.partial(_bounded, rest))
         if not rest.layout.contacts:
             ends = rest.layout.coordinates, rest.layout.memory_start
             return solver if growth is None else FollowingErrors(solver, ends, growth)
@@ -330,6 +335,12 @@ class Adaptive(AbstractIntegrator):
         ended = solution.ts[-1], solution.ys[-1], solution.solver_state
         found = Solved(*ended, *steps, ~fine, typical)
         return found, jnp.where(fine, Outcome.REACHED, failed)
+
+
+def _bounded(rest, state, args):
+    """The state of a model, of which this is the `rest` beside arrays, within its bounds."""
+    model = eqx.combine(args[0], rest)
+    return within_bounds(model.system, model.layout, state)
 
 
 def _most_growth(model, controller):
