@@ -385,6 +385,14 @@ MOTOR = jc.coupling.Motor
             "a coupling and a joint",
         ),
         (
+            lambda: jc.coupling.OneWay(MOTOR(1e-3), "L", stiffness=1.0, damping=1.0),
+            "coupling.Motor is an end of coupling.Gear, Rack, Belt or Ratio alone; give the",
+        ),
+        (
+            lambda: jc.coupling.Rope(("L", MOTOR(1e-3)), (0.1, 0.1), stiffness=1.0),
+            "give the rotor a body and a joint",
+        ),
+        (
             lambda: one_arm({"T": jc.load.JointTorque("G.motor", 1.0)}),
             'no joint "G.motor"',
         ),
