@@ -254,7 +254,7 @@ def budget_figure(table: pandas.DataFrame) -> Figure:
     axes.bar(table["joint"], table["slope [mm/arcmin]"], color="C0")
     axes.axhline(0.0, color="k", lw=0.6)
     axes.set_ylabel("tip error by the play of a reducer [mm/arcmin]")
-    axes.set_title("Slopes by all seven plays, from one run")
+    axes.set_title("Slopes by all seven plays")
     return figure
 
 

@@ -23,7 +23,9 @@ def one_sided(stretch, rate, k, d):
 
 def train(second, coupling, distance=0.0, **given):
     """Two bodies on the ground, the first pulled to and fro, the second loaded."""
-    joint, body = (TURN, jc.Body(MASS, (JB,) * 3)) if second == "turns" else (SLIDE, jc.Body(MASS))
+    joint, body = (
+        (TURN, jc.Body(MASS, (JB,) * 3)) if second == "turns" else (SLIDE, jc.Body(MASS, JB))
+    )
     at = jc.Marker("ground", (distance, 0.0, 0.0), axis="z" if second == "turns" else "y")
     end = jc.Marker("b", axis="z" if second == "turns" else "y")
     loads = {
@@ -116,12 +118,12 @@ def jumping_cam(lift=4e-3, k=4e4, d=20.0):
 def test_what_lets_go_moves_as_its_equations(case):
     rig, known = case()
     size = np.max(np.abs(known), axis=1, keepdims=True)
-    steps = {
-        jc.integrator.Adaptive(rtol=1e-9, atol=1e-11): 1e-6,
-        jc.integrator.FixedStep(2e-5): 1e-4,
-        jc.integrator.ImplicitStep(2e-5): 2e-4,
-    }
-    for integrator, off in steps.items():
+    steps = (
+        (jc.integrator.Adaptive(rtol=1e-9, atol=1e-11), 1e-6),
+        (jc.integrator.FixedStep(2e-5), 1e-4),
+        (jc.integrator.ImplicitStep(2e-5), 2e-4),
+    )
+    for integrator, off in steps:
         run = jc.simulate(rig, END, save=SAVES, integrator=integrator, verify=False)
         found = np.stack([run.coordinate("A"), run.coordinate("B")])
         assert np.max(np.abs(found - known) / size) < off, integrator
