@@ -31,7 +31,13 @@ from jaxclear.formulations.permanent_reactions import REACTION, Reaction, slips_
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_alike
 from jaxclear.multibody import contact_point, kinematics
-from jaxclear.multibody.forces import Forces, applied_forces, contact_reports, pressing_of
+from jaxclear.multibody.forces import (
+    Forces,
+    applied_forces,
+    contact_reports,
+    pressing_of,
+    relative_motions,
+)
 from jaxclear.multibody.state import (
     components,
     impact_speed_places,
@@ -181,10 +187,12 @@ class CompliantContact(AbstractFormulation):
         those of their depth, for which the equations of motion are solved."""
         motion = unpack_motion(model.system, model.entries(state))
         motions = kinematics.link_motions(model.system, *motion, time)
-        calls = []
-        for name, bearing in model.system.bearings.items():
-            relative = kinematics.relative_motion(bearing.closure, motions)[2]
-            calls.append((bearing.joint, relative, model.worn.get(name, {})))
+        bearings = model.system.bearings
+        relative = relative_motions(model.system, motions)
+        calls = [
+            (bearing.joint, own, model.worn.get(name, {}))
+            for (name, bearing), own in zip(bearings.items(), relative, strict=True)
+        ]
         found = map_alike(contact_point.indentation_rates, calls)
         points = [point for joint in found for point in joint]
         if not model.layout.plays:

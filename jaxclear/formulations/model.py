@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 from jaxtyping import Array, Float
 
+from jaxclear.ground.grouping import unstacked
 from jaxclear.ground.pose import Pose
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.contact_point import JointReport
@@ -41,7 +42,7 @@ class Model(eqx.Module):
 
     def entries(self, state: State) -> list:
         """The numbers of a state, one by one."""
-        return [state[i] for i in range(self.layout.size)]
+        return unstacked(state)
 
     def seeing(self, worn: dict[str, dict[str, Any]]) -> "Model":
         """The same with worn surfaces as gaps read them, and plays as worn."""

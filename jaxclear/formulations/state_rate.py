@@ -4,6 +4,7 @@ forces."""
 from typing import Any, NamedTuple
 
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.compiling import map_many
 from jaxclear.multibody import dynamics
 from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.dynamics import Solution
@@ -24,11 +25,10 @@ class Passive(NamedTuple):
 
 def coordinate_rates(system: System, q: tuple, v: tuple) -> list:
     """Rates of the coordinates of all links, as the joints give them."""
-    out: list[Any] = []
-    for link, own_q, own_v in zip(system.links, q, v, strict=True):
-        if own_q:
-            out.extend(link.joint.rate(own_q, own_v))
-    return out
+    rate = lambda joint, q, v: tuple(joint.rate(q, v))
+    each = zip(system.links, q, v, strict=True)
+    own = map_many(rate, [(link.joint, q, v) for link, q, v in each if q])
+    return [x for rates in own for x in rates]
 
 
 def drift(system: System, start: list, at: list, speeds: list, h: Any) -> list:

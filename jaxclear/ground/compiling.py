@@ -16,6 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from jaxclear.ground.grouping import LARGEST_UNROLLED, stacked, unstacked
 from jaxclear.ground.quantity import is_traced
 
 
@@ -63,7 +64,7 @@ def map_alike(function: Callable, calls: Sequence[tuple], smallest: int = SMALLE
     """[function(*arguments) for arguments in calls], with alike calls mapped together.
 
     The function must be pure; its result may contain structural integers, which must not depend on
-    array values.
+    array values. Many alike pieces that are traced stay a loop (`grouping`).
     """
     groups: dict[tuple, list[int]] = {}
     for index, arguments in enumerate(calls):
@@ -81,11 +82,31 @@ def map_alike(function: Callable, calls: Sequence[tuple], smallest: int = SMALLE
     return results
 
 
+def map_many(function: Callable, calls: Sequence[tuple]) -> list:
+    """As `map_alike`; few alike calls are written out: what is not worth a map."""
+    return map_alike(function, calls, LARGEST_UNROLLED)
+
+
 def _mapped(function, calls):
     leaves, structure = jax.tree.flatten(calls[0])
     varying = [position for position, leaf in enumerate(leaves) if not _is_structure(leaf)]
     all_leaves = [jax.tree.leaves(call) for call in calls]
-    stacked = [jnp.stack([other[position] for other in all_leaves]) for position in varying]
+    many = len(calls) >= LARGEST_UNROLLED and is_traced(all_leaves)
+    least = LARGEST_UNROLLED if many else len(calls) + 1
+    columns = []
+    for position in list(varying):
+        own = [each[position] for each in all_leaves]
+        if many and all(x is own[0] for x in own):
+            # The same for all: the loop reads it from outside.
+            varying.remove(position)
+        else:
+            columns.append(stacked(own, least))
+    if not columns:
+        yield from [function(*calls[0])] * len(calls)
+        return
+    if not varying and not many:
+        yield from (function(*call) for call in calls)
+        return
     template: dict[str, Any] = {}
 
     def one(arrays):
@@ -98,9 +119,13 @@ def _mapped(function, calls):
         template["leaves"] = [leaf if isinstance(leaf, int) else None for leaf in out_leaves]
         return [leaf for leaf in out_leaves if not isinstance(leaf, int)]
 
-    mapped = jax.vmap(one)(stacked)
-    for index in range(len(calls)):
-        arrays = iter([array[index] for array in mapped])
+    if many:
+        mapped = jax.lax.scan(lambda _, row: (None, one(row)), None, columns)[1]
+    else:
+        mapped = jax.vmap(one)(columns)
+    entries = [unstacked(array, least) for array in mapped]
+    for row in zip(*entries, strict=True) if entries else [()] * len(calls):
+        arrays = iter(row)
         filled = [next(arrays) if leaf is None else leaf for leaf in template["leaves"]]
         yield jax.tree.unflatten(template["structure"], filled)
 

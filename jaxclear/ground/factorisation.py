@@ -23,11 +23,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import jax.scipy.linalg as jsl
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.elimination import Pattern, solved
+from jaxclear.ground.grouping import unstacked
 from jaxclear.ground.numerics import OFF_THE_TIES, safe_divide, safe_sqrt
 
 # Unknowns of a search among all that is written out.
@@ -37,6 +38,14 @@ LARGEST_WRITTEN_OUT = 18
 MOST_PRODUCTS = 40 * (40**2 - 1) // 6
 
 Rows = Sequence[Sequence[Any]]
+
+
+class Unsolved(NamedTuple):
+    """A system that is factorised in loops, where it is solved."""
+
+    pattern: Pattern
+    entries: Any
+    least: Any
 
 
 def is_written_out(matrix: Rows) -> bool:
@@ -58,13 +67,15 @@ def factor(matrix: Rows, least: Sequence[Any | None] | None = None) -> Any:
     """L D L^T of a symmetric positive definite matrix M [any unit] given as rows of sparse scalars:
     the lower triangle L and the inverse pivots 1 / D_i, which `solve` takes. Where a pivot is
     not above the `least` of its row the unknown is 0, for the row follows from those before (None:
-    nowhere, or not of that row; neither where it is not written out).
+    nowhere, or not of that row).
     """
     n = len(matrix)
     if not is_written_out(matrix):
-        return jsl.cho_factor(
-            sp.stack([x for row in matrix for x in row]).reshape(n, n), lower=True
-        )
+        places = [(i, j) for i in range(n) for j in range(i + 1) if not sp.is_zero(matrix[i][j])]
+        entries = sp.stack([matrix[i][j] for i, j in places])
+        if least is not None:
+            least = sp.stack([-jnp.inf if each is None else each for each in least])
+        return Unsolved(Pattern(n, tuple(places)), entries, least)
     lower = [[0] * n for _ in range(n)]
     inverse_pivots: list[Any] = []
     for i in range(n):
@@ -86,10 +97,9 @@ def factor(matrix: Rows, least: Sequence[Any | None] | None = None) -> Any:
 
 def solve(factored: Any, right: tuple) -> tuple:
     """x of M x = right, for what `factor` makes of M."""
+    if isinstance(factored, Unsolved):
+        return tuple(unstacked(solved(*factored, sp.stack(right))))
     lower, inverse_pivots = factored
-    if not isinstance(lower, list):
-        solution = jsl.cho_solve(factored, sp.stack(right))
-        return tuple(solution[i] for i in range(len(right)))
     n = len(right)
     x = list(right)
     for i in range(n):
@@ -180,10 +190,22 @@ def to_array(rows: Rows) -> jnp.ndarray:
     if not places:
         return jnp.zeros(shape)
     i, j = zip(*places, strict=True)
-    entries = sp.stack([rows[a][b] for a, b in places])
+    own = [rows[a][b] for a, b in places]
+    if all(isinstance(x, (int, float)) for x in own):
+        known = np.zeros(shape)
+        known[i, j] = own
+        return jnp.asarray(known)
+    entries = sp.stack(own)
+    if shape[1] >= MANY_COLUMNS:
+        # XLA compiles what is looked up faster than what is put into place.
+        looked_up = np.zeros(shape, np.int32)
+        looked_up[i, j] = np.arange(1, len(own) + 1)
+        return jnp.concatenate([jnp.zeros(1), entries])[looked_up]
     return jnp.zeros(shape).at[np.array(i), np.array(j)].set(entries, unique_indices=True)
 
 
+# Of this many columns on.
+MANY_COLUMNS = 36
 # A pivot that is this share of the largest, or less, is rounding: the matrix has lost rank here (a
 # linkage stretched flat), and the row waits until it says something again.
 VANISHED = 1e-13

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxclear.ground.grouping import MANY, stacked
 from jaxclear.ground.numerics import safe_sqrt
 
 # Of three each: a type checker does not count what a loop builds.
@@ -189,6 +190,10 @@ def dense(tree: Any) -> Any:
 
 def stack(scalars: Any) -> jax.Array:
     """Scalars, structural ones included, stacked to one float64 array on a new first axis."""
+    if len(scalars) >= MANY and all(
+        isinstance(x, jax.core.Tracer) and x.shape == () for x in scalars
+    ):
+        return stacked(scalars)
     return (
         jnp.stack(jnp.broadcast_arrays(*[jnp.asarray(x, float) for x in scalars]))
         if scalars

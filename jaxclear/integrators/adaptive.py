@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.formulations.compliant import CompliantContact
+from jaxclear.ground.grouping import bare, packed, unpacked
 from jaxclear.ground.quantity import (
     Scalar,
     concrete,
@@ -191,7 +192,7 @@ class Adaptive(AbstractIntegrator):
         interval = interval._replace(
             stop=jnp.where(interval.running, interval.stop, interval.start)
         )
-        arrays, rest = eqx.partition(model, eqx.is_array)
+        arrays, rest = packed(model)
 
         def solve(*numbers):
             return self._solve(rest, *numbers)
@@ -239,17 +240,17 @@ class Adaptive(AbstractIntegrator):
         solver = stepped_by_hand(self.solver, size)
         if solver is None:
             solver = self.solver
-            if rest.layout.states:
+            if bare(rest).layout.states:
                 solver = StandingAtBounds(solver, functools.partial(_bounded, rest))
-        if not rest.layout.contacts:
-            ends = rest.layout.coordinates, rest.layout.memory_start
+        if not bare(rest).layout.contacts:
+            ends = bare(rest).layout.coordinates, bare(rest).layout.memory_start
             return solver if growth is None else FollowingErrors(solver, ends, growth)
 
         def remember(y, before, after, length, args):
-            return formulation.remember(eqx.combine(args[0], rest), y, before, after, length)
+            return formulation.remember(unpacked(args[0], rest), y, before, after, length)
 
         motion, derived = motion_of(formulation, rest), own if through else None
-        looks = formulation.damped(rest), rest.events
+        looks = formulation.damped(bare(rest)), bare(rest).events
         return TakingImpactSpeeds(solver, remember, motion, derived, growth, so_far, *looks)
 
     def _solve(self, rest, arrays, interval, state, warm_start) -> Advance:
@@ -261,13 +262,13 @@ class Adaptive(AbstractIntegrator):
         # at its start (`shares`).
         @jax.jit
         def plain(arrays, time, y, shares=None):
-            own = shares if shares is None else shares[rest.layout.joint_contacts :]
-            return formulation.rate(eqx.combine(arrays, rest), time, y, None, own)[0]
+            own = shares if shares is None else shares[bare(rest).layout.joint_contacts :]
+            return formulation.rate(unpacked(arrays, rest), time, y, None, own)[0]
 
-        model = eqx.combine(arrays, rest)
+        model = unpacked(arrays, rest)
         size = size_of(jax.make_jaxpr(plain)(arrays, start, state))
         own = equations(formulation, rest, plain)
-        through = rest.layout.contacts and self.through_contacts
+        through = bare(rest).layout.contacts and self.through_contacts
         rates = own.rates if through else lambda arrays, _, *now: plain(arrays, *now)
         controller = self._controller(model, interval)
         first = jnp.where(step > 0, usual, 1e-2 * length)
@@ -284,7 +285,7 @@ class Adaptive(AbstractIntegrator):
         reached = (failed == Outcome.REACHED) | (found.time >= stop)
         outcome = jnp.where(reached, Outcome.REACHED, failed)
         peaks, events, usual = None, None, found.wish
-        if rest.layout.contacts:
+        if bare(rest).layout.contacts:
             _, _, peaks, events, growth = found.kept
             # As long as a flight it may go through a wall: rounding then decides what follows.
             usual = (found.time - start) / jnp.maximum(found.accepted, 1)
@@ -339,7 +340,7 @@ class Adaptive(AbstractIntegrator):
 
 def _bounded(rest, state, args):
     """The state of a model, of which this is the `rest` beside arrays, within its bounds."""
-    model = eqx.combine(args[0], rest)
+    model = unpacked(args[0], rest)
     return within_bounds(model.system, model.layout, state)
 
 

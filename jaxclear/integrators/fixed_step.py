@@ -18,6 +18,7 @@ from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.impact_speed import has_bristles, put_right
 from jaxclear.formulations.model import Model
+from jaxclear.ground.grouping import packed, unpacked
 from jaxclear.ground.quantity import Scalar, concrete, constant, count, quantity
 from jaxclear.ground.tangents import derived_once
 from jaxclear.ground.wording import unknown
@@ -316,10 +317,15 @@ class FixedStep(AbstractIntegrator):
 
     def _stepped(self, model, so_far):
         """A step behind these peaks, of ((time [s], lengths...), state, last, met)."""
-        arrays, rest = eqx.partition((model, self, constant(so_far)), eqx.is_array)
+        of_model, rest = packed(model)
+        of_others, others = eqx.partition((self, constant(so_far)), eqx.is_array)
+        arrays = of_model, *of_others
+
+        def known(arrays):
+            return unpacked(arrays[0], rest), *eqx.combine(arrays[1:], others)
 
         def plain(arrays, clock, y, last):
-            model, own, _ = eqx.combine(arrays, rest)
+            model, own, _ = known(arrays)
             return explicit_step(own.formulation, own.method, model, clock, y, last)
 
         def seen(arrays, end, met, steps):
@@ -329,14 +335,14 @@ class FixedStep(AbstractIntegrator):
                 return None
             (after, *_), forces = steps[1], None
             if met.forces is not None:
-                model, own, _ = eqx.combine(arrays, rest)
+                model, own, _ = known(arrays)
                 forces = own.formulation.normal_forces(model, end, after)
             return risen(met, after.depths, forces)
 
         if self._derived(model) and self._beside:
-            return self._stepped_beside(rest[0], arrays, plain, seen)
+            return self._stepped_beside(rest, arrays, plain, seen)
         length = lambda clock, *seen: chosen_length(*clock[1:])(*seen)
-        through = through_touches(self.formulation, rest[0], plain, length, seen)
+        through = through_touches(self.formulation, rest, plain, length, seen)
 
         def step(clock, y, last, met):
             before = None if last[0] is None else last[:2]
@@ -354,7 +360,7 @@ class FixedStep(AbstractIntegrator):
 
         def alone(arrays, clock, y, last, met):
             _, end, now = plain(arrays, (*clock, None), y, last)
-            end = closed(eqx.combine(arrays[0], rest), sum(clock), end, clock[1])
+            end = closed(unpacked(arrays[0], rest), sum(clock), end, clock[1])
             return end, now, seen(arrays, end, met, (last, now))
 
         beside = beside_steps(self.formulation, rest, alone)

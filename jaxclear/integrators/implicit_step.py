@@ -14,6 +14,7 @@ from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.midpoint_step import surplus
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.grouping import packed, unpacked
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, constant, count, quantity
 from jaxclear.integrators.base import AbstractIntegrator, arrived, counted, divide, march
@@ -139,11 +140,13 @@ class ImplicitStep(AbstractIntegrator):
 
     def _stepped(self, model):
         """A step, as a function of (its start and length [s], state, last, met)."""
-        arrays, rest = eqx.partition((model, self), eqx.is_array)
+        of_model, rest = packed(model)
+        of_own, others = eqx.partition(self, eqx.is_array)
+        arrays = of_model, of_own
         depths, damped = _depths(model), _damped(model)
 
         def plain(arrays, clock, y, last, met):
-            model, own = eqx.combine(arrays, rest)
+            model, own = unpacked(arrays[0], rest), eqx.combine(arrays[1], others)
             how = own._bias, own._iterations(model.system)
             end, now = own.formulation.implicit_step(model, TimeStep(*clock), y, last, *how)
             end = closed(model, sum(clock), end, clock[1])
@@ -159,7 +162,7 @@ class ImplicitStep(AbstractIntegrator):
                 return end, (now, None), met
 
             return alone
-        step = beside_steps(self.formulation, rest[0], plain)
+        step = beside_steps(self.formulation, rest, plain)
 
         def derived(clock, y, last, met):
             end, now, met, known = step(arrays, clock, y, last[0], met, last[1])

@@ -40,6 +40,7 @@ from jaxclear.formulations.loads_over_step import may_strike
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.rigid import RigidContact, Strikes
 from jaxclear.formulations.unilateral import MoreauJeanSettings
+from jaxclear.ground.grouping import packed, unpacked
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, quantity
@@ -100,14 +101,14 @@ def through_impacts(step: Callable, formulation: RigidContact, rest: Any) -> Cal
     of which this is the `rest`; `clock`: time [s] and length [s]. `growth`: `Moves`."""
 
     def gone(how, arrays, clock, y, last):
-        model, settings = eqx.combine(arrays, rest)
+        model, settings = unpacked(arrays, rest)
         return step(model, settings._replace(**how), TimeStep(*clock), y, last)
 
     def rates(arrays, clock, y, last):
         return (gone({"gentle": True}, arrays, clock, y, last)[0] - y) / clock[1]
 
     strikes = _strikes(formulation, rest)
-    steps = _Steps(gone, strikes, rates, lambda arrays: eqx.combine(arrays, rest)[0])
+    steps = _Steps(gone, strikes, rates, lambda arrays: unpacked(arrays, rest)[0])
 
     @jax.custom_jvp
     def known(*numbers):
@@ -128,7 +129,7 @@ def _strikes(formulation: RigidContact, rest: Any) -> Callable:
     """`Strikes` as a function of (arrays, clock, state, last), as of `through_impacts`."""
 
     def strikes(arrays, clock, y, last):
-        model, settings = eqx.combine(arrays, rest)
+        model, settings = unpacked(arrays, rest)
         return formulation.strikes(model, TimeStep(*clock), y, last, settings)
 
     return strikes
@@ -379,7 +380,7 @@ class MoreauJean(AbstractIntegrator):
             return states
         last, moves = warm_start
         _, h = divide(Interval(times[-2], times[-1], end, True), self.step)
-        arrays, rest = eqx.partition((model, self._settings), eqx.is_array)
+        arrays, rest = packed((model, self._settings))
         now = arrays, (times[-1], h), end, last
         return known_at_end(self.formulation, rest, now, moves, states)
 
@@ -390,7 +391,7 @@ class MoreauJean(AbstractIntegrator):
             end, last = self.formulation.step(model, time_step, state, last, settings)
             return closed(model, time_step.end, end, time_step.length), last
 
-        arrays, rest = eqx.partition((model, settings), eqx.is_array)
+        arrays, rest = packed((model, settings))
         known = through_impacts(step, self.formulation, rest)
 
         def followed(time_step, state, last):

@@ -37,7 +37,6 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -47,6 +46,7 @@ from jaxtyping import Array
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.impact_speed import ContactMotion, passage
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.grouping import bare, unpacked
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import derived, moved, moving_with, pushed, where_wanted
@@ -123,45 +123,45 @@ def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
 
     @jax.jit
     def counted(arrays, shares, time, y):
-        return formulation.rate(eqx.combine(arrays, rest), time, y, shares)[0]
+        return formulation.rate(unpacked(arrays, rest), time, y, shares)[0]
 
     # Of joints rates follow from the geometry alone.
-    how = {"exact": True} if rest.layout.plays else {}
+    how = {"exact": True} if bare(rest).layout.plays else {}
 
     @jax.jit
     def contacts(arrays, time, y):
-        return formulation.contacts(eqx.combine(arrays, rest), time, y, **how)
+        return formulation.contacts(unpacked(arrays, rest), time, y, **how)
 
     @jax.jit
     def slips(arrays, time, y):
-        return formulation.slips(eqx.combine(arrays, rest), time, y)
+        return formulation.slips(unpacked(arrays, rest), time, y)
 
     @jax.jit
     def pressing(arrays, y, motion):
-        return formulation.normal_forces(eqx.combine(arrays, rest), y, motion)
+        return formulation.normal_forces(unpacked(arrays, rest), y, motion)
 
-    if not rest.layout.plays:
+    if not bare(rest).layout.plays:
         seen = lambda arrays, time, y, _: contacts(arrays, time, y)
         depths = lambda *now: seen(*now).depths
         same = contacts, contacts, seen, depths
-        return Motion(counted, contacts, slips, pressing, rest.layout, *same, sided=False)
-    count = rest.layout.joint_contacts
+        return Motion(counted, contacts, slips, pressing, bare(rest).layout, *same, sided=False)
+    count = bare(rest).layout.joint_contacts
 
     @jax.jit
     def by_shares(arrays, time, y, shares):
-        return formulation.contacts(eqx.combine(arrays, rest), time, y, shares[count:], **how)
+        return formulation.contacts(unpacked(arrays, rest), time, y, shares[count:], **how)
 
     @jax.jit
     def near(arrays, time, y, shares=None):
         flanks = None if shares is None else shares[count:]
-        return formulation.contacts(eqx.combine(arrays, rest), time, y, flanks)
+        return formulation.contacts(unpacked(arrays, rest), time, y, flanks)
 
     joints = lambda *now: ContactMotion(*(each[:count] for each in near(*now)))
-    sided = any(own.left_by_torque for own in rest.system.transmissions.values())
+    sided = any(own.left_by_torque for own in bare(rest).system.transmissions.values())
     seen = by_shares if sided else lambda arrays, time, y, _: contacts(arrays, time, y)
     depths = lambda arrays, time, y, shares: near(arrays, time, y, shares).depths
     own = near, joints, seen, depths
-    return Motion(counted, contacts, slips, pressing, rest.layout, *own, sided)
+    return Motion(counted, contacts, slips, pressing, bare(rest).layout, *own, sided)
 
 
 def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equations:
@@ -171,7 +171,7 @@ def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equa
     model = motion_of(formulation, rest)
 
     def rates(arrays, shares, *now):
-        return plain(arrays, *now, shares) if rest.layout.plays else plain(arrays, *now)
+        return plain(arrays, *now, shares) if bare(rest).layout.plays else plain(arrays, *now)
 
     def as_counted(numbers, tangents):
         return pushed(model.rates, numbers, tangents)[1]
@@ -480,7 +480,7 @@ def _remembering(formulation: CompliantContact, rest: Any, motion: Any) -> Calla
 
     def aware(arrays, time, y, last):
         contacts = motion.near(arrays, time, y)
-        known = formulation.remember(eqx.combine(arrays, rest), y, last[0], contacts, last[1])
+        known = formulation.remember(unpacked(arrays, rest), y, last[0], contacts, last[1])
         return contacts, known
 
     def both(numbers, tangents):

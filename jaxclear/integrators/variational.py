@@ -22,7 +22,6 @@ derivative is asked.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,6 +31,7 @@ from jaxtyping import Array
 from jaxclear.formulations import closing
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.impact_speed import ContactMotion, cubic, passage, summit
+from jaxclear.ground.grouping import bare, unpacked
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import derived, derived_once, moved, pushed, where_wanted, zeros_with
@@ -69,13 +69,13 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
 
     def remember(arrays, y, contacts, length):
         """Contacts that are apart forget their impact speeds; those that begin closed have one."""
-        if not formulation.remembers(rest):
+        if not formulation.remembers(bare(rest)):
             return y
-        model = eqx.combine(arrays, rest)
+        model = unpacked(arrays, rest)
         return formulation.remember(model, y, contacts, contacts, length)
 
     def close(arrays, time, length, y):
-        return closing.closed(eqx.combine(arrays, rest), time, y, length)
+        return closing.closed(unpacked(arrays, rest), time, y, length)
 
     def step(arrays, clock, y, last, met, beside):
         end, *found = plain(arrays, clock, y, last, met)
@@ -94,11 +94,11 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
         longer = moved(clock_way[1]) if moves(clock_way) else None
         ways = way[0], (clock_way[0], longer), moved(state)
         begun = y + beside.away
-        own = remember, close if rest.projects else None
+        own = remember, close if bare(rest).projects else None
         ended = _parted(motion, own, (arrays[0], clock, begun), ways, met_way, beside)
         there, gone, higher, beside = ended
         away = there - end
-        share = gaps_passed(eqx.combine(arrays[0], rest).system, away)
+        share = gaps_passed(unpacked(arrays[0], rest).system, away)
         beside = beside._replace(away=away, parted=jnp.maximum(beside.parted, share))
         return found, (gone, jax.tree.map(jnp.zeros_like, now), higher, beside)
 

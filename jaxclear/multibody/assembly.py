@@ -6,6 +6,7 @@ equations of `start_equations`, metres measured by the longest arm. What cannot 
 name (`start_check`). Where the guess is not met other beginnings are tried (`assembly_modes`).
 """
 
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -18,17 +19,18 @@ from jaxtyping import Array, Bool
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, expect
+from jaxclear.ground.compiling import map_many
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced, is_tracing
 from jaxclear.ground.warning import warn
 from jaxclear.multibody import (
     assembly_modes,
     contact_point,
-    kinematics,
     redundancy,
     start_check,
 )
 from jaxclear.multibody.assembly_modes import Beginning, Mode, Nominal, at_guess
+from jaxclear.multibody.forces import relative_motions
 from jaxclear.multibody.mechanism import Mechanism, loosened, ungiven, with_redundancy
 from jaxclear.multibody.motors_at_start import turned
 from jaxclear.multibody.newton import Near, closed, least, nearer
@@ -54,6 +56,7 @@ from jaxclear.multibody.start_equations import (
 )
 from jaxclear.multibody.system import readings
 from jaxclear.multibody.topology import Redundancy
+from jaxclear.native import in_one
 from jaxclear.native.compiled import compiled_quickly
 
 ITERATIONS = 30
@@ -77,10 +80,8 @@ def assemble_arrays(
     coordinates and speeds leads, by default the mechanism's guess; of surfaces `worn` so deep [m];
     pure, so it maps and differentiates."""
     asked = ask(mechanism, concentric, worn)
-    if rough is None:
-        q, v = guess(mechanism)
-        return _solved(asked, _towards_guess(asked, q, time), v, time)
-    return _solved(asked, *rough, time)
+    given = guess(mechanism) if rough is None else rough
+    return _solved(asked, *given, time, rough is None, in_one)
 
 
 def _towards_guess(asked: Ask, q: Array, time: Any) -> Array:
@@ -100,12 +101,33 @@ def _towards_guess(asked: Ask, q: Array, time: Any) -> Array:
     return jax.lax.scan(approach, q, length=ITERATIONS)[0]
 
 
-def _solved(asked: Ask, q: Array, v: Array, time: Any) -> Start:
-    """The consistent start to which a search leads from rough coordinates and speeds."""
+def _solved(
+    asked: Ask,
+    q: Array,
+    v: Array,
+    time: Any,
+    led: bool = False,
+    call: Callable[..., Any] = operator.call,
+) -> Start:
+    """The consistent start to which a search leads from rough coordinates and speeds, `led` to what
+    is told of other joints first; `call`: how the search is called, and what tells of the start."""
     mechanism = asked.mechanism
     start_check.check_flat_bodies(mechanism, asked.system, motions_at(asked, q, v, time)[2])
     if is_solved(mechanism, asked.concentric):
         return _started(asked, q, v, time)
+
+    def search():
+        begun = _towards_guess(asked, q, time) if led else q
+        return _searched(asked, begun, v, time)
+
+    # In a batch more may move the one than the other.
+    there, moving = call(search)
+    return call(lambda: _started(asked, there, moving, time))
+
+
+def _searched(asked: Ask, q: Array, v: Array, time: Any) -> tuple[Array, Array]:
+    """Coordinates and speeds of the consistent start to which a search leads from rough ones."""
+    mechanism = asked.mechanism
 
     def improve(q, weight):
         place = place_at(asked, q, time)
@@ -123,7 +145,7 @@ def _solved(asked: Ask, q: Array, v: Array, time: Any) -> Start:
     # The second time for rounding only: rates are linear in the speeds.
     for _ in range(2):
         v = v - least(asked, speed_blocks(asked, q, v, time)).change
-    return _started(asked, *turned(mechanism, asked.system, q, v, time), time)
+    return turned(mechanism, asked.system, q, v, time)
 
 
 def closest(asked: Ask, q: Array, time: Any) -> Array:
@@ -177,13 +199,19 @@ def _depths(asked: Ask, q: Array, v: Array, time: Any) -> dict[str, Array]:
     if asked.concentric and not asked.mechanism.start:
         return {}
     motions = motions_at(asked, q, v, time)[2]
-    out, worn = {}, readings(asked.system, asked.worn)
-    for name, bearing in asked.system.bearings.items():
-        pose = kinematics.relative_motion(bearing.closure, motions)[1]
-        depths = contact_point.depths(bearing.joint, pose, worn.get(name, {}))
-        allowed = DEEPEST * jnp.min(sp.stack(bearing.radii))
-        out[name] = jnp.stack([jnp.max(sp.stack(depths)), allowed])
-    return out
+    worn = readings(asked.system, asked.worn)
+
+    def one(joint, pose, radii, worn):
+        depths = contact_point.depths(joint, pose, worn)
+        return jnp.stack([jnp.max(sp.stack(depths)), DEEPEST * jnp.min(sp.stack(radii))])
+
+    bearings = asked.system.bearings
+    relative = relative_motions(asked.system, motions)
+    calls = [
+        (own.joint, seen.pose, own.radii, worn.get(name, {}))
+        for (name, own), seen in zip(bearings.items(), relative, strict=True)
+    ]
+    return dict(zip(bearings, map_many(one, calls), strict=True))
 
 
 def is_sound(mechanism: Mechanism, start: Start) -> Bool[Array, ""]:

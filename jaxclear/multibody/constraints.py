@@ -16,7 +16,13 @@ from jaxclear.multibody import kinematics, loops, pose_rows, tree
 from jaxclear.multibody.coordinate_sums import outer_wrenches, sum_equation
 from jaxclear.multibody.forces import add_action_and_reaction
 from jaxclear.multibody.kinematics import JacobianRow
-from jaxclear.multibody.loops import Baumgarte, Closure, CoordinateSum, SummedCoordinate
+from jaxclear.multibody.loops import (
+    Baumgarte,
+    Closure,
+    CoordinateSum,
+    Relative,
+    SummedCoordinate,
+)
 from jaxclear.multibody.meshes import Mesh
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
@@ -138,13 +144,19 @@ def rows_alike(system: System, found: list[ConstraintRows]) -> tuple:
 
 
 def constraint_rows(
-    system: System, motions: tuple[Motion, ...], closure: Closure
+    system: System,
+    motions: tuple[Motion, ...],
+    closure: Closure,
+    relative: Relative | None = None,
 ) -> ConstraintRows:
-    """Residuals, rates and Jacobian of a closure's rows."""
+    """Residuals, rates and Jacobian of a closure's rows; `relative`: the motion of its markers,
+    where it is known."""
     if isinstance(closure.reading, CoordinateSum):
         residual, rate, row = sum_equation(system, motions, closure.reading)
         return ConstraintRows([0], (residual,), (rate,), [row], {})
-    _, pose, relative = kinematics.relative_motion(closure, motions)
+    if relative is None:
+        relative = kinematics.relative_motion(closure, motions)[2]
+    pose = relative.pose
     slopes = None
     row_rates: Callable = lambda *own: loops.row_rates(closure.rows, *own)
     if closure.reading is None:

@@ -8,6 +8,7 @@ Dynamics Algorithms, chapters 6 and 8, doi:10.1007/978-1-4899-7560-7).
 Energy of a mechanism and what flows in and out of it, so that the balance can be closed.
 """
 
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ import jax.numpy as jnp
 from jaxclear.components.joint.base import drive_of
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import map_alike
+from jaxclear.ground.compiling import map_alike, map_many
 from jaxclear.ground.quantity import constant
 from jaxclear.multibody import constraints, kinematics, tree
 from jaxclear.multibody.constraints import ClosureEquations, Dependence
@@ -88,15 +89,18 @@ def constrained_inverse(
     multipliers; where rows depend on each other the least of them, torques measured by the longest
     arm. `alike` as of `ClosureEquations`: of rows that follow from others at a singular position
     the multipliers are 0."""
-    factors = [factorisation.factor(mass) if mass else None for mass in masses]
+    factors = iter(map_many(factorisation.factor, [(mass,) for mass in masses if mass]))
+    factors = [next(factors) if mass else None for mass in masses]
     size = sum(len(mass) for mass in masses)
 
     def respond(forces):
-        out: list[Any] = []
-        for mass, factor in zip(masses, factors, strict=True):
-            own = tuple(forces[len(out) : len(out) + len(mass)])
-            out += own if all(map(sp.is_zero, own)) else factorisation.solve(factor, own)
-        return out
+        rest = iter(forces)
+        out = [tuple(itertools.islice(rest, len(mass))) for mass in masses]
+        moved = [i for i, own in enumerate(out) if not all(map(sp.is_zero, own))]
+        found = map_many(factorisation.solve, [(factors[i], out[i]) for i in moved])
+        for i, own in zip(moved, found, strict=True):
+            out[i] = own
+        return [x for own in out for x in own]
 
     columns = [respond([row.get(j, 0) for j in range(size)]) for row in rows]
     schur = [[along(row, column) for column in columns] for row in rows]
@@ -199,19 +203,27 @@ def mechanical_energy(system: System, forces: Forces) -> tuple[Any, Any]:
     ground's origin.
     """
     kinetic, potential = 0.0, forces.stored
-    for index, (link, motion) in enumerate(zip(system.links, forces.motions, strict=True)):
-        v, w = motion.twist
-        if link.rotor is not None:
-            kinetic = kinetic + 0.5 * link.rotor * _speed(system, forces, index) ** 2
-        kinetic = kinetic + 0.5 * (
-            sp.add(sp.mul(link.mass, sp.dot(v, v)), sp.dot(w, sp.apply(link.inertia, w)))
-            + sp.mul(2.0, sp.dot(v, sp.cross(w, link.first_moment)))
+
+    def energies(mass, moment, inertia, pose, twist):
+        v, w = twist
+        moving = 0.5 * (
+            sp.add(sp.mul(mass, sp.dot(v, v)), sp.dot(w, sp.apply(inertia, w)))
+            + sp.mul(2.0, sp.dot(v, sp.cross(w, moment)))
         )
         weighted = sp.plus(
-            sp.scale(link.mass, motion.pose.translation),
-            sp.apply(motion.pose.rotation, link.first_moment),
+            sp.scale(mass, pose.translation),
+            sp.apply(pose.rotation, moment),
         )
-        potential = sp.sub(potential, sp.dot(system.gravity, weighted))
+        return moving, sp.dot(system.gravity, weighted)
+
+    pairs = list(zip(system.links, forces.motions, strict=True))
+    calls = [(own.mass, own.first_moment, own.inertia, m.pose, m.twist) for own, m in pairs]
+    for index, (moving, lifted) in enumerate(map_many(energies, calls)):
+        rotor = system.links[index].rotor
+        if rotor is not None:
+            kinetic = kinetic + 0.5 * rotor * _speed(system, forces, index) ** 2
+        kinetic = kinetic + moving
+        potential = sp.sub(potential, lifted)
     return kinetic, jnp.asarray(potential, float)
 
 

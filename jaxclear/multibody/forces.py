@@ -5,6 +5,7 @@ Alike clearance joints are traced once. Constraint reactions are not forces here
 the accelerations (`dynamics`).
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -19,7 +20,7 @@ from jaxclear.components.load import (
     MarkerMotion,
 )
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import map_alike
+from jaxclear.ground.compiling import map_alike, map_many
 from jaxclear.ground.pose import Pose
 from jaxclear.laws.transmission import holding
 from jaxclear.multibody import (
@@ -30,7 +31,7 @@ from jaxclear.multibody import (
     tree,
 )
 from jaxclear.multibody.contact_point import JointReport
-from jaxclear.multibody.loops import Closure
+from jaxclear.multibody.loops import Closure, Relative
 from jaxclear.multibody.state import Followed
 from jaxclear.multibody.system import System, body_loads, coordinate_loads
 from jaxclear.multibody.transmissions import Pressing
@@ -66,15 +67,20 @@ def contact_reports(
     system: System, motions: tuple[Motion, ...], memories: dict, worn: dict
 ) -> dict[str, JointReport]:
     """Report of every clearance joint; `worn` are depth maps by joint and surface."""
-    calls = []
-    for name, bearing in system.bearings.items():
-        relative = kinematics.relative_motion(bearing.closure, motions)[2]
-        calls.append(
-            (bearing.joint, bearing.contact_laws, relative, memories[name], worn.get(name, {}))
-        )
+    relative = relative_motions(system, motions)
+    calls = [
+        (bearing.joint, bearing.contact_laws, own, memories[name], worn.get(name, {}))
+        for (name, bearing), own in zip(system.bearings.items(), relative, strict=True)
+    ]
     with jax.named_scope("contact"):
         reports = map_alike(contact_point.evaluate, calls)
     return dict(zip(system.bearings, reports, strict=True))
+
+
+def relative_motions(system: System, motions: tuple[Motion, ...]) -> list[Relative]:
+    """Of every clearance joint."""
+    closures = (bearing.closure for bearing in system.bearings.values())
+    return kinematics.relative_motions(closures, motions)
 
 
 NOTHING_FOLLOWED = Followed()
@@ -91,11 +97,7 @@ def applied_forces(
 ) -> Forces:
     """Wrench of contacts, loads and couplings that give on every link, and forces on coordinates;
     `followed`: what the state follows beside the motion."""
-    wrenches = [NOTHING] * len(system.links)
-    for name, report in reports.items():
-        closure = system.bearings[name].closure
-        pose = kinematics.relative_motion(closure, motions)[1]
-        add_action_and_reaction(wrenches, closure, pose, report.force, report.torque)
+    wrenches = _of_bearings(system, motions, reports)
     stored: Any
     damping: Any
     external: Any
@@ -153,6 +155,33 @@ def applied_forces(
         pressed,
         acting.on_drives,
     )
+
+
+def _of_bearings(
+    system: System, motions: tuple[Motion, ...], reports: dict[str, JointReport]
+) -> list[Wrench]:
+    """Wrench of the clearance joints on every link."""
+    own: list[list[Wrench]] = [[] for _ in system.links]
+    closures = [system.bearings[name].closure for name in reports]
+    relative = kinematics.relative_motions(closures, motions)
+    pairs = zip(closures, relative, reports.values(), strict=True)
+    calls = [
+        (
+            None if closure.parent_link is None else closure.parent,
+            None if closure.child_link is None else closure.child,
+            *(seen.pose, report.force, report.torque),
+        )
+        for closure, seen, report in pairs
+    ]
+    for closure, (on_child, on_parent) in zip(
+        closures, map_many(_action_and_reaction, calls), strict=True
+    ):
+        if closure.child_link is not None:
+            own[closure.child_link].append(on_child)
+        if closure.parent_link is not None:
+            own[closure.parent_link].append(on_parent)
+    total = lambda *each: functools.reduce(_sum, each, NOTHING)
+    return map_many(total, [tuple(each) for each in own])
 
 
 class _Rubbed(NamedTuple):
@@ -301,15 +330,32 @@ def add_action_and_reaction(
     """Add a wrench on the closure's child about its marker, in the parent marker's axes, and its
     opposite on the parent.
     """
+    parent = None if closure.parent_link is None else closure.parent
+    child = None if closure.child_link is None else closure.child
+    on_child, on_parent = _action_and_reaction(parent, child, pose, force, torque)
     if closure.child_link is not None:
-        on_child = Wrench(
-            sp.apply_transposed(pose.rotation, force), sp.apply_transposed(pose.rotation, torque)
-        )
-        _add(wrenches, closure.child_link, tree.transform_wrench(closure.child, on_child))
+        _add(wrenches, closure.child_link, on_child)
     if closure.parent_link is not None:
+        _add(wrenches, closure.parent_link, on_parent)
+
+
+def _action_and_reaction(
+    parent: Pose | None, child: Pose | None, pose: Pose, force: sp.Vec, torque: sp.Vec
+) -> tuple[Any, Any]:
+    """Wrenches on the links of the child's marker and of the parent's, in their axes; None where
+    that is the ground."""
+    on_child = on_parent = None
+    if child is not None:
+        turned = (
+            sp.apply_transposed(pose.rotation, force),
+            sp.apply_transposed(pose.rotation, torque),
+        )
+        on_child = tree.transform_wrench(child, Wrench(*turned))
+    if parent is not None:
         moment = sp.plus(torque, sp.cross(pose.translation, force))
-        on_parent = Wrench(tuple(sp.neg(x) for x in force), tuple(sp.neg(x) for x in moment))
-        _add(wrenches, closure.parent_link, tree.transform_wrench(closure.parent, on_parent))
+        back = Wrench(tuple(sp.neg(x) for x in force), tuple(sp.neg(x) for x in moment))
+        on_parent = tree.transform_wrench(parent, back)
+    return on_child, on_parent
 
 
 def _add(wrenches: list[Wrench], link: int, wrench: Wrench) -> None:

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.joint import AbstractGroupJoint, AbstractJoint
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.compiling import map_many
 from jaxclear.ground.pose import REST
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.kinematics import JacobianRow
@@ -104,26 +105,32 @@ def coordinate_equations(
     system: System,
     motions: tuple[Motion, ...],
     q: tuple,
-    where: Source,
-    given: tuple,
+    sources: list[Source],
+    given: list[tuple],
     nearly: bool = False,
-) -> Equations:
-    """Coordinates that are to be `given`, or `nearly`, angles by the shorter way; `q` are those of
-    the tree, by branch."""
-    joint = where.joint
-    wanted = joint.start(given)
-    if where.branch is not None:
-        own, turns = q[where.branch], nearly
-        branch, still = system.topology.branches[where.branch], (0.0,) * len(joint.told(given))
-        wanted = at_start(branch, joint, wanted, still)[0]
-    else:
-        own = joint.coordinates_at(kinematics.relative_motion(where.closure, motions)[1])
-        turns = True
-    missed = _increment(joint, own, wanted, turns)
-    told = joint.told(given)
-    rows = _rows(system, motions, where, len(told))
-    kept = [i for i, known in enumerate(told) if known]
-    return Equations(tuple(missed[i] for i in kept), [rows[i] for i in kept])
+) -> list[Equations]:
+    """Coordinates of these joints that are to be `given`, or `nearly`, angles by the shorter way;
+    `q` are those of the tree, by branch."""
+    calls = []
+    for where, values in zip(sources, given, strict=True):
+        joint = where.joint
+        wanted = joint.start(values)
+        if where.branch is not None:
+            own, turns = q[where.branch], nearly
+            branch, still = system.topology.branches[where.branch], (0.0,) * len(joint.told(values))
+            wanted = at_start(branch, joint, wanted, still)[0]
+        else:
+            own = joint.coordinates_at(kinematics.relative_motion(where.closure, motions)[1])
+            turns = True
+        calls.append((joint, own, wanted, turns))
+    found = []
+    each = zip(sources, given, map_many(_increment, calls), strict=True)
+    for where, values, missed in each:
+        told = where.joint.told(values)
+        rows = _rows(system, motions, where, len(told))
+        kept = [i for i, known in enumerate(told) if known]
+        found.append(Equations(tuple(missed[i] for i in kept), [rows[i] for i in kept]))
+    return found
 
 
 def speed_equations(

@@ -4,13 +4,13 @@ follow from unit speeds.
 Nothing here knows of forces. Alike subtrees are traced once.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import jax
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import map_alike
+from jaxclear.ground.compiling import map_alike, map_many
 from jaxclear.ground.pose import STILL, Pose, Twist
 from jaxclear.multibody import loops, tree
 from jaxclear.multibody.loops import Closure, Relative
@@ -68,6 +68,29 @@ def relative_motion(
     pose = loops.relative_pose(view)
     velocity, spin = loops.relative_velocity(pose, view.parent_twist, view.child_twist)
     return view, pose, Relative(pose, velocity, spin)
+
+
+def relative_motions(closures: Iterable[Closure], motions: tuple[Motion, ...]) -> list[Relative]:
+    """The same of many closures, without their markers; alike ones are traced once."""
+
+    def one(parent, child, parent_ends, child_ends):
+        pose_and_twist = lambda ends: (None, None) if ends is None else ends
+        (parent_pose, parent_twist), (child_pose, child_twist) = map(
+            pose_and_twist, (parent_ends, child_ends)
+        )
+        view = loops.Sides(
+            loops.marker_pose(parent_pose, parent),
+            loops.marker_pose(child_pose, child),
+            loops.marker_twist(parent_twist, parent),
+            loops.marker_twist(child_twist, child),
+        )
+        pose = loops.relative_pose(view)
+        return Relative(pose, *loops.relative_velocity(pose, view.parent_twist, view.child_twist))
+
+    ends = lambda link: None if link is None else (motions[link].pose, motions[link].twist)
+    return map_many(
+        one, [(c.parent, c.child, ends(c.parent_link), ends(c.child_link)) for c in closures]
+    )
 
 
 def ancestry(system: System, link: int | None) -> list[int]:

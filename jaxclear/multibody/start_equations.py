@@ -13,11 +13,13 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.compiling import map_many
+from jaxclear.ground.grouping import unstacked
 from jaxclear.ground.printing import shown_in_words
 from jaxclear.ground.quantity import is_traced
 from jaxclear.multibody import constraints, given, kinematics
 from jaxclear.multibody.given import at_start
-from jaxclear.multibody.loops import Closure
+from jaxclear.multibody.loops import Closure, Relative
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.motors_at_start import turned
 from jaxclear.multibody.state import unpack_motion
@@ -128,17 +130,18 @@ def guess(mechanism: Mechanism) -> tuple[Array, Array]:
 
 def retract(system: System, q: Array, step: Array) -> Array:
     """Coordinates moved along speeds for unit time, quaternions renormalised."""
-    parts: list[Any] = []
-    own_q, own_step = unpack_motion(system, list(q) + list(step))
-    for link, coordinates, move in zip(system.links, own_q, own_step, strict=True):
-        if coordinates:
-            parts.extend(link.joint.retracted(coordinates, move))
-    return sp.stack(parts)
+    own_q, own_step = unpack_motion(system, [*unstacked(q), *unstacked(step)])
+    each = zip(system.links, own_q, own_step, strict=True)
+    moved = map_many(
+        lambda joint, q, step: tuple(joint.retracted(q, step)),
+        [(link.joint, coordinates, move) for link, coordinates, move in each if coordinates],
+    )
+    return sp.stack([x for own in moved for x in own])
 
 
 def motions_at(asked: Ask, q: Array, v: Array, time: Any) -> tuple[tuple, tuple, tuple]:
     """Coordinates and speeds by branch, and the motions of all links."""
-    own_q, own_v = unpack_motion(asked.system, list(q) + list(v))
+    own_q, own_v = unpack_motion(asked.system, [*unstacked(q), *unstacked(v)])
     return own_q, own_v, kinematics.link_motions(asked.system, own_q, own_v, time)
 
 
@@ -171,7 +174,7 @@ def held_blocks(asked: Ask, place: Place) -> list[Block]:
     return [
         *(_closure_block(asked, motions, n, c, LOOP, False) for n, c in _loops(asked)),
         *_coordinate_blocks(asked, place, GIVEN),
-        *(_closure_block(asked, motions, n, c, JOURNAL, False) for n, c in _journals(asked)),
+        *_journal_blocks(asked, motions, False),
     ]
 
 
@@ -183,11 +186,13 @@ def guess_blocks(asked: Ask, place: Place) -> list[Block]:
 def _coordinate_blocks(asked: Ask, place: Place, kind: str) -> list[Block]:
     """Coordinates that are given, or guessed."""
     blocks, part = [], "start" if kind == GIVEN else "guess"
-    for name, values in asked.mechanism.given[part].items():
-        where = given.source(asked.mechanism, asked.system, name)
-        found = given.coordinate_equations(
-            asked.system, place.motions, place.own, where, values, kind == GUESS
-        )
+    told_of = asked.mechanism.given[part].items()
+    sources = [given.source(asked.mechanism, asked.system, name) for name, _ in told_of]
+    values_of = [values for _, values in told_of]
+    equations = given.coordinate_equations(
+        asked.system, place.motions, place.own, sources, values_of, kind == GUESS
+    )
+    for (name, values), where, found in zip(told_of, sources, equations, strict=True):
         told = where.joint.told(values)
         blocks.append(_given_block(asked, kind, name, where, found, told))
     return blocks
@@ -202,9 +207,7 @@ def speed_blocks(asked: Ask, q: Array, v: Array, time: Any) -> list[Block]:
         found = given.speed_equations(asked.system, motions, own_q, own_v, where, values)
         told = (True,) * len(values)
         blocks.append(_given_block(asked, GIVEN, name, where, found, told))
-    return blocks + [
-        _closure_block(asked, motions, n, c, JOURNAL, True) for n, c in _journals(asked)
-    ]
+    return blocks + _journal_blocks(asked, motions, True)
 
 
 def outside_tree(mechanism: Mechanism) -> bool:
@@ -259,10 +262,26 @@ def _journals(asked: Ask) -> list[tuple[str, Closure]]:
     return [(name, bearing.closure) for name, bearing in bearings.items()]
 
 
+def _journal_blocks(asked: Ask, motions: tuple[Motion, ...], rates: bool) -> list[Block]:
+    """Journals that are to be concentric."""
+    journals = _journals(asked)
+    relative = kinematics.relative_motions([closure for _, closure in journals], motions)
+    return [
+        _closure_block(asked, motions, name, closure, JOURNAL, rates, own)
+        for (name, closure), own in zip(journals, relative, strict=True)
+    ]
+
+
 def _closure_block(
-    asked: Ask, motions: tuple[Motion, ...], name: str, closure: Closure, kind: str, rates: bool
+    asked: Ask,
+    motions: tuple[Motion, ...],
+    name: str,
+    closure: Closure,
+    kind: str,
+    rates: bool,
+    relative: Relative | None = None,
 ) -> Block:
-    found = constraints.constraint_rows(asked.system, motions, closure)
+    found = constraints.constraint_rows(asked.system, motions, closure, relative)
     return Block(
         kind,
         name,

@@ -9,17 +9,21 @@ from typing import Any
 import numpy as np
 
 from jaxclear.native.arithmetic import compare
+from jaxclear.native.long_arrays import carried_in_memory, mapped, put_back
 from jaxclear.native.program import CALLS, called, scan_counts, size_of
 from jaxclear.native.writer import (
     FLOAT,
+    LONGEST_IN_REGISTERS,
     STOP_FLAG,
     TRUTH,
     WHOLE,
     InMemory,
+    Long,
     Unsupported,
     Writer,
     array_of,
     each,
+    in_registers,
     kind_of,
     refuse_memory,
     rule,
@@ -61,9 +65,13 @@ def loop(
     unfinished becomes nan.
     """
     # A turn may change them, so that as they were before the loop they can be read no more.
-    long = [writer.renewed(a) if isinstance(a, InMemory) else None for a in carry]
+    rooms = carried_in_memory(writer, carry, kinds)
+    long = [
+        writer.renewed(a) if isinstance(a, InMemory) else room and room.array()
+        for a, room in zip(carry, rooms, strict=True)
+    ]
     head, inside, behind = (writer.fresh(word)[1:] for word in ("head", "inside", "behind"))
-    flat = _numbers(carry, kinds)
+    flat = _numbers(carry, kinds, long)
     begun = writer.lane(flat[0][0], WHOLE, 0) if together else "0"
     before = writer.block
     writer.say(f"br label %{head}")
@@ -80,8 +88,9 @@ def loop(
     writer.depth += 1
     after = body(_shaped(state, carry, long))
     writer.depth -= 1
+    put_back(writer, rooms, after)
     long = [_same_place(writer, *pair) for pair in zip(long, after, strict=True)]
-    found = _numbers(after, kinds)
+    found = _numbers(after, kinds, long)
     if writer.active is not None:
         pairs = zip(found, registers, strict=True)
         found = [(writer.choose(truth, new, old, kind), kind) for (new, kind), old in pairs]
@@ -93,17 +102,20 @@ def loop(
     writer.lines[places:places] = [*phis, phi_of_turns(turn, following, ends)]
     writer.say(f"br label %{head}")
     writer.start(behind)
+    long = [_spoilt_entries(writer, stopped, array) for array in long]
     return _shaped(_spoilt(writer, stopped, registers, flat), carry, long)
 
 
-def _numbers(arrays: Any, kinds: list[str]) -> list[tuple[Any, str]]:
-    """(value, kind) of all entries of arrays that are no arrays in memory."""
-    pairs = zip(arrays, kinds, strict=True)
-    return [(value, k) for a, k in pairs if not isinstance(a, InMemory) for value in a.flat]
+def _numbers(arrays: Any, kinds: list[str], long: list[Any]) -> list[tuple[Any, str]]:
+    """(value, kind) of all entries of arrays that do not stand in memory, as `long` ones do."""
+    each = zip(arrays, kinds, long, strict=True)
+    return [(value, k) for a, k, own in each if own is None for value in in_registers(a).flat]
 
 
 def _same_place(writer: Writer, before: Any, after: Any) -> InMemory | None:
     """An array in memory as a turn leaves it. Raises `Unsupported` for another one."""
+    if isinstance(before, Long):
+        return before
     if before is None:
         if isinstance(after, InMemory):
             raise Unsupported("a long array in the place of registers")
@@ -112,6 +124,18 @@ def _same_place(writer: Writer, before: Any, after: Any) -> InMemory | None:
         raise Unsupported("another long array in the place of one")
     writer.check_latest(after)
     return after.reshaped(before.shape)
+
+
+def _spoilt_entries(writer: Writer, stopped: Any, array: Any) -> Any:
+    """An array that a loop leaves, nan where it was stopped."""
+    if stopped is None or not isinstance(array, Long) or array.kind != FLOAT:
+        return array
+    wide, nan = writer.wide(FLOAT), writer.text(float("nan"), FLOAT)
+
+    def entry(k):
+        return writer.put(f"select i1 {stopped}, {wide} {nan}, {wide} {array.entry(k)}")
+
+    return Long(array.shape, FLOAT, entry)
 
 
 def _of_the_turn(writer, registers, turn, begun):
@@ -191,6 +215,8 @@ def _raise(writer, equation, *arguments):
 # equations.
 LONGEST_WRITTEN_OUT = 16
 LARGEST_WRITTEN_OUT = 2000
+# Maps over rows of so many and more are loops over these.
+SHORTEST_MAP = 12
 
 
 @rule("cond", reads_memory=True)
@@ -200,6 +226,7 @@ def _cond(writer, equation, which, *arguments):
         raise Unsupported("a choice among more than two")
     results = [write_closed(writer, branch, arguments) for branch in branches]
     refuse_memory(*results[0], *results[1])
+    results = [list(map(in_registers, found)) for found in results]
     kind = kind_of(equation.invars[0].aval.dtype)
     truth = which.item() if kind == TRUTH else compare(writer, "gt", WHOLE, which.item(), 0)
     out = []
@@ -218,11 +245,18 @@ def _scan(writer, equation, *arguments):
         list(arguments[constants:][:carried]),
         arguments[constants + carried :],
     )
+    kinds = [kind_of(a.dtype) for a in p["jaxpr"].in_avals]
+    if not carried and p["length"] >= SHORTEST_MAP:
+        avals = [atom.aval for atom in equation.outvars]
+        body = lambda picked: write_closed(writer, p["jaxpr"], [*fixed, *picked])
+        return mapped(writer, rows, kinds[constants:], avals, body)
     refuse_memory(*carry, *rows)
+    rows = list(map(in_registers, rows))
     long = p["length"] > LONGEST_WRITTEN_OUT
-    as_a_loop = len(equation.outvars) == carried and not p["reverse"] and not (long and rows)
+    # A row of the turn is chosen among all.
+    few = sum(row.size for row in rows) <= LONGEST_IN_REGISTERS
+    as_a_loop = len(equation.outvars) == carried and not p["reverse"] and (few or not long)
     if as_a_loop and (long or p["length"] * size_of(p["jaxpr"]) > LARGEST_WRITTEN_OUT):
-        kinds = [kind_of(a.dtype) for a in p["jaxpr"].in_avals]
         return _counted_loop(writer, p["jaxpr"], fixed, carry, rows, p["length"], kinds)
     if long:
         raise Unsupported("a long scan inside the loop")
@@ -243,22 +277,31 @@ def _counted_loop(writer, body, fixed, carry, rows, length, kinds):
     """A scan as a loop: every sample takes all turns; a row is chosen by the turn's number."""
     head, behind = writer.fresh("turns")[1:], writer.fresh("done")[1:]
     carried = kinds[len(fixed) :][: len(carry)]
+    rooms = carried_in_memory(writer, carry, carried)
+    carry = [in_registers(c) if room is None else c for c, room in zip(carry, rooms, strict=True)]
     before = writer.block
     writer.say(f"br label %{head}")
     writer.start(head)
     turn, places = writer.fresh("turn"), len(writer.lines)
-    state = [each(lambda _: writer.fresh("s"), c) for c in carry]
+    state = [
+        each(lambda _: writer.fresh("s"), c) if room is None else room.array()
+        for c, room in zip(carry, rooms, strict=True)
+    ]
     region = writer.enter()
     picked = [
         _row_of_the_turn(writer, row, turn, kind)
         for row, kind in zip(rows, kinds[len(fixed) + len(carry) :], strict=True)
     ]
     found = write_closed(writer, body, [*fixed, *state, *picked])
+    put_back(writer, rooms, found)
+    found = [x if r is None else r.array() for x, r in zip(found, rooms, strict=True)]
     writer.leave(region)
     ends = before, writer.block
     phis = []
     for names, olds, news, kind in zip(state, carry, found, carried, strict=True):
-        for name, old, new in zip(names.flat, olds.flat, news.flat, strict=True):
+        if isinstance(names, Long):
+            continue
+        for name, old, new in zip(names.flat, olds.flat, in_registers(news).flat, strict=True):
             phis.append(phi(writer, name, kind, (old, new), ends))
     following = writer.put(f"add i64 {turn}, 1")
     phis.append(phi_of_turns(turn, following, ends))

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxclear.native.arithmetic import combine, compare
+from jaxclear.native.long_arrays import joined, unstacked, view
 from jaxclear.native.writer import (
     FLOAT,
     LONGEST_IN_REGISTERS,
@@ -79,25 +80,29 @@ def _reverse(writer, equation, a):
     return np.flip(a, equation.params["dimensions"])
 
 
-@rule("slice", reads_memory=True)
-def _slice(writer, equation, a):
+def spans_of(equation: Any) -> tuple[slice, ...]:
+    """What a slice takes of each axis."""
     p = equation.params
     strides = p["strides"] or (1,) * len(p["start_indices"])
-    spans = tuple(
+    return tuple(
         slice(*s) for s in zip(p["start_indices"], p["limit_indices"], strides, strict=True)
     )
+
+
+@rule("slice", reads_memory=True)
+def _slice(writer, equation, a):
+    spans = spans_of(equation)
     if isinstance(a, InMemory):
         wanted = np.arange(math.prod(a.shape)).reshape(a.shape)[spans]
-        if wanted.size > LONGEST_IN_REGISTERS:
-            raise Unsupported("a long slice of an array in memory")
-        return array_of([writer.read(a, int(i)) for i in wanted.flat], (wanted.size,)).reshape(
-            wanted.shape
-        )
+        return view(writer, a, kind_of(equation.invars[0].aval.dtype), wanted)
     return a[spans]
 
 
-@rule("concatenate")
+@rule("concatenate", reads_memory=True)
 def _concatenate(writer, equation, *arrays):
+    if any(isinstance(a, InMemory) for a in arrays):
+        kind = kind_of(equation.outvars[0].aval.dtype)
+        return joined(writer, arrays, kind, equation.params["dimension"])
     return np.concatenate(arrays, equation.params["dimension"])
 
 
@@ -125,8 +130,13 @@ def _stack(writer, equation, *arrays):
     return np.stack(arrays, equation.params["axis"])
 
 
-@rule("unstack")
+@rule("unstack", reads_memory=True)
 def _unstack(writer, equation, a):
+    if isinstance(a, InMemory):
+        places = np.moveaxis(
+            np.arange(math.prod(a.shape)).reshape(a.shape), equation.params["axis"], 0
+        )
+        return unstacked(writer, equation, a, FLOAT, places)
     rows = np.split(a, len(equation.outvars), equation.params["axis"])
     return [row.reshape(atom.aval.shape) for row, atom in zip(rows, equation.outvars, strict=True)]
 
@@ -283,10 +293,33 @@ def _maybe_set(writer, equation, allowed, a, update, *indices):
     return out
 
 
+def gathered_places(equation: Any, shape: tuple[int, ...], indices: Any) -> np.ndarray | None:
+    """Row-major places in an array of what is gathered out of it; None where they are not
+    known."""
+    p = equation.params
+    numbers, sizes = p["dimension_numbers"], p["slice_sizes"]
+    plain = not numbers.operand_batching_dims and "FILL" not in str(p["mode"])
+    if not plain or not known(*indices.flat):
+        return None
+    starts = np.array(indices.tolist(), int).reshape(indices.shape)
+    window = [i for i in range(len(sizes)) if i not in numbers.collapsed_slice_dims]
+    out = np.indices(equation.outvars[0].aval.shape)
+    batch = tuple(x for i, x in enumerate(out) if i not in numbers.offset_dims)
+    place: list[Any] = [np.zeros(out.shape[1:], int) for _ in sizes]
+    for where, axis in enumerate(numbers.start_index_map):
+        place[axis] = np.clip(starts[(*batch, where)], 0, shape[axis] - sizes[axis])
+    for axis, offset in zip(window, numbers.offset_dims, strict=True):
+        place[axis] = place[axis] + out[offset]
+    return np.ravel_multi_index(tuple(place), shape)
+
+
 @rule("gather", reads_memory=True)
 def _gather(writer, equation, a, indices):
     p, kind = equation.params, kind_of(equation.invars[0].aval.dtype)
     numbers, sizes = p["dimension_numbers"], p["slice_sizes"]
+    places = gathered_places(equation, a.shape, indices) if isinstance(a, InMemory) else None
+    if places is not None:
+        return view(writer, a, kind, places)
     if numbers.operand_batching_dims or "FILL" in str(p["mode"]):
         raise Unsupported("this kind of gather")
     out_shape = equation.outvars[0].aval.shape

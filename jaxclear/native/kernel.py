@@ -9,6 +9,7 @@ same turns, so that a turn's place in a table is one for all.
 
 import collections
 import contextlib
+import functools
 import hashlib
 import math
 import threading
@@ -20,7 +21,10 @@ import numpy as np
 
 from jaxclear.native import check, dispatch, elementary, object_code, stopping
 from jaxclear.native import indexing as _indexing  # noqa: F401  (its rules register themselves)
+from jaxclear.native import linear_systems as _linear_systems  # noqa: F401
+from jaxclear.native import long_rules as _long_rules  # noqa: F401
 from jaxclear.native.control import loop
+from jaxclear.native.long_arrays import for_each
 from jaxclear.native.program import (
     Program,
     avals_of,
@@ -35,6 +39,7 @@ from jaxclear.native.writer import (
     TRUTH,
     WHOLE,
     InMemory,
+    Long,
     Writer,
     array_of,
     kind_of,
@@ -70,15 +75,10 @@ def text_of(program: Program, lanes: int, checked: bool = False) -> str:
     )
     if program.tables and not checked:
         tables.spoil_unless_whole(last[0].item(), first)
-    numbers = [
-        (value, kind)
-        for array, kind in zip(last, kinds, strict=True)
-        if not isinstance(array, InMemory)
-        for value in array.flat
-    ]
-    for position, (value, kind) in enumerate(numbers):
-        store(writer, position, value, kind)
-    parts = [_head(lanes), *writer.lines, "  ret void\n}"]
+    position = 0
+    for array, kind in zip(last, kinds, strict=True):
+        position += 0 if isinstance(array, InMemory) else _stored(writer, position, array, kind)
+    parts = [_head(lanes), *writer.frame, *writer.lines, "  ret void\n}"]
     needs = set(writer.needs)
     for name, make in elementary.OWN.items():
         if name in needs:
@@ -244,11 +244,18 @@ def kept_kernel(number: int, name: str, key: str) -> Kernel:
         return kernel
 
 
-def _checked(program: Program, lanes: int) -> None:
-    """Raises `Unsupported` where one turn of the loop is not what JAX makes of it."""
+def turn_of(program: Program, lanes: int) -> check.Turn:
+    """One turn of the loop by a kernel of this processor. Raises `Unsupported`."""
     name, _, text = _assembled(program, lanes, checked=True)
     engine = object_code.compiled(text)
-    check.check(program, engine.get_function_address(f"{name}.samples"))
+
+    address = lambda: engine.get_function_address(f"{name}.samples")
+    return lambda samples: check.turn_by_kernel(program, address(), samples)
+
+
+def _checked(program: Program, lanes: int) -> None:
+    """Raises `Unsupported` where one turn of the loop is not what JAX makes of it."""
+    check.check(program, turn_of(program, lanes), functools.partial(check.turn_by_jax, program))
 
 
 def keep(kernel: Kernel, module: Any) -> None:
@@ -341,6 +348,16 @@ class Tables:
         if isinstance(array, InMemory):
             writer.copy(array, rows, count)
             return
+        if isinstance(array, Long):
+
+            def put(k):
+                word = as_float(writer, array.entry(k), kind)
+                for lane, own in enumerate(rows):
+                    target = writer.put(f"getelementptr double, ptr {own}, i64 {k}")
+                    writer.say(f"store double {writer.lane(word, FLOAT, lane)}, ptr {target}")
+
+            for_each(writer, count, put)
+            return
         words = [as_float(writer, value, kind) for value in array.flat]
         for lane, own in enumerate(rows):
             for j, word in enumerate(words):
@@ -376,6 +393,23 @@ def handed_over(writer: Writer, program: Program, state: Sequence[Any]) -> list[
         writer.copy(state[i], places, math.prod(state[i].shape))
         out[i] = InMemory(places, state[i].shape, version=0)
     return out
+
+
+def _stored(writer: Writer, position: int, array: Any, kind: str) -> int:
+    """Puts an array into the packed row, from a position on; how many numbers these are."""
+    if not isinstance(array, Long):
+        for k, value in enumerate(array.flat, position):
+            store(writer, k, value, kind)
+        return array.size
+
+    def put(k):
+        ahead = writer.put(f"add i64 {k}, {position}")
+        place = writer.put(f"getelementptr {writer.wide(FLOAT)}, ptr %out, i64 {ahead}")
+        word = as_float(writer, array.entry(k), kind)
+        writer.say(f"store {writer.wide(FLOAT)} {word}, ptr {place}")
+
+    for_each(writer, array.size, put)
+    return array.size
 
 
 def store(writer: Writer, position: int, value: Any, kind: str) -> None:

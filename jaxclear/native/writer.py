@@ -9,13 +9,14 @@ number. What has no rule raises `Unsupported`: the caller then leaves the progra
 stand in `arithmetic`, `elementary`, `indexing` and `control`.
 """
 
+import hashlib
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.extend.core import ClosedJaxpr, DropVar, Jaxpr, Literal
 
 FLOAT, WHOLE, TRUTH = "double", "i64", "i1"
 # The flag that stops all kernels, which each process has elsewhere (`stopping`).
@@ -59,6 +60,20 @@ class InMemory:
         return InMemory(self.places, shape, self.version)
 
 
+class Long:
+    """An array too long for registers, which stands in memory or is looked up there: `entry` makes
+    a register of its entry at a row-major index, known or in a register that is one for all
+    samples. `room`: the memory that it stands in by itself (None: it is looked up)."""
+
+    def __init__(self, shape: tuple[int, ...], kind: str, entry: Callable, room: Any = None):
+        self.shape, self.kind, self.entry, self.room = tuple(shape), kind, entry, room
+        self.size = math.prod(self.shape)
+
+    def reshaped(self, shape: tuple[int, ...]) -> "Long":
+        """The same numbers in another shape."""
+        return Long(shape, self.kind, self.entry, self.room)
+
+
 class Writer:
     """LLVM text under construction. A value is a register's name or a Python number; arrays are
     NumPy object arrays of them. `leaves_rows`: its turns do; `checked`: its outermost loop takes
@@ -76,8 +91,16 @@ class Writer:
         # Register with the turn of a scan, the same for all samples.
         self.turn = ""
         self._count = 0
+        # What the kernel keeps on its stack, and how much that is [bytes].
+        self.frame: list[str] = []
+        self.memory = 0
         # Registers that can be read here, by their right-hand sides, as they came.
         self._seen: dict[str, str] = {}
+        # Patterns of linear systems by number, memory for their factors, and whose it holds here
+        # (`linear_systems`).
+        self.patterns: dict[Any, int] = {}
+        self.factors: dict[tuple[int, int], Any] = {}
+        self.held: dict[tuple, int] = {}
         # How often arrays in memory have changed, by the register of the first sample's place.
         self._versions: dict[str, int] = {}
 
@@ -124,9 +147,11 @@ class Writer:
 
     def enter(self) -> int:
         """Open a region whose registers are not visible behind it; hand the result to `leave`."""
+        self.held.clear()
         return len(self._seen)
 
     def leave(self, before: int) -> None:
+        self.held.clear()
         while len(self._seen) > before:
             self._seen.popitem()
 
@@ -178,6 +203,13 @@ class Writer:
         first = self.put(f"insertelement {wide} poison, {kind} {number}, i64 0")
         zeros = f"<{self.lanes} x i32> zeroinitializer"
         return self.put(f"shufflevector {wide} {first}, {wide} poison, {zeros}")
+
+    def table(self, numbers: np.ndarray) -> str:
+        """Whole numbers that are known, in memory."""
+        words = ", ".join(f"i32 {x}" for x in numbers.tolist())
+        name = f"@NAME.table{hashlib.sha256(words.encode()).hexdigest()[:16]}"
+        self.needs.add(f"{name} = private constant [{len(numbers)} x i32] [{words}]")
+        return name
 
     def library(self, name: str, *values: Any) -> str:
         """A function of the C mathematical library, called for each sample."""
@@ -270,6 +302,8 @@ Rule = Callable[..., Any]
 RULES: dict[str, Rule] = {}
 # Names of the rules that take arrays in memory as well.
 READ_MEMORY: set[str] = set()
+# Rules of primitives of which some inputs are long arrays; others are given their entries.
+LONG_RULES: dict[str, Rule] = {}
 
 
 def rule(*names: str, reads_memory: bool = False) -> Callable[[Rule], Rule]:
@@ -278,6 +312,16 @@ def rule(*names: str, reads_memory: bool = False) -> Callable[[Rule], Rule]:
     def keep(function: Rule) -> Rule:
         RULES.update(dict.fromkeys(names, function))
         READ_MEMORY.update(names if reads_memory else ())
+        return function
+
+    return keep
+
+
+def long_rule(*names: str) -> Callable[[Rule], Rule]:
+    """Registers the rule of some primitives where one of their inputs is a long array."""
+
+    def keep(function: Rule) -> Rule:
+        LONG_RULES.update(dict.fromkeys(names, function))
         return function
 
     return keep
@@ -319,13 +363,38 @@ def write(writer: Writer, jaxpr: Jaxpr, constants: Any, arguments: Any) -> list:
         if name not in RULES:
             raise Unsupported(f"the primitive {name}")
         inputs = [get(atom) for atom in equation.invars]
-        if name not in READ_MEMORY and any(isinstance(value, InMemory) for value in inputs):
+        own = RULES[name]
+        if name == "unstack":
+            equation = equation.replace(outvars=read_alone(equation.outvars, jaxpr))
+        refused = name not in READ_MEMORY and any(isinstance(value, InMemory) for value in inputs)
+        if name in LONG_RULES and (refused or any(isinstance(value, Long) for value in inputs)):
+            own, refused = LONG_RULES[name], False
+        else:
+            inputs = [in_registers(value) for value in inputs]
+        if refused:
             raise Unsupported(f"{name} of a long array")
-        found = RULES[name](writer, equation, *inputs)
+        found = own(writer, equation, *inputs)
         values |= dict(
             zip(equation.outvars, found if isinstance(found, list) else [found], strict=True)
         )
     return [get(atom) for atom in jaxpr.outvars]
+
+
+def read_alone(variables: Sequence[Any], jaxpr: Jaxpr) -> list[Any]:
+    """Variables of a program; those that it never reads are marked as such."""
+    atoms = [atom for equation in jaxpr.eqns for atom in equation.invars] + jaxpr.outvars
+    read = {atom for atom in atoms if not isinstance(atom, Literal)}
+    return [v if v in read else DropVar(v.aval) for v in variables]
+
+
+def in_registers(array: Any) -> Any:
+    """The entries of a long array one by one; any other as it is."""
+    if not isinstance(array, Long):
+        return array
+    found = array_of(None, (array.size,))
+    for k in range(array.size):
+        found[k] = array.entry(k)
+    return found.reshape(array.shape)
 
 
 def write_closed(writer: Writer, program: Any, arguments: Any) -> list:

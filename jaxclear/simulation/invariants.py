@@ -21,6 +21,7 @@ from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.permanent_reactions import touching
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.grouping import MANY, unstacked
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.pose import REST
 from jaxclear.ground.quantity import constant
@@ -117,6 +118,9 @@ class Looks(NamedTuple):
 def _numbers_of(rows: Array, row: Any, columns: Any = None) -> list[Array]:
     """The numbers of a row of many, one by one: so a kernel reads any number of them by index."""
     columns = range(rows.shape[1]) if columns is None else columns
+    if len(columns) >= MANY:
+        own = jax.lax.dynamic_slice(rows, (row, columns[0]), (1, len(columns)))
+        return unstacked(own[0])
     return [jax.lax.dynamic_slice(rows, (row, k), (1, 1))[0, 0] for k in columns]
 
 

@@ -1,0 +1,159 @@
+"""Numbers of many pieces as few arrays: taken out of an array one by one, and put together again.
+
+Equations of motion are written number by number (`sparse`), which costs a program in proportion to
+its pieces. Where an entry was taken from is remembered, so that many entries put together again are
+one look into that array, or the array itself; what is done to alike pieces (`compiling.map_alike`)
+then goes from array to array. Of few numbers nothing is remembered, and programs are what they
+were.
+"""
+
+import weakref
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+# From so many numbers on entries remember where they were taken from.
+MANY = 65
+# From so many alike pieces on a map over them stays a loop, in machine code too.
+LARGEST_UNROLLED = 12
+
+
+class _Origin(NamedTuple):
+    """An entry of an array, and the number that it is."""
+
+    number: weakref.ref
+    array: jax.Array
+    index: int
+
+
+# By the identity of numbers, for as long as they live.
+_ORIGINS: dict[int, _Origin] = {}
+
+
+def unstacked(array: jax.Array, least: int = MANY) -> list[jax.Array]:
+    """The entries of an array along its first axis; of `least` and more it is remembered where
+    they were taken from."""
+    count = len(array)
+    if count < least or not isinstance(array, jax.core.Tracer):
+        return [array[i] for i in range(count)]
+    entries = jnp.unstack(array)
+    for index, entry in enumerate(entries):
+        key = id(entry)
+        forget = lambda _, key=key: _ORIGINS.pop(key, None)
+        _ORIGINS[key] = _Origin(weakref.ref(entry, forget), array, index)
+    return list(entries)
+
+
+def _origin(number: Any) -> _Origin | None:
+    found = _ORIGINS.get(id(number))
+    return found if found is not None and found.number() is number else None
+
+
+def stacked(numbers: Sequence[Any], least: int = MANY) -> jax.Array:
+    """Arrays of one shape on a new first axis; `least` and more of them are looked up in the arrays
+    from which they were taken."""
+    if len(numbers) < least:
+        return jnp.stack(numbers)
+    origins = [_origin(each) for each in numbers]
+    sources: list[Any] = []
+    lengths = [0]
+    starts: dict[int, int] = {}
+    for own in origins:
+        if own is not None and id(own.array) not in starts:
+            starts[id(own.array)] = lengths[-1]
+            sources.append(own.array)
+            lengths.append(lengths[-1] + len(own.array))
+    alone = [each for each, own in zip(numbers, origins, strict=True) if own is None]
+    if 4 * (len(sources) + len(alone)) > len(numbers) or any(
+        x.dtype != sources[0].dtype for x in sources
+    ):
+        return jnp.stack(numbers)
+    if alone:
+        sources.append(jnp.stack([jnp.asarray(x, sources[0].dtype) for x in alone]))
+    whole = sources[0] if len(sources) == 1 else jnp.concatenate(sources)
+    further = iter(range(lengths[-1], lengths[-1] + len(alone)))
+    places = [
+        next(further) if own is None else starts[id(own.array)] + own.index for own in origins
+    ]
+    return looked_up(whole, np.array(places))
+
+
+def looked_up(array: jax.Array, places: np.ndarray) -> jax.Array:
+    """The entries of an array at known places."""
+    steps = np.unique(np.diff(places))
+    if len(steps) == 1 and steps[0] > 0:
+        first, last, step = int(places[0]), int(places[-1]), int(steps[0])
+        if (first, last, step) == (0, len(array) - 1, 1):
+            return array
+        return lax.slice_in_dim(array, first, last + 1, step)
+    numbers = lax.GatherDimensionNumbers(
+        offset_dims=tuple(range(1, array.ndim)), collapsed_slice_dims=(0,), start_index_map=(0,)
+    )
+    return lax.gather(
+        array,
+        places[:, None].astype(np.int32),
+        numbers,
+        (1, *array.shape[1:]),
+        mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS,
+    )
+
+
+def summed(terms: jax.Array, places: np.ndarray, count: int) -> jax.Array:
+    """So many sums, each of the terms whose known place it is."""
+    numbers = lax.ScatterDimensionNumbers(
+        (), inserted_window_dims=(0,), scatter_dims_to_operand_dims=(0,)
+    )
+    return lax.scatter_add(
+        jnp.zeros(count),
+        places[:, None].astype(np.int32),
+        terms,
+        numbers,
+        mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS,
+    )
+
+
+class _Packed(eqx.Module):
+    """What is no single number of a tree, and its single numbers as one array."""
+
+    others: list[Any]
+    numbers: jax.Array
+
+
+class _Rest(eqx.Module):
+    """What is needed to take a packed tree apart."""
+
+    rest: Any
+    structure: Any = eqx.field(static=True)
+    single: tuple[int, ...] = eqx.field(static=True)
+
+
+def packed(tree: Any) -> tuple[Any, Any]:
+    """As `equinox.partition(tree, equinox.is_array)`; many single numbers become one array."""
+    arrays, rest = eqx.partition(tree, eqx.is_array)
+    leaves, structure = jax.tree.flatten(arrays)
+    single = tuple(i for i, x in enumerate(leaves) if jnp.shape(x) == () and x.dtype == jnp.float64)
+    if len(single) < MANY or not any(isinstance(x, jax.core.Tracer) for x in leaves):
+        return arrays, rest
+    others = [x for i, x in enumerate(leaves) if i not in set(single)]
+    return _Packed(others, stacked([leaves[i] for i in single])), _Rest(rest, structure, single)
+
+
+def unpacked(arrays: Any, rest: Any) -> Any:
+    """The inverse of `packed`, with its arrays, or others of their shapes."""
+    if not isinstance(rest, _Rest):
+        return eqx.combine(arrays, rest)
+    numbers = iter(unstacked(arrays.numbers))
+    others, single = iter(arrays.others), set(rest.single)
+    count = len(arrays.others) + len(single)
+    leaves = [next(numbers) if i in single else next(others) for i in range(count)]
+    return eqx.combine(jax.tree.unflatten(rest.structure, leaves), rest.rest)
+
+
+def bare(rest: Any) -> Any:
+    """The tree of which something is the rest, without its arrays."""
+    return rest.rest if isinstance(rest, _Rest) else rest

@@ -1,0 +1,271 @@
+"""Arrays that are too long for registers, in loops within a kernel.
+
+Programs over many alike pieces map over them. Such a map is written as a loop: its rows are read,
+and what it leaves is put, by index; arithmetic on arrays that it leaves is a loop over their
+entries. A long array is a function from an index, the same for all samples, to a register: an array
+in memory, or what another one is where an index is looked up in a table. What has no rule for long
+arrays is handed all of their entries in registers.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jax.extend.core import DropVar
+
+from jaxclear.native.writer import (
+    WHOLE,
+    InMemory,
+    Long,
+    Unsupported,
+    Writer,
+    array_of,
+    in_registers,
+    kind_of,
+    known,
+)
+
+# Memory of one kernel for what stands in it while it runs [bytes]: a share of a thread's stack.
+MOST_MEMORY = 1 << 21
+# Of an array in memory so many entries are read at once; more are looked up where they are needed.
+LONGEST_LOOKED_UP = 11
+
+
+def for_each(writer: Writer, count: int, turn: Callable[[str], None]) -> None:
+    """A loop of so many turns, each told its number; they leave what they find in memory."""
+    head, behind = writer.fresh("each")[1:], writer.fresh("all")[1:]
+    before = writer.block
+    writer.say(f"br label %{head}")
+    writer.start(head)
+    index, place = writer.fresh("k"), len(writer.lines)
+    region = writer.enter()
+    turn(index)
+    writer.leave(region)
+    following = writer.fresh("k")
+    writer.say(f"{following} = add i64 {index}, 1")
+    writer.lines.insert(
+        place,
+        f"  {index} = phi i64 [ 0, %{before} ], [ {following}, %{writer.block} ]",
+    )
+    more = writer.put(f"icmp slt i64 {following}, {count}")
+    writer.say(f"br i1 {more}, label %{head}, label %{behind}")
+    writer.start(behind)
+
+
+class Room:
+    """Memory for an array of registers, which lasts as long as the kernel runs."""
+
+    def __init__(self, writer: Writer, shape: tuple[int, ...], kind: str):
+        self.writer, self.shape, self.kind = writer, shape, kind
+        count = max(math.prod(shape), 1)
+        writer.memory += 8 * writer.lanes * count
+        if writer.memory > MOST_MEMORY:
+            raise Unsupported("arrays this long")
+        self.start = writer.fresh("room")
+        writer.frame.append(f"  {self.start} = alloca [{count} x {writer.wide(kind)}], align 64")
+
+    def put(self, index: Any, value: Any) -> None:
+        """Writes an entry."""
+        word = self.writer.text(value, self.kind)
+        self.writer.say(f"store {self.writer.wide(self.kind)} {word}, ptr {self._place(index)}")
+
+    def array(self) -> Long:
+        """What stands in it."""
+        return Long(self.shape, self.kind, self._entry, self)
+
+    def _entry(self, index: Any) -> str:
+        wide = self.writer.wide(self.kind)
+        return self.writer.put(f"load {wide}, ptr {self._place(index)}")
+
+    def _place(self, index: Any) -> str:
+        wide = self.writer.wide(self.kind)
+        return self.writer.put(f"getelementptr {wide}, ptr {self.start}, i64 {index}")
+
+
+def entries_of(writer: Writer, array: Any, kind: str) -> Callable[[Any], Any]:
+    """A function from an index, known or in a register, to an entry of an array of any kind."""
+    if isinstance(array, Long):
+        return array.entry
+    if isinstance(array, InMemory):
+        return lambda k: writer.read(array, k if known(k) else writer.spread(k, WHOLE))
+    flat = array.ravel()
+    if len(flat) and all(x is flat[0] or x == flat[0] for x in flat):
+        return lambda _: flat[0]
+    return stored(writer, array, kind).entry
+
+
+def stored(writer: Writer, array: Any, kind: str) -> Long:
+    """An array, in registers or looked up, as one in memory of its own."""
+    room = Room(writer, tuple(array.shape), kind)
+    if isinstance(array, (Long, InMemory)):
+        entry = entries_of(writer, array, kind)
+        for_each(writer, math.prod(array.shape), lambda k: room.put(k, entry(k)))
+    else:
+        for k, value in enumerate(array.flat):
+            room.put(k, value)
+    return room.array()
+
+
+def view(writer: Writer, array: Any, kind: str, places: np.ndarray) -> Any:
+    """The entries of an array at known row-major places, in the shape of these."""
+    entry, flat = entries_of(writer, array, kind), places.ravel()
+    if len(flat) <= LONGEST_LOOKED_UP:
+        found = array_of(None, (len(flat),))
+        for k, place in enumerate(flat.tolist()):
+            found[k] = entry(place)
+        return found.reshape(places.shape)
+    first, step = int(flat[0]), int(flat[1] - flat[0])
+    if (np.diff(flat) == step).all():
+
+        def index(k):
+            if known(k):
+                return first + step * k
+            ahead = k if step == 1 else writer.put(f"mul i64 {k}, {step}")
+            return ahead if first == 0 else writer.put(f"add i64 {ahead}, {first}")
+    else:
+        table = writer.table(flat)
+
+        def index(k):
+            if known(k):
+                return int(flat[k])
+            place = writer.put(f"getelementptr i32, ptr {table}, i64 {k}")
+            found = writer.put(f"load i32, ptr {place}, !invariant.load !0")
+            return writer.put(f"zext i32 {found} to i64")
+
+    return Long(places.shape, kind, lambda k: entry(index(k)))
+
+
+def unstacked(writer: Writer, equation: Any, array: Any, kind: str, places: np.ndarray) -> list:
+    """Rows of an array, those that the program reads: each row's numbers at known places."""
+    return [
+        array_of(None, row.shape) if isinstance(atom, DropVar) else view(writer, array, kind, row)
+        for row, atom in zip(places, equation.outvars, strict=True)
+    ]
+
+
+def joined(writer: Writer, arrays: Sequence[Any], kind: str, axis: int) -> Any:
+    """Arrays one behind the other along an axis, some of them long."""
+    places, start = [], 0
+    for array in arrays:
+        count = math.prod(array.shape)
+        places.append(np.arange(start, start + count).reshape(array.shape))
+        start += count
+    room, first = Room(writer, (start,), kind), 0
+    for array in arrays:
+        count, ahead = math.prod(array.shape), first
+        if isinstance(array, (Long, InMemory)):
+            entry = entries_of(writer, array, kind)
+
+            def put(k, ahead=ahead, entry=entry):
+                room.put(writer.put(f"add i64 {k}, {ahead}"), entry(k))
+
+            for_each(writer, count, put)
+        else:
+            for k, value in enumerate(array.flat):
+                room.put(ahead + k, value)
+        first += count
+    order = np.concatenate(places, axis)
+    if (np.diff(order.ravel()) == 1).all():
+        return room.array().reshaped(order.shape)
+    return view(writer, room.array(), kind, order)
+
+
+def entrywise(writer: Writer, rule: Callable, equation: Any, arrays: Sequence[Any]) -> Long:
+    """An operation that acts on each entry by itself, of long arrays and single numbers."""
+    aval = equation.outvars[0].aval
+    kinds = [kind_of(atom.aval.dtype) for atom in equation.invars]
+    room = Room(writer, tuple(aval.shape), kind_of(aval.dtype))
+    # Arrays of one number stand for all.
+    each = [
+        entries_of(writer, array, kind)
+        if math.prod(array.shape) > 1
+        else lambda _, a=array: a.item()
+        for array, kind in zip(arrays, kinds, strict=True)
+    ]
+
+    def turn(k):
+        found = rule(writer, equation, *[array_of(entry(k), ()) for entry in each])
+        room.put(k, found.item())
+
+    for_each(writer, math.prod(aval.shape), turn)
+    return room.array()
+
+
+def mapped(
+    writer: Writer, rows: Sequence[Any], kinds: Sequence[str], avals: Sequence[Any], body: Callable
+) -> list[Long]:
+    """What a function makes of each row of arrays: arrays of these shapes and types. `body`: from
+    arrays of registers to such."""
+    rooms = [Room(writer, tuple(aval.shape), kind_of(aval.dtype)) for aval in avals]
+    entries = [entries_of(writer, row, kind) for row, kind in zip(rows, kinds, strict=True)]
+
+    def index(k, j, size):
+        ahead = k if size == 1 else writer.put(f"mul i64 {k}, {size}")
+        return ahead if j == 0 else writer.put(f"add i64 {ahead}, {j}")
+
+    def turn(k):
+        picked = []
+        for row, entry in zip(rows, entries, strict=True):
+            own = array_of(None, row.shape[1:])
+            for j, place in enumerate(np.ndindex(*own.shape)):
+                own[place] = entry(index(k, j, own.size))
+            picked.append(own)
+        for room, found in zip(rooms, body(picked), strict=True):
+            for j, value in enumerate(in_registers(found).flat):
+                room.put(index(k, j, found.size), value)
+
+    for_each(writer, rows[0].shape[0] if rows else avals[0].shape[0], turn)
+    return [room.array() for room in rooms]
+
+
+# An array of the state that is longer than this stands in memory while a loop goes on.
+LONGEST_CARRIED = 256
+
+
+def carried_in_memory(writer: Writer, carry: Sequence[Any], kinds: Sequence[str]) -> list[Any]:
+    """For each array that a loop hands from turn to turn the memory that it stands in, with what it
+    is at first; None for those in registers, and those whose places in memory are given."""
+    rooms: list[Room | None] = []
+    for array, kind in zip(carry, kinds, strict=True):
+        room = None
+        if not isinstance(array, InMemory) and math.prod(array.shape) > LONGEST_CARRIED:
+            room = Room(writer, tuple(array.shape), kind)
+            # Those that have ended have nothing there yet.
+            active, writer.active = writer.active, None
+            fill(writer, room, array)
+            writer.active = active
+        rooms.append(room)
+    return rooms
+
+
+def fill(writer: Writer, room: Room, array: Any) -> None:
+    """Puts an array where it is to stand. Samples that have ended keep what stands there."""
+    kept = room.array().entry
+
+    def put(k, value):
+        if writer.active is not None:
+            value = writer.choose(writer.active, value, kept(k), room.kind)
+        room.put(k, value)
+
+    if isinstance(array, (Long, InMemory)):
+        entry = entries_of(writer, array, room.kind)
+        for_each(writer, math.prod(array.shape), lambda k: put(k, entry(k)))
+    else:
+        for k, value in enumerate(array.flat):
+            put(k, value)
+
+
+def put_back(writer: Writer, rooms: Sequence[Room | None], after: Sequence[Any]) -> None:
+    """What a turn leaves, where the next one finds it. What is looked up in arrays before this turn
+    is worked out before one of them changes."""
+    found = []
+    for room, array in zip(rooms, after, strict=True):
+        elsewhere = isinstance(array, Long) and array.room is not None and array.room not in rooms
+        if room is None or not isinstance(array, Long) or array.room is room or elsewhere:
+            found.append(array)
+        else:
+            found.append(stored(writer, array, room.kind))
+    for room, array in zip(rooms, found, strict=True):
+        if room is not None and not (isinstance(array, Long) and array.room is room):
+            fill(writer, room, array)
