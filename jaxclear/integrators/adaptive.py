@@ -97,7 +97,8 @@ class Adaptive(AbstractIntegrator):
     the way.
 
     Stiff scenes (large friction over tiny transition speeds) may prefer
-    diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)).
+    diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)); of stiff couplings beside
+    light motors, and friction that holds, each vibration is resolved: `ImplicitStep` need not.
     """
 
     pathwise: ClassVar = False

@@ -418,6 +418,13 @@ def test_flanks_that_an_integrator_cannot_serve_are_refused(integrator, more, sa
         jc.simulate(one_arm(couplings={"G": gear}), 0.1, integrator=integrator)
 
 
+def test_a_stiff_drive_that_uses_up_its_steps_says_what_takes_them():
+    rig = driven_by_a_motor(6e-4, friction=0.5)
+    says = 'as the springs of "G", "friction" vibrate.*integrator.ImplicitStep'
+    with pytest.raises(jc.SimulationError, match=says):
+        jc.simulate(rig, 0.2, save=2, integrator=jc.integrator.Adaptive(most_steps=50))
+
+
 def driven_by_a_motor(play, friction=None):
     """A body behind a gear with play, whose motor a sine drives."""
     loads = {"drive": jc.load.JointTorque("G.motor", lambda t: 0.05 * jnp.sin(40.0 * t))}
