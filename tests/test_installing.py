@@ -72,6 +72,10 @@ def test_importing_changes_two_settings_and_says_so(imported):
     assert "XLA_FLAGS" in imported["said"] and "jax_enable_x64" in imported["said"]
 
 
+def test_importing_loads_nothing_for_gpus(imported):
+    assert not [name for name in imported["modules"] if name.startswith("jaxclear.native.gpu")]
+
+
 def test_importing_starts_no_device(imported):
     """The user may still choose the platform, the number of devices, or a cluster."""
     assert not imported["started"]

@@ -8,20 +8,23 @@ figure is printed when it is known. Without an accelerator it says so, and measu
 
 `--platform cuda` names the accelerator as `JAX_PLATFORMS` does; `--most` bounds the samples of a
 batch, `--limit` the seconds of a case one way, and `--minutes` those of all: what comes later is
-left out. `--quick` takes six minutes at most.
+left out. `--quick` takes six minutes at most. `--assembled` needs no device: what NVIDIA's
+assembler ptxas, of the package nvidia-cuda-nvcc-cu12, makes of the kernels.
 """
 
 import functools
+import importlib.util
 import json
 import logging
 import os
+import re
 import subprocess
 import sys
 import tempfile
 import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -31,7 +34,8 @@ import numpy as np
 import jaxclear as jc
 from benchmarks.claims.slopes import bouncing
 from benchmarks.measure import arguments, report, sign
-from jaxclear.native import gpu
+from jaxclear.native import gpu, gpu_ptx, gpu_threads
+from jaxclear.native import kernel as kernels
 from jaxclear.studies.ledger import batch
 
 SIZES = (4096, 16384, 65536, 262_144, 1_000_000)
@@ -72,10 +76,16 @@ CASES = [
     ("bouncing journal", "Adaptive()", SLOPES),
 ]
 QUICK = 5
+# Further ones that are assembled.
+SPATIAL = [
+    ("four-bar that wears", "ImplicitStep(1e-4)", VALUES),
+    ("four-bar that wears", "Adaptive()", VALUES),
+]
 # By which runs are gone through, in this order; the variable that decides on an accelerator.
 PROCESSOR, KERNELS, XLA = "processor", "kernels", "accelerator"
 SWITCH = {PROCESSOR: "0", KERNELS: "1", XLA: "0"}
 MADE = "Kernels on an accelerator"
+ASSEMBLED = "Kernels assembled for a GPU"
 BATCHES = "Batches on an accelerator and on the processor of its machine"
 SAVES = 21
 Case = tuple[str, str, str]
@@ -246,6 +256,7 @@ def main() -> None:
         minutes={"type": float, "default": None},
         child={"default": None, "help": "for this program itself"},
         way={"default": KERNELS, "help": "for this program itself"},
+        assembled={"action": "store_true", "help": "needs no device"},
         only={"default": "", "help": "cases whose name has this"},
     )
     sizes = [n for n in (QUICK_SIZES if options.quick else SIZES) if n <= options.most]
@@ -253,6 +264,9 @@ def main() -> None:
         patience = QUICK_PATIENCE if options.quick else PATIENCE
         case = tuple(json.loads(options.child))
         measured(case, options.way, sizes, patience, options.json)
+        return
+    if options.assembled:
+        all_assembled(options)
         return
     if not is_there(options.platform):
         print(f"JAX sees no device of {options.platform!r} here: nothing is measured.")
@@ -279,6 +293,79 @@ def main() -> None:
         if rows:
             report(BATCHES, rows, options)
     sign("benchmarks.claims.accelerator", options.json)
+
+
+class Assembled(NamedTuple):
+    """What NVIDIA's assembler makes of a kernel: lines of its text, registers of a thread, bytes
+    that it stores beside them and reads again, and CPU seconds of LLVM and of the assembler."""
+
+    lines: int
+    registers: int
+    stored: int
+    read: int
+    by_llvm: float
+    by_assembler: float
+
+
+def ptxas() -> str | None:
+    """NVIDIA's assembler, where its package is installed."""
+    spec = importlib.util.find_spec("nvidia")
+    for folder in (spec.submodule_search_locations or []) if spec else []:
+        for found in Path(folder).glob("*/bin/ptxas"):
+            return str(found)
+    return None
+
+
+def assembled(program: Any) -> Assembled:
+    """The kernel of a loop, assembled for an H100 or H200."""
+    begun = time.process_time()
+    text = gpu_threads.text_of(program).replace("@NAME", "@jaxclear")
+    ptx = gpu_ptx.ptx_of(text, "sm_80")
+    by_llvm = time.process_time() - begun
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "kernel.ptx"
+        path.write_text(ptx)
+        asked = [
+            str(ptxas()),
+            "-v",
+            "-arch=sm_90",
+            str(path),
+            "-o",
+            str(path.with_suffix(".cubin")),
+        ]
+        begun = sum(os.times()[2:4])
+        said = subprocess.run(asked, capture_output=True, text=True, check=True)
+        by_assembler = sum(os.times()[2:4]) - begun
+    count = lambda form: max(map(int, re.findall(form, said.stdout + said.stderr)))
+    found = count(r"Used (\d+) reg"), count(r"(\d+) bytes spill s"), count(r"(\d+) bytes spill l")
+    return Assembled(text.count("\n"), *found, by_llvm, by_assembler)
+
+
+def largest_kernel(case: Case) -> Any:
+    """The loop of the longest text of a case, of several samples."""
+    programs, build = [], kernels.build
+    kernels.build = lambda program, lanes: programs.append(program) or build(program, lanes)
+    problem = question(*case[:2])
+    function = with_slopes if case[2] == SLOPES else responses
+    values = jnp.tile(jnp.asarray(problem.nominal()), (2, 1))
+    function.lower(problem, values)
+    kernels.build = build
+    return max(programs, key=lambda program: gpu_threads.text_of(program).count("\n"))
+
+
+def all_assembled(options: Any) -> None:
+    """Every case's largest kernel."""
+    rows = []
+    cases = [case for case in [*CASES, *SPATIAL] if options.only in " ".join(case)]
+    for case in cases[:1] if options.quick else cases:
+        found = assembled(largest_kernel(case))
+        row: dict[str, Any] = dict(zip(("scene", "integrator", "asked"), case, strict=True))
+        row |= {"lines": found.lines, "registers": found.registers}
+        row |= {"stored beside [bytes]": found.stored, "read again [bytes]": found.read}
+        row |= {"LLVM [s]": found.by_llvm, "ptxas [s]": found.by_assembler}
+        rows.append(row)
+        report(ASSEMBLED, rows, options)
+    sign("benchmarks.claims.accelerator", options.json, (ASSEMBLED,))
 
 
 def is_there(platform: str) -> bool:

@@ -40,14 +40,16 @@ On its way a loop passes through these files:
   register names, so reshaping costs nothing and a sum of three numbers is two instructions.
 - `kernel`: the loop compiled by LLVM, and what it writes; `dispatch`: how XLA calls it.
 - `check`: one turn of a kernel on random numbers against JAX, operation by operation: a switch.
+- `gpu`: the same kernels on an NVIDIA GPU, a thread a sample: off unless JAXCLEAR_GPU_KERNELS=1.
 - `verdicts`: which loops became kernels, and why others did not.
 - `barriers`: what XLA compiles for an accelerator, cut so that it works little out anew.
 
 JAX's own loop is taken instead where a primitive has no rule, where the program is long, on an
-accelerator, for derivatives of the loops of a library and of functions of one turn, and with
-JAXCLEAR_PLAIN_LOOPS=1. Of time loops the first two warn, once for each reason; all reasons are in
-the verdict. With JAXCLEAR_CHECK_KERNELS=1 every new kernel is compared with JAX before it is used
-(`check`), and one that disagrees is left to XLA with a warning: for those who write laws or rules.
+accelerator unless kernels are asked for there, for derivatives of the loops of a library and of
+functions of one turn, and with JAXCLEAR_PLAIN_LOOPS=1. Of time loops the first two warn, once for
+each reason; all reasons are in the verdict. With JAXCLEAR_CHECK_KERNELS=1 every new kernel is
+compared with JAX before it is used (`check`), and one that disagrees is left to XLA with a warning:
+for those who write laws or rules.
 
 What a kernel holds of its arguments: constants and the first state as one packed row of floats for
 each sample (whole numbers and truth values as floats, exact to 2^53); constant arrays of more than

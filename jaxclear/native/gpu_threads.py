@@ -31,13 +31,12 @@ BLOCK = 64
 # More pointers than a kernel's arguments hold: 4096 bytes, on every device.
 MOST_ARRAYS = 500
 
-_ENTRY = re.compile(r"  (%\S+) = getelementptr double, ptr (%\S+), i64 (\S+)")
+_ENTRY = re.compile(r"  (%\S+) = getelementptr (\w+), ptr ([%@]\S+), i64 (\S+)")
 _SLOT = re.compile(r"  (%\S+) = getelementptr ptr, ptr %big, i64 (\d+)")
 _START = re.compile(r"  (%\S+) = load ptr, ptr (%\S+)")
 _OWN = re.compile(r"  (%\S+) = alloca .*")
-_USE = re.compile(
-    r"  (?:%\S+ = load double, ptr (%[^\s,]+)(?:, .*)?|store double \S+, ptr (%[^\s,]+)(?:, .*)?)"
-)
+_USE = re.compile(r"  (?:%\S+ = load \w+|store \w+ \S+), ptr ([%@][^\s,]+)(?:, [^%]*)?")
+_CALL = re.compile(r"  call void @NAME\.\w+\((ptr [%@]\S+(?:, ptr [%@]\S+)*)\)")
 _COPY = re.compile(
     r"  call void @llvm\.memcpy\.p0\.p0\.i64\(ptr (%\S+), ptr (%\S+), i64 (\S+), i1 false\)"
 )
@@ -103,8 +102,8 @@ within:
   call void @NAME.loop({arguments})
   ret void
 }}
-!nvvm.annotations = !{{!1}}
-!1 = !{{ptr @NAME, !"maxntidx", i32 {block}}}"""
+!nvvm.annotations = !{{!999999}}
+!999999 = !{{ptr @NAME, !"maxntidx", i32 {block}}}"""
 _ON_HOST = """define void @NAME(i64 %thread, {parameters}) {{
 entry:
 {pointers}
@@ -161,20 +160,21 @@ def text_of(program: Program, checked: bool = False, on_host: bool = False) -> s
 def _thread(lines: list[str], steps: list[bool]) -> list[str]:
     """The loop's lines, what is the thread's own found at its places; `steps`: whether the entries
     of each array stand apart by the number of samples."""
-    # By register, whether what stands behind its place is as far as there are samples, or next.
-    apart, slots, out = {"%in": True, "%out": True}, {}, []
+    apart, slots, out = _Apart({"%in": True, "%out": True}), {}, []
     far = lambda register: "%samples" if apart[register] else "1"
     try:
         for line in lines:
-            if found := _ENTRY.fullmatch(line):
-                name, start, index = found.groups()
+            if found := _SLOT.fullmatch(line):
+                slots[found[1]] = int(found[2])
+            elif found := _ENTRY.fullmatch(line):
+                name, kind, start, index = found.groups()
                 apart[name] = apart[start]
                 if apart[start]:
+                    if kind != "double":
+                        raise KeyError(line.strip())
                     out.append(f"  {name}.ahead = mul i64 {index}, %samples")
                     index = f"{name}.ahead"
-                out.append(f"  {name} = getelementptr double, ptr {start}, i64 {index}")
-            elif found := _SLOT.fullmatch(line):
-                slots[found[1]] = int(found[2])
+                out.append(f"  {name} = getelementptr {kind}, ptr {start}, i64 {index}")
             elif found := _START.fullmatch(line):
                 slot = slots[found[2]]
                 apart[found[1]] = steps[slot]
@@ -196,14 +196,28 @@ def _thread(lines: list[str], steps: list[bool]) -> list[str]:
     return out
 
 
-def _look_at(line: str, apart: dict[str, bool]) -> None:
+class _Apart(dict):
+    """By register, whether what stands behind its place is as far as there are samples, or next,
+    as constants of the kernel are."""
+
+    def __missing__(self, register):
+        if register.startswith("@"):
+            return False
+        raise KeyError(register)
+
+
+def _look_at(line: str, apart: _Apart) -> None:
     """Raises `KeyError` where a line does with a pointer what is not known here, and notes a
     pointer to what the thread keeps for itself."""
     if found := _OWN.fullmatch(line):
         apart[found[1]] = False
     elif found := _USE.fullmatch(line):
         # Known, and one number.
-        apart[found[1] or found[2]]
+        apart[found[1]]
+    elif found := _CALL.fullmatch(line):
+        # A function of the kernel's own counts on numbers next to each other.
+        if any(apart[each.split()[1]] for each in found[1].split(", ")):
+            raise KeyError(line.strip())
     elif re.search(r"\bptr\b", line):
         raise KeyError(line.strip())
 

@@ -24,7 +24,7 @@ NO_LOOPS = (
     "adaptive ones."
 )
 SWITCHED_OFF = "the kernels are switched off by JAXCLEAR_PLAIN_LOOPS"
-NOT_A_CPU = "kernels are for CPUs"
+NOT_A_CPU = "kernels are for CPUs, and for NVIDIA GPUs where JAXCLEAR_GPU_KERNELS=1 asks for them"
 # Under this name loops leave their words in the dictionary of the module that is being lowered.
 PLACE = "jaxclear: what became of the loops"
 # The number of a sentence depends on it alone, so that programs compare equal between processes.

@@ -50,10 +50,10 @@ class ImaginedGpu:
         return ctypes.cast(self._functions[name], PLACE).value
 
     def load(self, ptx, name):
-        engine = object_code.compiled(f"@{SYMBOL} = external global i64\n{ptx}")
+        engine = object_code.compiled(_to_the_bit(f"@{SYMBOL} = external global i64\n{ptx}"))
         program, checked = self.texts[ptx.replace(f"@{name}", "@NAME")]
         own = kernels._assembled(program, 1, checked)
-        beside = object_code.compiled(own.text)
+        beside = object_code.compiled(_to_the_bit(own.text))
         thread = engine.get_function_address(name)
         samples = beside.get_function_address(f"{own.name}.samples")
         self._kernels.append((engine, beside, thread, samples, gpu_threads.arrays_of(program)))
@@ -92,6 +92,12 @@ class ImaginedGpu:
             own *= self.off
         self.launched += 1
         return 0
+
+
+def _to_the_bit(text):
+    """Of two products in a sum LLVM takes either into one rounding with it, as code around them
+    has it; here it takes neither."""
+    return text.replace(" contract ", " ")
 
 
 def _same_bits(one, other):

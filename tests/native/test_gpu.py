@@ -4,12 +4,7 @@ takes the PTX, where it is installed; and what is refused is said.
 """
 
 import ctypes
-import importlib.util
-import os
-import re
-import subprocess
-import sys
-from pathlib import Path
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +12,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from benchmarks.claims.accelerator import assembled, ptxas
 from benchmarks.claims.slopes import bouncing
 from jaxclear.native import (
     explain,
@@ -85,7 +81,7 @@ def test_threads_give_the_bits_of_the_processors_kernel(name, rung, monkeypatch)
 @pytest.mark.slow
 @pytest.mark.parametrize("rung", ["fixed", "adaptive"])
 def test_threads_give_the_bits_of_slopes(rung, monkeypatch):
-    problem = question(bouncing(), RUNGS[rung], 5e-3)
+    problem = question(bouncing(), RUNGS[rung], 0.03)
     force = lambda value: problem.evaluate(value).responses["response"]
     push = lambda value: jax.jvp(force, (value,), (jnp.ones_like(value),))
     with imagined(monkeypatch) as device:
@@ -111,7 +107,8 @@ def test_loops_of_a_batch_of_batches_run_through_the_launch(monkeypatch):
         found = jax.jit(jax.vmap(jax.vmap(lambda rate: growth(rate))))(RATES)
     assert explain(jnp.max(found[2])) == KERNELS
     np.testing.assert_array_equal(found[0], turns)
-    np.testing.assert_array_equal(found[1], values)
+    # Products joined to sums there, and not here.
+    np.testing.assert_allclose(found[1], values, rtol=1e-14)
     assert device.launched and not device.differing
 
 
@@ -156,14 +153,69 @@ def test_a_machine_without_a_gpu_is_told():
         gpu_driver.driver()
 
 
-def test_nothing_of_it_is_loaded_unless_it_is_asked_for():
-    look = (
-        "import sys, jax, jaxclear\n"
-        "from jaxclear.native import has_kernels\n"
-        "assert has_kernels()\n"
-        "assert not [name for name in sys.modules if 'native.gpu' in name]\n"
-    )
-    subprocess.run([sys.executable, "-c", look], check=True, env=os.environ | {loop.ON_GPU: "1"})
+class Library:
+    """A driver's library of one GPU: what it was asked, in order; `refuses`: what it answers to
+    PTX, and why."""
+
+    def __init__(self, refuses=0, log=b""):
+        number, place, text = ctypes.c_int, ctypes.c_void_p, ctypes.c_char_p
+        self.asked, self.refuses, self.log = [], refuses, log
+        kinds = {
+            "cuInit": [number],
+            "cuDriverGetVersion": [place],
+            "cuDeviceGet": [place, number],
+            "cuDevicePrimaryCtxRetain": [place, number],
+            "cuDeviceGetAttribute": [place, number, number],
+            "cuCtxPushCurrent_v2": [place],
+            "cuCtxPopCurrent_v2": [place],
+            "cuModuleLoadDataEx": [place, text, number, place, place],
+            "cuModuleGetFunction": [place, place, text],
+            "cuFuncSetCacheConfig": [place, number],
+            "cuFuncGetAttribute": [place, number, place],
+        }
+        for name, types in kinds.items():
+            answer = functools.partial(self._answer, name)
+            setattr(self, name, ctypes.CFUNCTYPE(number, *types)(answer))
+
+    def _answer(self, name, *given):
+        self.asked.append((name, given))
+        if name == "cuModuleLoadDataEx" and self.refuses:
+            values = (ctypes.c_void_p * 2).from_address(given[4])
+            ctypes.memmove(values[0], self.log, min(len(self.log), values[1]))
+            return self.refuses
+        found = {
+            "cuDriverGetVersion": 12080,
+            "cuDeviceGet": 3,
+            "cuDeviceGetAttribute": {75: 9, 76: 0}.get(given[1] if len(given) > 1 else None),
+            "cuFuncGetAttribute": {4: 208, 3: 40}.get(given[1] if len(given) > 1 else None),
+        }
+        if name in found:
+            ctypes.c_int.from_address(given[0]).value = found[name]
+        handles = {"cuDevicePrimaryCtxRetain": 70, "cuModuleLoadDataEx": 80}
+        handles["cuModuleGetFunction"] = 90
+        if name in handles:
+            ctypes.c_void_p.from_address(given[0]).value = handles[name]
+        return 0
+
+
+def test_a_kernel_is_loaded_into_the_context_that_xla_uses():
+    library = Library()
+    driver = gpu_driver.Driver(library, [0])
+    assert (driver.capability, driver.version) == ((9, 0), 12080)
+    assert driver.load("the text", "kernel") == [gpu_driver.Loaded(70, 90, 208, 40)]
+    names = [name for name, _ in library.asked]
+    assert names.index("cuCtxPushCurrent_v2") < names.index("cuModuleLoadDataEx")
+    assert names[-1] == "cuCtxPopCurrent_v2"
+    loading = dict(library.asked)["cuModuleLoadDataEx"]
+    assert loading[1] == b"the text"
+    assert dict(library.asked)["cuModuleGetFunction"][1:] == (80, b"kernel")
+
+
+def test_what_the_driver_says_of_a_text_is_passed_on():
+    driver = gpu_driver.Driver(Library(218, b"ptxas error: no such\nthing"), [0])
+    with pytest.raises(Unsupported, match=r"by error 218 \(ptxas error: no such thing\)"):
+        driver.load("the text", "kernel")
+    assert driver.library.asked[-1][0] == "cuCtxPopCurrent_v2"
 
 
 def test_memory_used_in_a_way_that_is_not_known_is_refused():
@@ -171,6 +223,25 @@ def test_memory_used_in_a_way_that_is_not_known_is_refused():
         gpu_threads._thread(["  %v = ptrtoint ptr %in to i64"], [])
     with pytest.raises(Unsupported, match="not known on a GPU"):
         gpu_threads._thread(["  %v = load double, ptr %of_nobody"], [])
+    with pytest.raises(Unsupported, match="factorise"):
+        gpu_threads._thread(["  call void @NAME.factorise1(ptr %in)"], [])
+
+
+def test_what_a_thread_keeps_for_itself_stays_together():
+    lines = [
+        "  %room = alloca [9 x double], align 64",
+        "  %at = getelementptr i32, ptr @NAME.table, i64 %k",
+        "  %said = load i32, ptr %at, !invariant.load !0",
+        "  %own = getelementptr double, ptr %room, i64 %k",
+        "  store double %x, ptr %own, !llvm.access.group !1",
+        "  call void @NAME.factorise1(ptr %room, ptr %room)",
+    ]
+    assert gpu_threads._thread(lines, []) == lines
+    apart = gpu_threads._thread(["  %v = getelementptr double, ptr %out, i64 %k"], [])
+    assert apart == [
+        "  %v.ahead = mul i64 %k, %samples",
+        "  %v = getelementptr double, ptr %out, i64 %v.ahead",
+    ]
 
 
 WORDS = ctypes.c_uint64
@@ -246,29 +317,9 @@ def test_a_failing_launch_is_an_error_of_xla():
     assert called(context=8) == ([gpu_call.ELSEWHERE], [])
 
 
-def ptxas():
-    spec = importlib.util.find_spec("nvidia")
-    for folder in (spec.submodule_search_locations or []) if spec else []:
-        for found in Path(folder).glob("*/bin/ptxas"):
-            return str(found)
-    return None
-
-
 needs_ptxas = pytest.mark.skipif(
     ptxas() is None, reason="NVIDIA's assembler is in the package nvidia-cuda-nvcc-cu12"
 )
-
-
-def assembled(program, folder):
-    """What NVIDIA's assembler says of a loop's kernel: registers of a thread, and bytes that it
-    stores beside them."""
-    ptx = gpu_ptx.ptx_of(gpu_threads.text_of(program).replace("@NAME", "@jaxclear"), "sm_80")
-    (folder / "kernel.ptx").write_text(ptx)
-    asked = [ptxas(), "-v", "-arch=sm_90", folder / "kernel.ptx", "-o", folder / "kernel.cubin"]
-    said = subprocess.run(asked, capture_output=True, text=True, check=True)
-    own = said.stdout + said.stderr
-    count = lambda form: max(int(number) for number in re.findall(form, own))
-    return count(r"Used (\d+) registers"), count(r"(\d+) bytes spill stores")
 
 
 def programs_of(scene, rung, built):
@@ -279,18 +330,18 @@ def programs_of(scene, rung, built):
 
 
 @needs_ptxas
-def test_a_step_of_a_slider_crank_stays_in_a_threads_registers(built, tmp_path):
+def test_a_step_of_a_slider_crank_stays_in_a_threads_registers(built):
     programs = programs_of(jc.scenes.slider_crank(), "fixed", built)
     for program in programs:
-        registers, stored = assembled(program, tmp_path)
+        found = assembled(program)
         # Some may stand aside so that more threads fit beside each other.
-        assert registers <= 255 and stored <= 128
+        assert found.registers <= 255 and found.stored <= 128
 
 
 @needs_ptxas
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "rung"), list(scenes_and_rungs()))
-def test_nvidias_assembler_takes_every_scene(name, rung, built, tmp_path):
+def test_nvidias_assembler_takes_every_scene(name, rung, built):
     scene = getattr(jc.scenes, name)(**GIVEN.get(name, {}))
     try:
         programs = programs_of(scene, rung, built)
@@ -299,4 +350,4 @@ def test_nvidias_assembler_takes_every_scene(name, rung, built, tmp_path):
     for program in programs:
         # Larger ones take the assembler minutes.
         if gpu_threads.text_of(program).count("\n") < 10_000:
-            assert assembled(program, tmp_path)[0] <= 255
+            assert assembled(program).registers <= 255
