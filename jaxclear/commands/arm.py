@@ -54,8 +54,11 @@ RESTS = {
     "over its place": 3 * REST + LIFT + SWING,
     "placed": 4 * REST + 2 * LIFT + SWING,
 }
-# To and fro about the lifted arm [rad], as a triangle with round corners, twice [s].
-HALF_WAY, PERIOD, ROUND = 0.04, 2.0, 0.98
+# To and fro about the lifted arm [rad], as a triangle with round corners, twice [s]. The table has
+# as many rows as that of pick and place, so that both share a program, and one where each way is
+# half gone.
+HALF_WAY, PERIOD, ROUND = 0.04, 1.8, 0.98
+TABLE_STEP = PERIOD / 60
 
 
 def simulated(rig: jc.Mechanism, way: Way | None = None, **options: Any) -> Any:
@@ -110,7 +113,7 @@ def asked(play: float, without_play: Any) -> jc.Problem:
 
 def to_and_fro() -> Way:
     """All joints turn slowly by a little about the lifted arm, forwards and back."""
-    times = np.linspace(0.0, 2 * PERIOD, 401)
+    times = TABLE_STEP * np.arange(len(pick_and_place().times))
     swing = np.arcsin(ROUND * -np.cos(2 * np.pi * times / PERIOD)) / np.arcsin(ROUND)
     return Way(times, np.array(LIFTED) + HALF_WAY * swing[:, None])
 
@@ -254,7 +257,7 @@ def budget_figure(table: pandas.DataFrame) -> Figure:
     axes.bar(table["joint"], table["slope [mm/arcmin]"], color="C0")
     axes.axhline(0.0, color="k", lw=0.6)
     axes.set_ylabel("tip error by the play of a reducer [mm/arcmin]")
-    axes.set_title("Slopes by all seven plays, from one run")
+    axes.set_title("Slopes by all seven plays")
     return figure
 
 
@@ -273,7 +276,7 @@ def choices_figure(table: pandas.DataFrame, chosen: str) -> Figure:
     return figure
 
 
-def study(folder: Path, samples: int = 256, show: bool = True) -> None:
+def study(folder: Path, samples: int = 128, show: bool = True) -> None:
     """Runs everything and writes it to `folder`; `samples` of the Monte Carlo, `show`: progress
     bars."""
     kept = StudyFolder(folder)

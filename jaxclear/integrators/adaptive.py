@@ -36,6 +36,7 @@ from jaxclear.integrators.derivative_error import (
 from jaxclear.integrators.error_control import (
     EndingAtTouches,
     Solved,
+    StandingAtBounds,
     TakingImpactSpeeds,
     solve,
     stepped_by_hand,
@@ -96,7 +97,8 @@ class Adaptive(AbstractIntegrator):
     the way.
 
     Stiff scenes (large friction over tiny transition speeds) may prefer
-    diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)).
+    diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)); of stiff couplings beside
+    light motors, and friction that holds, each vibration is resolved: `ImplicitStep` need not.
     """
 
     pathwise: ClassVar = False
@@ -236,7 +238,11 @@ class Adaptive(AbstractIntegrator):
         and without them it would step over touches. `size`: so many equations of a program are in a
         rate; `so_far`: the peaks of the run."""
         formulation, through = self.formulation, self.through_contacts
-        solver = stepped_by_hand(self.solver, size) or self.solver
+        solver = stepped_by_hand(self.solver, size)
+        if solver is None:
+            solver = self.solver
+            if bare(rest).layout.states:
+                solver = StandingAtBounds(solver, functools.partial(_bounded, rest))
         if not bare(rest).layout.contacts:
             ends = bare(rest).layout.coordinates, bare(rest).layout.memory_start
             return solver if growth is None else FollowingErrors(solver, ends, growth)
@@ -331,6 +337,12 @@ class Adaptive(AbstractIntegrator):
         ended = solution.ts[-1], solution.ys[-1], solution.solver_state
         found = Solved(*ended, *steps, ~fine, typical)
         return found, jnp.where(fine, Outcome.REACHED, failed)
+
+
+def _bounded(rest, state, args):
+    """The state of a model, of which this is the `rest` beside arrays, within its bounds."""
+    model = unpacked(args[0], rest)
+    return within_bounds(model.system, model.layout, state)
 
 
 def _most_growth(model, controller):

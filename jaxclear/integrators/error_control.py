@@ -307,6 +307,37 @@ class EndingAtTouches(diffrax.AbstractAdaptiveStepSizeController):
         )
 
 
+class StandingAtBounds(
+    AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver
+):
+    """`solver`, and after each of its steps what stands still at a bound there: `bounded(state,
+    args)`. A loop of our own does that itself (`solve`)."""
+
+    solver: diffrax.AbstractSolver  # type: ignore[misc]
+    bounded: Callable
+
+    @property
+    def interpolation_cls(self):
+        return self.solver.interpolation_cls
+
+    @property
+    def scan_kind(self):
+        """How an explicit solver goes through its stages; diffrax asks."""
+        return self.solver.scan_kind
+
+    @property
+    def root_finder(self):
+        """How an implicit solver finds its stages; diffrax asks."""
+        return self.solver.root_finder
+
+    def init(self, terms, t0, t1, y0, args):
+        return self.solver.init(terms, t0, t1, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        y1, *others = self.solver.step(terms, t0, t1, y0, args, solver_state, made_jump)
+        return self.bounded(y1, args), *others
+
+
 class TakingImpactSpeeds(
     AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver
 ):

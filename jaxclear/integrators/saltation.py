@@ -156,11 +156,13 @@ def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
         flanks = None if shares is None else shares[count:]
         return formulation.contacts(unpacked(arrays, rest), time, y, flanks)
 
-    joints = lambda *now: ContactMotion(*(each[:count] for each in near(*now)))
+    def joints(*now):
+        depths, rates = near(*now)
+        return ContactMotion(depths[:count], rates[:count])
+
     sided = any(own.left_by_torque for own in bare(rest).system.transmissions.values())
     seen = by_shares if sided else lambda arrays, time, y, _: contacts(arrays, time, y)
-    depths = lambda arrays, time, y, shares: near(arrays, time, y, shares).depths
-    own = near, joints, seen, depths
+    own = near, joints, seen, lambda *now: near(*now).depths
     return Motion(counted, contacts, slips, pressing, bare(rest).layout, *own, sided)
 
 

@@ -197,12 +197,13 @@ def bundled(
 
 
 def side_by_side(narrow: Narrow, samples: int) -> int:
-    """How many of the tangents a kernel takes at once, which goes through so many samples: of one
-    alone the others are further samples. All portions are about as large."""
-    if samples == 1:
-        return min(SIDE_BY_SIDE, -(-narrow.tangents // LANES))
-    portions = -(-narrow.tangents // SIDE_BY_SIDE)
-    return -(-narrow.tangents // portions)
+    """How many of the tangents a kernel takes at once, which goes through so many samples: the
+    portions in which these lie are further samples, and least work is wanted, where a tangent is as
+    much of it as the motion. All portions are about as large."""
+    most = min(SIDE_BY_SIDE, narrow.tangents)
+    sizes = {-(-narrow.tangents // -(-narrow.tangents // size)) for size in range(1, most + 1)}
+    turns = lambda size: -(-samples * -(-narrow.tangents // size) // LANES)
+    return min(sorted(sizes), key=lambda size: turns(size) * (1 + size))
 
 
 def by_portions(values: Sequence[Any], wide: Program, rank: int, size: int, run: Any) -> list[Any]:

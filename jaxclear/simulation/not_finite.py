@@ -1,6 +1,7 @@
 """Why a run is not finite, where that can be told: loads of the user's own class that give no
 number, and bristles that explicit steps do not resolve, whose deflection settles within a
-micrometre of sliding and grows without bound where a step slides farther.
+micrometre of sliding and grows without bound where a step slides farther; and what takes more steps
+than are allowed: springs of couplings and of friction that holds.
 """
 
 import dataclasses
@@ -9,9 +10,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.components.stops_and_friction import JointFriction
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.wording import public_name
+from jaxclear.ground.wording import listed, public_name
 from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody.forces import effect_of, seen_coordinates, states_of
 from jaxclear.multibody.mechanism import Mechanism
@@ -29,6 +31,8 @@ STABLE = 2.78
 def told_of_the_end(trajectory: Trajectory) -> str:
     """Why a run of one mechanism ended, with a sentence more where it is known why its state is not
     finite."""
+    if int(trajectory.outcome) == Outcome.TOO_MANY_STEPS:
+        return f"{trajectory.result} {_of_springs(trajectory.mechanism)}".rstrip()
     if int(trajectory.outcome) not in (Outcome.NOT_FINITE, Outcome.STEP_TOO_SMALL):
         return trajectory.result
     why = _of_loads(trajectory.history)
@@ -51,6 +55,24 @@ def _of_bristles(mechanism: Mechanism) -> str:
         f'Joint "{name}" has {law}, whose deflections settle within '
         f"{length:.2g} m of sliding, at 1 m/s at a rate of {1 / length:.2g} 1/s: explicit steps of "
         f"at most {STABLE * length:.2g} s resolve that, and integrator.ImplicitStep needs not."
+    )
+
+
+def _of_springs(mechanism: Mechanism) -> str:
+    """What of a drive explicit steps are to resolve, however slowly the mechanism moves."""
+    couplings = [n for n, one in mechanism.couplings.items() if one.stiffness is not None]
+    frictions = [
+        name
+        for name, load in mechanism.loads.items()
+        if isinstance(load, JointFriction) and load.transition_speed is None
+    ]
+    if not couplings and not frictions:
+        return ""
+    holds = " There friction that holds creeps." if frictions else ""
+    return (
+        f"Steps under error control are as short as the springs of {listed(couplings + frictions)} "
+        "vibrate, whatever the motion; integrator.ImplicitStep takes steps of the length that you "
+        f"give it.{holds} Or raise most_steps."
     )
 
 

@@ -1,6 +1,7 @@
 """Stops and dry friction on coordinates, and play with rigid flanks: closed forms, in every kind of
 step."""
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -401,3 +402,27 @@ def test_losses_beside_rigid_flanks_are_refused(integrator):
     )
     with pytest.raises(ValueError, match="has play and loses power to friction"):
         jc.simulate(rig, 0.1, integrator=integrator)
+
+
+@pytest.mark.parametrize(
+    "solver", [jc.integrator.MuntheKaas(4), diffrax.Kvaerno5()], ids=["on groups", "implicit"]
+)
+def test_bristles_end_at_their_bound_in_loops_of_diffrax(solver):
+    """Slope by the friction of where a body that a sine pulls is after half a second: a
+    difference of runs of its equations, step by step with the bristle held at its bound."""
+
+    def end(torque):
+        rig = jc.Mechanism(
+            {"part": jc.Body(1.0, 0.1)},
+            {"J": jc.Connection(jc.joint.Revolute(), "ground", "part")},
+            {
+                "pull": jc.load.JointTorque("J", lambda t: jnp.sin(20.0 * t)),
+                "friction": jc.load.JointFriction("J", torque),
+            },
+        )
+        integrator = jc.integrator.Adaptive(solver)
+        run = jc.simulate(rig, 0.5, save=6, integrator=integrator, throw=False, verify=False)
+        return run.coordinate("J")[-1]
+
+    # without the bound both were -0.089
+    assert float(jax.jacfwd(end)(0.5)) == pytest.approx(-0.13643, rel=3e-3)

@@ -385,6 +385,14 @@ MOTOR = jc.coupling.Motor
             "a coupling and a joint",
         ),
         (
+            lambda: jc.coupling.OneWay(MOTOR(1e-3), "L", stiffness=1.0, damping=1.0),
+            "coupling.Motor is an end of coupling.Gear, Rack, Belt or Ratio alone; give the",
+        ),
+        (
+            lambda: jc.coupling.Rope(("L", MOTOR(1e-3)), (0.1, 0.1), stiffness=1.0),
+            "give the rotor a body and a joint",
+        ),
+        (
             lambda: one_arm({"T": jc.load.JointTorque("G.motor", 1.0)}),
             'no joint "G.motor"',
         ),
@@ -408,6 +416,13 @@ def test_flanks_that_an_integrator_cannot_serve_are_refused(integrator, more, sa
     gear = jc.coupling.Gear(MOTOR(1e-3), "L", 3.0, play=1e-3, **more)
     with pytest.raises(ValueError, match=says):
         jc.simulate(one_arm(couplings={"G": gear}), 0.1, integrator=integrator)
+
+
+def test_a_stiff_drive_that_uses_up_its_steps_says_what_takes_them():
+    rig = driven_by_a_motor(6e-4, friction=0.5)
+    says = 'as the springs of "G", "friction" vibrate.*integrator.ImplicitStep'
+    with pytest.raises(jc.SimulationError, match=says):
+        jc.simulate(rig, 0.2, save=2, integrator=jc.integrator.Adaptive(most_steps=50))
 
 
 def driven_by_a_motor(play, friction=None):

@@ -157,12 +157,15 @@ def test_a_reversal_loses_play_and_twice_the_twist():
 
 
 @pytest.mark.slow
-def test_slopes_by_all_plays_are_those_of_narrower_differences(held):
+def test_slopes_by_all_plays_are_those_of_narrower_differences_and_derivatives(held):
     problem = study.asked(study.STANDARD, held[0.0])
     error = jax.jit(jax.vmap(lambda plays: problem.evaluate(plays).responses["tip error"]))
     step = 0.02 * ARCMIN * np.eye(len(JOINTS))
     nominal = np.asarray(problem.nominal())
     above, below = np.split(np.asarray(error(np.concatenate([nominal + step, nominal - step]))), 2)
     found = study.slopes(problem)["slope [mm/arcmin]"]
+    narrow = 1e3 * (above - below) / 0.04
     # tenths of a play beside hundredths: the error bends by less
-    np.testing.assert_allclose(found, 1e3 * (above - below) / 0.04, rtol=0.02)
+    np.testing.assert_allclose(found, narrow, rtol=0.02)
+    derived = jax.jit(jax.jacfwd(lambda plays: problem.evaluate(plays).responses["tip error"]))
+    np.testing.assert_allclose(1e3 * ARCMIN * derived(nominal), narrow, rtol=0.02)

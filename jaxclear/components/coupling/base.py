@@ -56,6 +56,22 @@ def end() -> Any:
     return eqx.field(converter=_as_end)
 
 
+def as_name(given: Any) -> Any:
+    """The name of a coordinate; raises `ValueError` for a `Motor`."""
+    if isinstance(given, Motor):
+        raise ValueError(
+            "a coupling.Motor is an end of coupling.Gear, Rack, Belt or Ratio alone; give the "
+            "rotor a body and a joint of its own, whose name is then this end. (A motor behind a "
+            'coupling with play or stiffness goes by the name of that one and ".motor".)'
+        )
+    return given
+
+
+def named_end() -> Any:
+    """Field of an end of a coupling that is no `Motor`: the name of a coordinate."""
+    return eqx.field(static=True, converter=as_name)
+
+
 def as_backlash(given: Any) -> Any:
     """A `Backlash` of the default law from a number, its play; anything else as it is."""
     if given is None or isinstance(given, eqx.Module):

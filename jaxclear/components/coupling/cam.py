@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from jaxclear.components.acting import CoordinateEffect
+from jaxclear.components.coupling.base import named_end
 from jaxclear.components.coupling.force import AbstractForceCoupling, check_needed
 from jaxclear.components.function_of_angle import check_function_of_angle, value_and_slope
 from jaxclear.ground.numerics import smooth_sign
@@ -32,8 +32,8 @@ class Cam(AbstractForceCoupling):
     Source: Norton 2020, Design of Machinery, 6th ed., chapters 8 and 15.
     """
 
-    cam: str = eqx.field(static=True)
-    follower: str = eqx.field(static=True)
+    cam: str = named_end()
+    follower: str = named_end()
     profile: Callable
     stiffness: Scalar = quantity(
         None,

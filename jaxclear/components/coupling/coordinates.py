@@ -1,7 +1,5 @@
 """Couplings of coordinates, which load no bearing."""
 
-import equinox as eqx
-
 from jaxclear.components.clearance.backlash import Backlash
 from jaxclear.components.coupling.base import (
     AbstractCoordinateCoupling,
@@ -9,6 +7,7 @@ from jaxclear.components.coupling.base import (
     Motor,
     damping_field,
     end,
+    named_end,
     play_field,
     stiffness_field,
 )
@@ -50,9 +49,9 @@ class Differential(AbstractCoordinateCoupling):
     Trains, chapter 2.
     """
 
-    a: str = eqx.field(static=True)
-    b: str = eqx.field(static=True)
-    carrier: str = eqx.field(static=True)
+    a: str = named_end()
+    b: str = named_end()
+    carrier: str = named_end()
     ratio: Scalar = quantity(1.0, "1", "turns of a for one of b, the carrier held", above=0)
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
@@ -76,7 +75,7 @@ class Hold(AbstractCoordinateCoupling):
     Needs `play` or `stiffness`. `load.JointStop` has a stop on one side, or two apart.
     """
 
-    joint: str = eqx.field(static=True)
+    joint: str = named_end()
     place: Scalar | None = quantity(
         None, "rad", "coordinate at which it is held (m for a sliding joint)"
     )

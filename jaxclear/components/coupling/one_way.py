@@ -1,8 +1,7 @@
 """A freewheel (sprag clutch, ratchet, backstop): it turns with its shaft one way only."""
 
-import equinox as eqx
-
 from jaxclear.components.acting import CoordinateEffect, LoadState
+from jaxclear.components.coupling.base import named_end
 from jaxclear.components.coupling.force import AbstractForceCoupling, check_needed
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.transmission import freewheel
@@ -21,8 +20,8 @@ class OneWay(AbstractForceCoupling):
     Control Signal Process. 11, 49, with one flank.
     """
 
-    a: str = eqx.field(static=True)
-    b: str = eqx.field(static=True)
+    a: str = named_end()
+    b: str = named_end()
     ratio: Scalar = quantity(1.0, "1", "turns of a for one of b")
     stiffness: Scalar = quantity(
         None, "N m/rad", "stiffness where it locks (N/m of slides)", above=0, kw_only=True

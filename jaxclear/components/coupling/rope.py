@@ -1,12 +1,19 @@
 """A rope over pulleys, a tendon: it pulls, and goes slack."""
 
+from collections.abc import Iterable
+
 import equinox as eqx
 
 from jaxclear.components.acting import CoordinateEffect
+from jaxclear.components.coupling.base import as_name
 from jaxclear.components.coupling.force import AbstractForceCoupling, check_needed
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import Scalar, as_vector, quantity, vector
 from jaxclear.laws.transmission import one_sided
+
+
+def _as_names(given: Iterable[str]) -> tuple[str, ...]:
+    return tuple(map(as_name, given))
 
 
 class Rope(AbstractForceCoupling):
@@ -20,7 +27,7 @@ class Rope(AbstractForceCoupling):
     load their bearings by what you put there. `load.Spring` is a straight one that pushes, too.
     """
 
-    over: tuple[str, ...] = eqx.field(static=True, converter=tuple)
+    over: tuple[str, ...] = eqx.field(static=True, converter=_as_names)
     radii: tuple = vector(
         unit="m", meaning="way of the rope for a unit of each coordinate", converter=as_vector
     )
