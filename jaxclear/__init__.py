@@ -6,18 +6,13 @@ environment's XLA_FLAGS, unless those say otherwise. It starts no device and lea
 """
 
 import gc
+import importlib
 import os
 import sys
 from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 import jax
-
-# The rest is many objects that stay: Python's collector need not look at all of JAX's again and
-# again meanwhile, which took a tenth of the import. Where someone else has set some aside they are
-# left alone.
-_SETS_ASIDE = gc.get_freeze_count() == 0
-if _SETS_ASIDE:
-    gc.freeze()
 
 # An option of XLA's CPU compiler, read when JAX first computes: loops over a state of up to 100 MB
 # (instead of 1 kB) become one kernel, where otherwise every operation of the body is dispatched by
@@ -36,73 +31,50 @@ if _OPEN and os.environ.get("JAXCLEAR_PLAIN_XLA", "0") in ("", "0"):
 # meaning in float32.
 jax.config.update("jax_enable_x64", True)
 
-from jaxclear import complementarity, mesh
-from jaxclear import formulations as formulation
-from jaxclear import integrators as integrator
-from jaxclear.components import clearance, coupling, drive, joint, load
-from jaxclear.components.body import Body, Connection, Marker
-from jaxclear.components.function_of_time import AbstractFunctionOfTime, TimeTable
-from jaxclear.components.wear_map import AbstractWearMap, Wearing
-from jaxclear.files.model_import import ImportedSoft, NotImported, read_mjcf, read_shapes, read_urdf
-from jaxclear.files.scene import Scene, read_scene, scene_schema, write_scene
-from jaxclear.ground import numerics, pose
-from jaxclear.ground.argument_errors import nothing_else
-from jaxclear.ground.datasets import installed
-from jaxclear.ground.outcome import why_unknown
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
-from jaxclear.laws import contact, flank, friction, material, stiffness, wear
-from jaxclear.laws.material import Material
-from jaxclear.multibody.assemblies import assemblies
-from jaxclear.multibody.assembly import assemble
-from jaxclear.multibody.heated import heated
-from jaxclear.multibody.loops import Baumgarte, Projection
-from jaxclear.multibody.magnitudes import UnusualMagnitude
-from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.native.as_written import remember
-from jaxclear.results import response, signal
-from jaxclear.results.pointing_error import pointing_error
-from jaxclear.results.state_history import State
-from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.saving import Saving
-from jaxclear.simulation.simulate import SimulationError, simulate
-from jaxclear.statics.position_path import positions
-from jaxclear.statics.seated import seated
-from jaxclear.studies import distribution, limit_state, sensor
-from jaxclear.studies.advice import PilotSettings, advise
-from jaxclear.studies.base import AbstractProblem, AbstractVariable
-from jaxclear.studies.campaign.campaign import campaign, open_campaign
-from jaxclear.studies.design import catalogue, cost, limit
-from jaxclear.studies.design.design import design, design_front
-from jaxclear.studies.design.search import DesignSettings
-from jaxclear.studies.fidelity.multi_fidelity import multi_fidelity
-from jaxclear.studies.function_problem import Dimension, FunctionProblem
-from jaxclear.studies.identification.identify import identify
-from jaxclear.studies.identification.measurement import Measurement
-from jaxclear.studies.identification.remaining_life import remaining_life
-from jaxclear.studies.life.derivative import wear_life_derivatives
-from jaxclear.studies.life.life_problem import AbstractLifeResponse, LifeEnd, LifeProblem, LifeUntil
-from jaxclear.studies.life.settled import settled
-from jaxclear.studies.life.wear_life import wear_life, wear_lives
-from jaxclear.studies.monte_carlo import monte_carlo
-from jaxclear.studies.position_problem import PositionProblem
-from jaxclear.studies.problem import Problem
-from jaxclear.studies.reliability.reliability import reliability
-from jaxclear.studies.screening import screening
-from jaxclear.studies.sensitivity.sensitivity import sensitivity
-from jaxclear.studies.statistics.shapley import shapley_effects
-from jaxclear.studies.statistics.sobol_indices import sobol_indices
-from jaxclear.studies.surface.correction import corrected
-from jaxclear.studies.surface.surface import surface
-from jaxclear.studies.sweep import sweep
-from jaxclear.studies.variable import (
-    AbstractMechanismVariable,
-    Condition,
-    Heating,
-    Variable,
-)
-from jaxclear.studies.worst_case import worst_case
+# The rest is many objects that stay: Python's collector looks at them again and again meanwhile,
+# which took a tenth of the import.
+_COLLECTS = gc.isenabled()
+gc.disable()
+try:
+    from jaxclear import complementarity
+    from jaxclear import formulations as formulation
+    from jaxclear import integrators as integrator
+    from jaxclear.components import clearance, coupling, drive, joint, load
+    from jaxclear.components.body import Body, Connection, Marker
+    from jaxclear.components.function_of_time import AbstractFunctionOfTime, TimeTable
+    from jaxclear.components.wear_map import AbstractWearMap, Wearing
+    from jaxclear.ground import numerics, pose
+    from jaxclear.ground.argument_errors import nothing_else
+    from jaxclear.ground.datasets import installed
+    from jaxclear.ground.outcome import why_unknown
+    from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
+    from jaxclear.laws import contact, flank, friction, material, stiffness, wear
+    from jaxclear.laws.material import Material
+    from jaxclear.multibody.assemblies import assemblies
+    from jaxclear.multibody.assembly import assemble
+    from jaxclear.multibody.heated import heated
+    from jaxclear.multibody.loops import Baumgarte, Projection
+    from jaxclear.multibody.magnitudes import UnusualMagnitude
+    from jaxclear.multibody.mechanism import Mechanism
+    from jaxclear.native.as_written import remember
+    from jaxclear.results import response, signal
+    from jaxclear.results.pointing_error import pointing_error
+    from jaxclear.results.state_history import State
+    from jaxclear.results.trajectory import Trajectory
+    from jaxclear.simulation.saving import Saving
+    from jaxclear.simulation.simulate import SimulationError, simulate
 
-from jaxclear import scenes  # isort: skip
+    from jaxclear import scenes  # isort: skip
+finally:
+    # By this all that there is counts as old, unless someone else has set things aside.
+    if _COLLECTS and gc.get_freeze_count() == 0:
+        gc.freeze()
+        gc.unfreeze()
+    if _COLLECTS:
+        gc.enable()
+
+if TYPE_CHECKING:
+    from jaxclear.offered_later import *
 
 __version__ = installed("jaxclear")
 
@@ -213,13 +185,45 @@ __all__ = [
     "worst_case",
     "write_scene",
 ]
-__getattr__, __dir__ = nothing_else("jaxclear", __all__)
-# `from jaxclear.joint import Revolute` works as `jaxclear.joint.Revolute` does.
-_named = [(f"jaxclear.{name}", globals()[name]) for name in (*__all__, "conformal")]
-for _path, _place in _named:
-    if isinstance(_place, ModuleType):
-        sys.modules.setdefault(_path, _place)
-        _named += [(f"{_path}.{name}", getattr(_place, name)) for name in _place.__all__]
+_refused, __dir__ = nothing_else("jaxclear", __all__)
+# What `offered_later` offers; of it, what is a module.
+_LATER = set(__all__) - set(globals())
+_MODULES_LATER = ("catalogue", "cost", "distribution", "limit", "limit_state", "sensor")
+
+
+class _Later(ModuleType):
+    """A module that is loaded once a name of it is asked for."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") and name != "__all__":
+            raise AttributeError(name)
+        return getattr(getattr(sys.modules[__name__], self.__name__.rpartition(".")[2]), name)
+
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> Any:
+        if name not in _LATER:
+            _refused(name)
+        later = importlib.import_module("jaxclear.offered_later")
+        globals().update((one, getattr(later, one)) for one in _LATER)
+        _LATER.clear()
+        _named(*_MODULES_LATER)
+        remember()
+        return globals()[name]
+
+
+def _named(*names: str) -> None:
+    """`from jaxclear.joint import Revolute` works as `jaxclear.joint.Revolute` does."""
+    left = [(f"{__name__}.{name}", globals()[name]) for name in names]
+    for path, place in left:
+        if isinstance(place, ModuleType):
+            if isinstance(sys.modules.get(path), _Later):
+                del sys.modules[path]
+            sys.modules.setdefault(path, place)
+            left += [(f"{path}.{name}", getattr(place, name)) for name in place.__all__]
+
+
+_named(*(name for name in (*__all__, "conformal") if name not in _LATER))
+sys.modules |= {f"{__name__}.{name}": _Later(f"{__name__}.{name}") for name in _MODULES_LATER}
 remember()
-if _SETS_ASIDE:
-    gc.unfreeze()

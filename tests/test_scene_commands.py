@@ -149,8 +149,10 @@ def test_a_record_is_identified_and_reported(here, capsys):
     run = jc.simulate(pendulum().mechanism, 0.02, save=401)
     shown = np.asarray(jc.sensor.Accelerometer("rod", axis="x")(run))
     shown = shown + 0.5 * np.random.default_rng(0).standard_normal(401)
-    pandas.DataFrame({"time": run.time, "a": shown}).to_csv("record.csv", index=False)
+    record = pandas.DataFrame({"t": 1e3 * run.time, "a": shown})
+    record.to_csv("record.csv", index=False, sep=";", decimal=",")
     asked = ["--signal", "a=accelerometer:rod:x:noise=0.5", "--runs", "64", "--quiet"]
+    asked += ["--time", "t:ms:0.001"]
     main(["identify", "scene.yaml", "record.csv", *asked])
     assert "clearance" in capsys.readouterr().out
     table = pandas.read_csv("scene_identified/identified.csv")

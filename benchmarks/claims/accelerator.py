@@ -1,21 +1,27 @@
-"""An accelerator beside the processor of its machine: the same batches of runs on both, each in a
-process of its own, wall time (the one that both have). `--json benchmarks/results/accelerator.json`
-keeps it.
+"""An accelerator beside the processor of its machine: the same batches of runs on the processor,
+on the accelerator by XLA's loops, and there by kernels (JAXCLEAR_GPU_KERNELS=1), each in a process
+of its own; wall time, the one that all have. `--json benchmarks/results/accelerator.json` keeps it.
 
-Values of the two are compared too: no kernel of machine code takes part on an accelerator, so this
-holds kernels to XLA's loops on another device, and their derivatives to those of XLA's loops.
+Of the kernels it says first what the driver makes of them (registers of a thread, and bytes that it
+keeps beside them), or why there are none. Values and slopes are compared with the processor's. Each
+figure is printed when it is known. Without an accelerator it says so, and measures nothing.
+
 `--platform cuda` names the accelerator as `JAX_PLATFORMS` does; `--most` bounds the samples of a
-batch, and `--limit` the seconds of a case on one device: larger batches are then left out.
+batch, `--limit` the seconds of a case one way, and `--minutes` those of all: what comes later is
+left out. `--quick` takes six minutes at most.
 """
 
 import functools
 import json
+import logging
 import os
 import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -25,11 +31,19 @@ import numpy as np
 import jaxclear as jc
 from benchmarks.claims.slopes import bouncing
 from benchmarks.measure import arguments, report, sign
+from jaxclear.native import gpu
 from jaxclear.studies.ledger import batch
 
-SIZES = (1, 64, 4096, 16384)
-# Seconds after which no larger batch is asked for.
-PATIENCE = 12.0
+SIZES = (4096, 16384, 65536, 262_144, 1_000_000)
+QUICK_SIZES = (4096, 32768, 131_072)
+# What a device is given at once by kernels, whose threads fill it: some times what it holds.
+TOGETHER = 131_072
+# Seconds after which no larger batch is asked for, in all cases and in quick ones.
+PATIENCE, QUICK_PATIENCE = 12.0, 4.0
+# Minutes of all cases.
+LONGEST, QUICK_LONGEST = 60.0, 6.0
+# Seconds that a case needs to begin.
+LEAST = 20.0
 # Scenes and the length of their runs [s]: before neighbouring paths part, so that values can be
 # compared. Slopes are known to the end where a journal bounces without rubbing.
 SCENES = {
@@ -45,24 +59,48 @@ RUNGS = {
     "Adaptive()": jc.integrator.Adaptive(),
 }
 VALUES, SLOPES = "values", "values and their slopes"
-# What wears and what has slopes first: a lease of an accelerator ends.
+# What decides most first: a lease of an accelerator ends.
 CASES = [
+    ("slider-crank", "FixedStep(2e-5)", VALUES),
+    ("bouncing journal", "FixedStep(2e-5)", SLOPES),
+    ("slider-crank", "Adaptive()", VALUES),
     ("four-bar that wears", "FixedStep(2e-5)", VALUES),
     ("slider-crank that wears", "FixedStep(2e-5)", VALUES),
-    ("bouncing journal", "FixedStep(2e-5)", SLOPES),
-    ("slider-crank", "FixedStep(2e-5)", VALUES),
+    ("bouncing journal", "FixedStep(2e-5)", VALUES),
     ("slider-crank", "ImplicitStep(1e-4)", VALUES),
     ("slider-crank", "MoreauJean(2e-5)", VALUES),
-    ("slider-crank", "Adaptive()", VALUES),
+    ("bouncing journal", "Adaptive()", SLOPES),
 ]
+QUICK = 5
+# By which runs are gone through, in this order; the variable that decides on an accelerator.
+PROCESSOR, KERNELS, XLA = "processor", "kernels", "accelerator"
+SWITCH = {PROCESSOR: "0", KERNELS: "1", XLA: "0"}
+MADE = "Kernels on an accelerator"
+BATCHES = "Batches on an accelerator and on the processor of its machine"
+SAVES = 21
 Case = tuple[str, str, str]
+
+
+@dataclass
+class Found:
+    """What a process of its own has found: seconds by size of batch, what 64 of its samples gave,
+    steps of the nominal run, registers and bytes beside them of its largest kernel, and why loops
+    were left to XLA."""
+
+    seconds: dict[str, list[float]] = field(default_factory=dict)
+    values: dict[str, list[list[float]]] = field(default_factory=dict)
+    steps: int | None = None
+    registers: int | None = None
+    local_bytes: int | None = None
+    kernels: int = 0
+    left_to_xla: list[str] = field(default_factory=list)
 
 
 def question(scene: str, rung: str) -> jc.Problem:
     clearance = jc.Variable(lambda m: m.connections["B"].joint.clearance, tolerance=20e-6)
     force = jc.response.MeanContactForce("B")
     build, duration = SCENES[scene]
-    how = {"integrator": RUNGS[rung], "duration": duration, "save": 21}
+    how = {"integrator": RUNGS[rung], "duration": duration, "save": SAVES}
     return jc.Problem(build(), force, {"c": clearance}, **how)
 
 
@@ -81,69 +119,122 @@ def with_slopes(problem: jc.Problem, values: jax.Array) -> jax.Array:
     return jax.vmap(push)(values)
 
 
-def measured(case: Case, most: int, kept: Path) -> None:
-    """Rows of this process's device, and what 64 of the samples gave by size of batch, in a file
-    after each size."""
+def measured(case: Case, way: str, sizes: list[int], patience: float, kept: Path) -> None:
+    """What this process finds, in a file after each size."""
     scene, rung, asked = case
-    problem = question(scene, rung)
+    reasons = _heard()
+    problem, found = question(scene, rung), Found()
     function = with_slopes if asked == SLOPES else responses
-    rows, values = [], {}
-    for size in (size for size in SIZES if size <= most):
+    if way == PROCESSOR:
+        build, duration = SCENES[scene]
+        how = {"integrator": RUNGS[rung], "save": SAVES, "verify": False}
+        run = jc.simulate(build(), duration, **how)
+        found.steps = int(run.stats.accepted_steps)
+    for size in sizes:
         spread = np.random.default_rng(size).uniform(-2e-5, 2e-5, size=(size, 1))
         samples = jnp.asarray(np.asarray(problem.nominal()) + spread)
+        chunk = min(size, TOGETHER) if way == KERNELS else None
         spent = []
         for _ in range(2):
             begun = time.perf_counter()
-            found = batch.evaluate_all(problem, samples, function=function)
+            given = batch.evaluate_all(problem, samples, chunk=chunk, function=function)
             spent.append(time.perf_counter() - begun)
-        values[str(size)] = found[:64].tolist()
-        chunk = batch.chunk_size(problem, size)
-        rows.append({"samples": size, "chunk": chunk, "first [s]": spent[0], "again [s]": spent[1]})
-        print(rows[-1], flush=True)
-        kept.write_text(json.dumps([rows, values]))
-        if spent[1] > PATIENCE:
+        found.seconds[str(size)], found.values[str(size)] = spent, given[:64].tolist()
+        found.left_to_xla = sorted(reasons)
+        if way == KERNELS:
+            _look_at_kernels(found)
+        shown = f"{spent[1]:.3g} s (first {spent[0]:.3g} s)"
+        print(f"{way}: {', '.join(case)}; {size} samples: {shown}", flush=True)
+        kept.write_text(json.dumps(asdict(found)))
+        if spent[1] > patience:
             break
 
 
-def elsewhere(platform: str, case: Case, most: int, limit: float) -> tuple[list[dict], dict]:
+def _heard() -> set[str]:
+    """Why loops are left to XLA, as that is told from now on."""
+    reasons: set[str] = set()
+
+    class Heard(logging.Handler):
+        def emit(self, record):
+            reasons.add(record.getMessage())
+
+    log = logging.getLogger("jaxclear.native.loop")
+    log.setLevel(logging.INFO)
+    log.addHandler(Heard())
+    return reasons
+
+
+def _look_at_kernels(found: Found) -> None:
+    """What the driver made of the kernels."""
+    known = gpu.known()
+    loaded = [each for kernel in known for each in kernel.loaded]
+    found.kernels = len(known)
+    if loaded:
+        largest = max(loaded, key=lambda each: (each.local_bytes, each.registers))
+        found.registers, found.local_bytes = largest.registers, largest.local_bytes
+
+
+def elsewhere(platform: str, case: Case, way: str, limit: float, options: Any) -> Found:
     """What `measured` finds in a process of its own whose device is this."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "found.json"
-        asked = [sys.executable, "-m", "benchmarks.claims.accelerator", "--child", json.dumps(case)]
-        known = os.environ | {"JAX_PLATFORMS": platform}
-        command = [*asked, "--json", str(path), "--most", str(most)]
+        name = "benchmarks.claims.accelerator"
+        asked = [sys.executable, "-m", name, "--child", json.dumps(case), "--way", way]
+        known = os.environ | {"JAX_PLATFORMS": platform, "JAXCLEAR_GPU_KERNELS": SWITCH[way]}
+        command = [*asked, "--json", str(path), "--most", str(options.most)]
+        command += ["--quick"] if options.quick else []
         try:
             subprocess.run(command, env=known, check=True, timeout=limit)
         except subprocess.TimeoutExpired:
-            print("larger batches are left out:", *case, platform, flush=True)
+            print(f"{way}: larger batches are left out after {limit:.0f} s", flush=True)
         except subprocess.CalledProcessError:
-            print("the process has failed:", *case, platform, flush=True)
-        return tuple(json.loads(path.read_text())) if path.exists() else ([], {})
+            print(f"{way}: the process has failed", flush=True)
+        return Found(**json.loads(path.read_text())) if path.exists() else Found()
 
 
-def apart(own: np.ndarray, other: np.ndarray) -> float:
-    """Largest difference, over the largest of what is compared."""
-    return float(np.max(np.abs(own - other)) / np.max(np.abs(own)))
+def apart(own: Any, other: Any, column: int) -> float | None:
+    """Largest difference in a column, over the largest of what is compared."""
+    if own is None or other is None or np.shape(own)[1] <= column:
+        return None
+    a, b = np.asarray(own)[:, column], np.asarray(other)[:, column]
+    return float(np.max(np.abs(a - b)) / np.max(np.abs(a)))
 
 
-def compared(case: Case, platform: str, most: int, limit: float) -> list[dict]:
-    ours, expected = elsewhere("cpu", case, most, limit)
-    theirs, values = elsewhere(platform, case, most, limit)
-    rows = []
-    for own, other in zip(ours, theirs, strict=False):
-        size = str(own["samples"])
-        a, b = np.asarray(expected[size]), np.asarray(values[size])
-        row = dict(zip(("scene", "integrator", "asked"), case, strict=True))
-        row["samples"] = own["samples"]
-        row["processor, again [s]"] = own["again [s]"]
-        row["accelerator, again [s]"] = other["again [s]"]
-        row["accelerator, first [s]"] = other["first [s]"]
-        row["processor over accelerator"] = own["again [s]"] / other["again [s]"]
-        row["largest difference of values, relative"] = apart(a[:, 0], b[:, 0])
-        slopes = case[2] == SLOPES
-        row["of slopes"] = apart(a[:, 1], b[:, 1]) if slopes else None
+def rows_of(case: Case, ways: dict[str, Found]) -> list[dict[str, Any]]:
+    """A row for each size of a batch."""
+    ours, rows = ways[PROCESSOR], []
+    sizes = {int(size) for found in ways.values() for size in found.seconds}
+    for size in map(str, sorted(sizes)):
+        first, again = (
+            {w: f.seconds.get(size, [None] * 2)[k] for w, f in ways.items()} for k in (0, 1)
+        )
+        values = {w: found.values.get(size) for w, found in ways.items()}
+        steps = (ours.steps or 0) * int(size)
+        row: dict[str, Any] = dict(zip(("scene", "integrator", "asked"), case, strict=True))
+        row["samples"] = int(size)
+        row["processor, again [s]"] = again[PROCESSOR]
+        for way in (XLA, KERNELS):
+            row[f"{way}, again [s]"], row[f"{way}, first [s]"] = again.get(way), first.get(way)
+        for way in (XLA, KERNELS):
+            spent = again[PROCESSOR], again.get(way)
+            row[f"processor over {way}"] = None if None in spent else spent[0] / spent[1]
+        spent = again.get(KERNELS)
+        row["steps of kernels [1/s]"] = steps / spent if spent and steps else None
+        for word, way in (("", XLA), (" by kernels", KERNELS)):
+            pair = values[PROCESSOR], values.get(way)
+            row[f"largest difference of values{word}, relative"] = apart(*pair, 0)
+            row[f"of slopes{word}"] = apart(*pair, 1)
         rows.append(row)
     return rows
+
+
+def made(case: Case, found: Found) -> dict[str, Any]:
+    """A row about the kernels of a case."""
+    row: dict[str, Any] = dict(zip(("scene", "integrator", "asked"), case, strict=True))
+    row |= {"kernels": found.kernels, "registers": found.registers}
+    row |= {"bytes beside them": found.local_bytes}
+    row["left to XLA"] = " ".join(found.left_to_xla) or "nothing"
+    return row
 
 
 def main() -> None:
@@ -152,19 +243,52 @@ def main() -> None:
         platform={"default": "cuda"},
         most={"type": int, "default": SIZES[-1]},
         limit={"type": float, "default": 300.0},
+        minutes={"type": float, "default": None},
         child={"default": None, "help": "for this program itself"},
+        way={"default": KERNELS, "help": "for this program itself"},
         only={"default": "", "help": "cases whose name has this"},
     )
+    sizes = [n for n in (QUICK_SIZES if options.quick else SIZES) if n <= options.most]
     if options.child is not None:
-        measured(tuple(json.loads(options.child)), options.most, options.json)
+        patience = QUICK_PATIENCE if options.quick else PATIENCE
+        case = tuple(json.loads(options.child))
+        measured(case, options.way, sizes, patience, options.json)
         return
+    if not is_there(options.platform):
+        print(f"JAX sees no device of {options.platform!r} here: nothing is measured.")
+        return
+    minutes = options.minutes or (QUICK_LONGEST if options.quick else LONGEST)
+    ends = time.monotonic() + 60 * minutes
     cases = [case for case in CASES if options.only in " ".join(case)]
-    rows = []
-    for case in cases[:1] if options.quick else cases:
-        rows += compared(case, options.platform, options.most, options.limit)
+    rows, kernels = [], []
+    for case in cases[:QUICK] if options.quick else cases:
+        ways: dict[str, Found] = {}
+        # XLA's loops are known: in a hurry they wait.
+        for way in (KERNELS, PROCESSOR) if options.quick else (KERNELS, PROCESSOR, XLA):
+            left = ends - time.monotonic()
+            if left < LEAST:
+                print("The time is over.", flush=True)
+                break
+            platform = "cpu" if way == PROCESSOR else options.platform
+            ways[way] = elsewhere(platform, case, way, min(options.limit, left), options)
+            if way == KERNELS:
+                kernels.append(made(case, ways[way]))
+                report(MADE, kernels, options)
+        if PROCESSOR in ways:
+            rows += rows_of(case, ways)
         if rows:
-            report("Batches on an accelerator and on the processor of its machine", rows, options)
+            report(BATCHES, rows, options)
     sign("benchmarks.claims.accelerator", options.json)
+
+
+def is_there(platform: str) -> bool:
+    """Whether JAX finds such a device, asked in a process of its own: it takes most of a device's
+    memory."""
+    look = "import jax; jax.devices()"
+    known = os.environ | {"JAX_PLATFORMS": platform}
+    return not subprocess.run(
+        [sys.executable, "-c", look], env=known, capture_output=True, check=False
+    ).returncode
 
 
 if __name__ == "__main__":

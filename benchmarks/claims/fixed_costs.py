@@ -1,12 +1,14 @@
 """What a run costs beside its steps: a sample of a study by the size of its chunks and by how often
 it is saved, with steps and without (a run of no length, which takes one step of no length for each
-saving time); and a call of `simulate` and of `Problem.evaluate`, as a loop of SciPy's makes them.
+saving time); and a call of `simulate`, of the same numbers and of others each time, and of
+`Problem.evaluate`, as a loop of SciPy's makes them.
 
 CPU time, all in one process, the cases taking turns; of samples also as a share of what the
 smallest chunks take. `--json benchmarks/results/fixed_costs.json` keeps it.
 """
 
 import functools
+import itertools
 import os
 import statistics
 import tempfile
@@ -14,7 +16,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
@@ -85,9 +89,17 @@ def call_rows(turns: int) -> list[dict[str, Any]]:
     rig, asked = jc.scenes.slider_crank(), problem("slider-crank", 3)
     short = asked.idle()
     values = asked.nominal()
-    run = functools.partial(jc.simulate, rig, integrator=STEP, save=3, verify=False)
+    run = functools.partial(jc.simulate, integrator=STEP, save=3, verify=False)
+    clearance = lambda of: of.connections["B"].joint.clearance
+    # More than `simulate` remembers.
+    sizes = np.linspace(1e-4, 2e-4, 2 * CALLS)
+    others = itertools.cycle([eqx.tree_at(clearance, rig, jnp.asarray(each)) for each in sizes])
     calls = {
-        "simulate": (lambda: run(4e-5), lambda: run(DURATION)),
+        "simulate": (lambda: run(rig, 4e-5), lambda: run(rig, DURATION)),
+        "simulate, each time another clearance": (
+            lambda: run(next(others), 4e-5),
+            lambda: run(next(others), DURATION),
+        ),
         "Problem.evaluate": (lambda: short.evaluate(values), lambda: asked.evaluate(values)),
     }
     cases = {

@@ -313,15 +313,20 @@ def identify(
 ) -> None:
     """What records tell of what varies of a scene: prints each number's interval and whether it is
     identified; table, data set and figure go to `folder` (by default named after the scene).
-    `signal`: columns with their sensors; `turn`: the column of an encoder, or the period [s]."""
+    `signal`: columns with their sensors; `time`: a column in seconds, or column:unit:begin:end;
+    `turn`: the column of an encoder, or the period [s]."""
     folder = Path(f"{scene.stem}_identified") if folder is None else folder
     with _mistakes():
         asked = _read(scene)
         signals = dict(map(sensor_of, signal))
+        column, unit, *part = _time_of(time)
         with contextlib.suppress(TypeError, ValueError):
             turn = float(turn)  # type: ignore[arg-type,assignment]
         records = [
-            jc.Measurement.read_csv(path, time=time, signals=signals, turn=turn) for path in record
+            jc.Measurement.read_csv(
+                path, time=column, signals=signals, turn=turn, time_unit=unit
+            ).part(*part)
+            for path in record
         ]
         found = jc.identify(asked.problem(), records, runs, how=how, progress_bar=show)
     click.echo(str(found))
@@ -332,6 +337,17 @@ def identify(
     told = {"result": found.sentence(), "warnings": list(found.warned), "checks": str(found)}
     _tell(asked, folder, {"title": f"Identification of {scene.name}", **told})
     click.echo(f"Table, data set and figure in {folder.resolve()}; jaxclear report {folder}")
+
+
+def _time_of(text: str) -> tuple[str, str, float, float]:
+    """Column, unit, and begin and end [s] of what counts, as typed: t, t:ms or t:ms:0.1:0.6."""
+    column, unit, begin, end, *more = [*text.split(":"), "", "", ""]
+    try:
+        if any(more):
+            raise ValueError
+        return column, unit or "s", float(begin or -math.inf), float(end or math.inf)
+    except ValueError:
+        raise ValueError(f'the time is "{text}"; give COLUMN:UNIT:BEGIN:END, as t:ms.') from None
 
 
 def monte_carlo(

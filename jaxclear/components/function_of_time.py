@@ -10,7 +10,6 @@ interpolators, worked out once when the table is built.
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -20,9 +19,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_known
+from jaxclear.ground.columns import columns_of
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, as_vector, quantity
 from jaxclear.ground.warning import asked, shape_of
-from jaxclear.ground.wording import described, public_name, unknown
+from jaxclear.ground.wording import described, public_name
 
 
 class AbstractFunctionOfTime(AbstractQuantified):
@@ -87,8 +87,6 @@ def value_at(value: Any, time: Any) -> Any:
 
 INTERPOLATIONS = ("cubic", "monotone", "linear")
 BEYOND = ("held", "straight", "repeated")
-# Largest file of a table [bytes].
-LARGEST = 64_000_000
 # A speed [1/s of the largest value over the whole time] that counts as rest at an end.
 REST = 1e-6
 
@@ -158,7 +156,7 @@ class TimeTable(AbstractFunctionOfTime):
         """The table in columns of a CSV file with a line of names: `time` [s], and `values`, one
         name or several. `further`: `beyond`, `factor`. Raises `ValueError` with a sentence."""
         names = [values] if isinstance(values, str) else list(values)
-        columns = _columns(Path(path), [time, *names])
+        columns = columns_of(path, [time, *names])
         found = np.stack(columns[1:], axis=-1) if not isinstance(values, str) else columns[1]
         return cls(columns[0], found, interpolation, **further)
 
@@ -303,27 +301,3 @@ def _coefficients(times: np.ndarray, values: Array, interpolation: str, beyond: 
         unit[-1] = unit[0]
     per_value = jnp.asarray(interpolate.CubicSpline(times, unit, bc_type=ends).c[::-1])
     return jnp.tensordot(per_value, values, axes=1)
-
-
-def _columns(path: Path, names: list[str]) -> list[np.ndarray]:
-    """Columns of a CSV file by name."""
-    import pandas
-
-    if not path.is_file():
-        raise ValueError(f"the table {path.name} is no file; give the path of a CSV file.")
-    if path.stat().st_size > LARGEST:
-        raise ValueError(f"the table {path.name} is larger than {LARGEST} bytes.")
-    try:
-        table = pandas.read_csv(path, skipinitialspace=True, encoding="utf-8-sig")
-    except (ValueError, UnicodeDecodeError, pandas.errors.ParserError) as error:
-        said = str(error).strip().splitlines()[0].rstrip(".")
-        raise ValueError(f"the table {path.name} cannot be read: {said}.") from None
-    found = []
-    for name in names:
-        if name not in table.columns:
-            raise ValueError(unknown("column", name, list(table.columns), f" in {path.name}"))
-        try:
-            found.append(table[name].to_numpy(float))
-        except (TypeError, ValueError):
-            raise ValueError(f'column "{name}" of {path.name} holds what is no number.') from None
-    return found

@@ -49,7 +49,7 @@ from jaxclear.ground.numerics import (
     safe_divide,
     safe_sqrt,
 )
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
 from jaxclear.laws.wear import AbstractWearLaw
 
 
@@ -226,6 +226,9 @@ class Wearing(AbstractQuantified):
     `acceleration` multiplies the worn volume: one simulated cycle standing for many (linear
     extrapolation, as in cycle-jump schemes). `worn_radius`: whether what the contact law takes from
     the geometry, its stiffness say, is that of the radius as worn at the contact, not as made.
+    `updates`: how often in a run the surface is worn at the most, evenly: at saving times as they
+    pass; as often as in a run that is saved by default. What fewer would change is part of the
+    errors that replicas tell: they wear it more often in proportion.
     """
 
     law: AbstractWearLaw
@@ -237,6 +240,7 @@ class Wearing(AbstractQuantified):
     )
     acceleration: Scalar = quantity(1.0, "1", "worn volume per simulated volume", at_least=0)
     worn_radius: bool = eqx.field(static=True, default=False, kw_only=True)
+    updates: int = count(500, "most updates of the worn surface in a run", kw_only=True)
 
     def __check_init__(self):
         if self.cells[0] < 4 or self.cells[1] < 1:

@@ -22,7 +22,7 @@ import numpy as np
 from jaxclear.errors.accuracy import Asked, Seen
 from jaxclear.errors.estimates import HALF, QUARTER, Failed, Verified, richardson
 from jaxclear.errors.observables import parted
-from jaxclear.ground.quantity import concrete, is_traced
+from jaxclear.ground.quantity import concrete, is_traced, with_fields
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.events import Events
 from jaxclear.multibody.reach import narrowest
@@ -143,7 +143,7 @@ def verified(
         except (MemoryError, jax.errors.JaxRuntimeError) as error:
             reason = str(error).partition("\n")[0] or "out of memory"
             known = Unverified(f"a replica could not be run: {reason}")
-    return dataclasses.replace(run, verification=known)
+    return with_fields(run, verification=known)
 
 
 def _and_chosen(why: str, asked: Asked) -> str:

@@ -11,11 +11,14 @@ doi:10.1007/978-3-540-75392-6.
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import jax.scipy.linalg as jsl
+import jax.numpy as jnp
+import numpy as np
 
 from jaxclear.formulations.contact_rows import ContactJacobianRow, FreeMotion
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.elimination import Pattern, solved
+from jaxclear.ground.grouping import MANY, looked_up, summed, unstacked
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.multibody.dynamics import constrained_inverse
 from jaxclear.multibody.kinematics import along
@@ -123,7 +126,7 @@ def implicit_contact(
     if rows and not free_motion.closures.rows and len(rows) >= size:
         operator = delassus_operator(free_motion, [])
         mass = _whole(free_motion.masses)
-        way = _in_speeds if _is_written_out(mass, rows) else _in_many_speeds
+        way = _in_speeds if size < MANY else _in_many_speeds
         return ImplicitContact(operator.free, operator.multipliers, way(mass, rows))
     operator = delassus_operator(free_motion, rows)
     if rows:
@@ -142,16 +145,6 @@ def _whole(masses: list) -> list[list]:
             out[start + i][start : start + len(mass)] = row
         start += len(mass)
     return out
-
-
-def _is_written_out(mass: list, rows: list[ContactJacobianRow]) -> bool:
-    """Whether the equations in the free speeds are factorised in scalars."""
-    pattern = [list(line) for line in mass]
-    for row in rows:
-        for i in row:
-            for j in row:
-                pattern[i][j] = 1
-    return factorisation.is_written_out(pattern)
 
 
 def _in_speeds(mass: list, rows: list[ContactJacobianRow]) -> Callable:
@@ -180,21 +173,34 @@ def _in_speeds(mass: list, rows: list[ContactJacobianRow]) -> Callable:
     return solve
 
 
-def _in_many_speeds(mass: Any, rows: list[ContactJacobianRow]) -> Callable:
-    """The same as arrays."""
-    mass = factorisation.to_array(tuple(map(tuple, mass)))
-    jacobian = factorisation.to_array(
-        tuple(tuple(row.get(j, 0) for j in range(len(mass))) for row in rows)
-    )
+def _in_many_speeds(mass: list[list], rows: list[ContactJacobianRow]) -> Callable:
+    """The same from array to array."""
+    size, count = len(mass), len(rows)
+    lower = [(i, j) for i in range(size) for j in range(i + 1) if not sp.is_zero(mass[i][j])]
+    own, first, pairs = [sp.stack([mass[i][j] for i, j in lower])], 0, []
+    for r, row in enumerate(rows):
+        each = list(enumerate(row, first))
+        pairs += [(r, a, b, (i, j)) for a, i in each for b, j in each if j <= i]
+        first += len(row)
+    of_row, left, right, squared = map(list, zip(*pairs, strict=True))
+    number = {place: k for k, place in enumerate(dict.fromkeys([*lower, *squared]))}
+    places = np.array([number[place] for place in [*lower, *squared]])
+    owner = np.repeat(np.arange(count), list(map(len, rows)))
+    column = np.array([j for row in rows for j in row])
+    entries = sp.stack([entry for row in rows for entry in row.values()])
+    squares = looked_up(entries, np.array(left)) * looked_up(entries, np.array(right))
+    pattern = Pattern(size, tuple(number))
 
     def solve(reaches, unmoved, laws):
         unmoved, reach = sp.stack(unmoved), sp.stack(reaches)
         forces, dampings, about = (sp.stack(part) for part in laws)
-        factor = jsl.cho_factor(mass + (jacobian.T * (reach * dampings)) @ jacobian, lower=True)
-        found = jsl.cho_solve(factor, jacobian.T @ (forces + dampings * (about - unmoved)))
-        rates = unmoved + reach * (jacobian @ found)
+        weights = looked_up(reach * dampings, np.array(of_row))
+        matrix = summed(jnp.concatenate([*own, squares * weights]), places, len(number))
+        pushed = looked_up(forces + dampings * (about - unmoved), owner)
+        found = solved(pattern, matrix, None, summed(entries * pushed, column, size))
+        rates = unmoved + reach * summed(entries * looked_up(found, column), owner, count)
         final = forces + dampings * (about - rates)
-        return ContactSolution(list(rates), list(final), list(found), ())
+        return ContactSolution(*map(unstacked, (rates, final, found)), ())
 
     return solve
 

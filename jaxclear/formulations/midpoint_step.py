@@ -39,6 +39,7 @@ from jaxclear.formulations.shafts_over_step import shafts_over_step
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_alike
+from jaxclear.ground.grouping import unstacked
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.state import unpack_memories, unpack_motion
@@ -216,7 +217,7 @@ def _iterate(whole: Step, last: list, iterations: int) -> ContactSolution:
     size = len(unmoved)
 
     def improve(solution, _):
-        rates, forces = ([part[i] for i in range(size)] for part in solution[:2])
+        rates, forces = map(unstacked, solution[:2])
         better = equations.solve(reaches, unmoved, _linear_laws(whole, rates, forces))
         return ContactSolution(*map(sp.stack, better)), None
 
@@ -224,9 +225,7 @@ def _iterate(whole: Step, last: list, iterations: int) -> ContactSolution:
     blank = ContactSolution(*map(jnp.zeros, counts))
     blank = blank._replace(rates=sp.stack(rates), forces=sp.stack(forces))
     solution = jax.lax.scan(improve, blank, length=iterations)[0]
-    return ContactSolution(
-        *([part[i] for i in range(count)] for part, count in zip(solution, counts, strict=True))
-    )
+    return ContactSolution(*map(unstacked, solution))
 
 
 def _linear_laws(whole: Step, rates: list, forces: list) -> LinearLaws:

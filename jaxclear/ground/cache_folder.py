@@ -7,6 +7,7 @@ them; what follows its first line must be what the digest there says. All else i
 compiled again. Several processes may share the folder: a file appears whole or not at all.
 """
 
+import functools
 import hashlib
 import os
 import stat
@@ -21,6 +22,8 @@ from typing import NamedTuple
 # The folder; "0" or "off": nothing is kept.
 VARIABLE = "JAXCLEAR_CACHE"
 OFF = ("", "0", "off")
+# What tells systems where a user is at home.
+OF_USER = ("XDG_CACHE_HOME", "HOME", "LOCALAPPDATA", "USERPROFILE", "HOMEDRIVE", "HOMEPATH")
 MARK = b"jaxclear 1 "
 # Bytes in all files together, beyond which those go that were used least recently, until so large a
 # share is left.
@@ -46,7 +49,12 @@ class KeptFile(NamedTuple):
 
 def place() -> Path | None:
     """The folder, whether it exists or not; None where nothing is to be kept."""
-    given = os.environ.get(VARIABLE)
+    return _place(sys.platform, *map(os.environ.get, (VARIABLE, *OF_USER)))
+
+
+@functools.lru_cache(maxsize=16)
+def _place(system: str, given: str | None, *_: str | None) -> Path | None:
+    """The folder on a system, from the variable and those that tell where a user is at home."""
     if given is not None and given.strip().lower() in OFF:
         return None
     # A system may not know where the user is at home.

@@ -104,6 +104,9 @@ def _mapped(function, calls):
     if not columns:
         yield from [function(*calls[0])] * len(calls)
         return
+    if not varying and not many:
+        yield from (function(*call) for call in calls)
+        return
     template: dict[str, Any] = {}
 
     def one(arrays):

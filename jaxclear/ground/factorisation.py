@@ -23,11 +23,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import jax.scipy.linalg as jsl
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.elimination import Pattern, solved
+from jaxclear.ground.grouping import unstacked
 from jaxclear.ground.numerics import OFF_THE_TIES, safe_divide, safe_sqrt
 
 # Unknowns of a search among all that is written out.
@@ -37,6 +38,14 @@ LARGEST_WRITTEN_OUT = 18
 MOST_PRODUCTS = 40 * (40**2 - 1) // 6
 
 Rows = Sequence[Sequence[Any]]
+
+
+class Unsolved(NamedTuple):
+    """A system that is factorised in loops, where it is solved."""
+
+    pattern: Pattern
+    entries: Any
+    least: Any
 
 
 def is_written_out(matrix: Rows) -> bool:
@@ -58,13 +67,15 @@ def factor(matrix: Rows, least: Sequence[Any | None] | None = None) -> Any:
     """L D L^T of a symmetric positive definite matrix M [any unit] given as rows of sparse scalars:
     the lower triangle L and the inverse pivots 1 / D_i, which `solve` takes. Where a pivot is
     not above the `least` of its row the unknown is 0, for the row follows from those before (None:
-    nowhere, or not of that row; neither where it is not written out).
+    nowhere, or not of that row).
     """
     n = len(matrix)
     if not is_written_out(matrix):
-        return jsl.cho_factor(
-            sp.stack([x for row in matrix for x in row]).reshape(n, n), lower=True
-        )
+        places = [(i, j) for i in range(n) for j in range(i + 1) if not sp.is_zero(matrix[i][j])]
+        entries = sp.stack([matrix[i][j] for i, j in places])
+        if least is not None:
+            least = sp.stack([-jnp.inf if each is None else each for each in least])
+        return Unsolved(Pattern(n, tuple(places)), entries, least)
     lower = [[0] * n for _ in range(n)]
     inverse_pivots: list[Any] = []
     for i in range(n):
@@ -86,10 +97,9 @@ def factor(matrix: Rows, least: Sequence[Any | None] | None = None) -> Any:
 
 def solve(factored: Any, right: tuple) -> tuple:
     """x of M x = right, for what `factor` makes of M."""
+    if isinstance(factored, Unsolved):
+        return tuple(unstacked(solved(*factored, sp.stack(right))))
     lower, inverse_pivots = factored
-    if not isinstance(lower, list):
-        solution = jsl.cho_solve(factored, sp.stack(right))
-        return tuple(solution[i] for i in range(len(right)))
     n = len(right)
     x = list(right)
     for i in range(n):

@@ -69,13 +69,17 @@ def stacked(numbers: Sequence[Any], least: int = MANY) -> jax.Array:
             sources.append(own.array)
             lengths.append(lengths[-1] + len(own.array))
     alone = [each for each, own in zip(numbers, origins, strict=True) if own is None]
-    if 4 * (len(sources) + len(alone)) > len(numbers) or any(x.dtype != sources[0].dtype for x in sources):
+    if 4 * (len(sources) + len(alone)) > len(numbers) or any(
+        x.dtype != sources[0].dtype for x in sources
+    ):
         return jnp.stack(numbers)
     if alone:
         sources.append(jnp.stack([jnp.asarray(x, sources[0].dtype) for x in alone]))
     whole = sources[0] if len(sources) == 1 else jnp.concatenate(sources)
     further = iter(range(lengths[-1], lengths[-1] + len(alone)))
-    places = [next(further) if own is None else starts[id(own.array)] + own.index for own in origins]
+    places = [
+        next(further) if own is None else starts[id(own.array)] + own.index for own in origins
+    ]
     return looked_up(whole, np.array(places))
 
 
@@ -99,6 +103,20 @@ def looked_up(array: jax.Array, places: np.ndarray) -> jax.Array:
     )
 
 
+def summed(terms: jax.Array, places: np.ndarray, count: int) -> jax.Array:
+    """So many sums, each of the terms whose known place it is."""
+    numbers = lax.ScatterDimensionNumbers(
+        (), inserted_window_dims=(0,), scatter_dims_to_operand_dims=(0,)
+    )
+    return lax.scatter_add(
+        jnp.zeros(count),
+        places[:, None].astype(np.int32),
+        terms,
+        numbers,
+        mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS,
+    )
+
+
 class _Packed(eqx.Module):
     """What is no single number of a tree, and its single numbers as one array."""
 
@@ -118,9 +136,7 @@ def packed(tree: Any) -> tuple[Any, Any]:
     """As `equinox.partition(tree, equinox.is_array)`; many single numbers become one array."""
     arrays, rest = eqx.partition(tree, eqx.is_array)
     leaves, structure = jax.tree.flatten(arrays)
-    single = tuple(
-        i for i, x in enumerate(leaves) if jnp.shape(x) == () and x.dtype == jnp.float64
-    )
+    single = tuple(i for i, x in enumerate(leaves) if jnp.shape(x) == () and x.dtype == jnp.float64)
     if len(single) < MANY or not any(isinstance(x, jax.core.Tracer) for x in leaves):
         return arrays, rest
     others = [x for i, x in enumerate(leaves) if i not in set(single)]

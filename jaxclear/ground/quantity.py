@@ -16,13 +16,14 @@ A field says it by its type (`AbstractWearLaw | None`, `int`, `str`, `Callable`)
 (`unit`, `counts`, `at_least`). What this module does not know (`Any`, arrays) is left to the class.
 """
 
+import copy
 import dataclasses
 import functools
 import math
 import types
 from collections.abc import Callable, Iterator, Mapping
 from types import GenericAlias, NoneType, UnionType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar, Union, get_args, get_origin
 
 import equinox as eqx
 import jax
@@ -311,10 +312,13 @@ def concrete(value: Any) -> float | None:
 def is_traced(tree: Any) -> bool:
     """Whether any number of a tree is being traced, so that nobody knows it yet; those that
     functions of Python's enclose, too."""
-    return any(
-        isinstance(leaf, jax.core.Tracer) or is_traced(_enclosed(leaf))
-        for leaf in jax.tree.leaves(tree)
-    )
+    for leaf in jax.tree.leaves(tree):
+        if isinstance(leaf, jax.core.Tracer):
+            return True
+        enclosed = _enclosed(leaf)
+        if enclosed and is_traced(enclosed):
+            return True
+    return False
 
 
 def _enclosed(leaf: Any) -> list:
@@ -329,6 +333,18 @@ def on_host(tree: Any) -> Any:
     with a few of its numbers then compiles nothing, and costs a microsecond in the place of ten."""
     known = lambda x: isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer)
     return jax.tree.map(lambda x: np.asarray(x) if known(x) else x, tree)
+
+
+Of = TypeVar("Of", bound=eqx.Module)
+
+
+def with_fields(module: Of, **values: Any) -> Of:
+    """A module with other values in some fields, which are right and need no check: as
+    `dataclasses.replace`, which takes a tenth of a millisecond to build a large one anew."""
+    own = copy.copy(module)
+    for name, value in values.items():
+        object.__setattr__(own, name, value)
+    return own
 
 
 def is_tracing() -> bool:

@@ -190,7 +190,9 @@ def dense(tree: Any) -> Any:
 
 def stack(scalars: Any) -> jax.Array:
     """Scalars, structural ones included, stacked to one float64 array on a new first axis."""
-    if len(scalars) >= MANY and all(isinstance(x, jax.core.Tracer) and x.shape == () for x in scalars):
+    if len(scalars) >= MANY and all(
+        isinstance(x, jax.core.Tracer) and x.shape == () for x in scalars
+    ):
         return stacked(scalars)
     return (
         jnp.stack(jnp.broadcast_arrays(*[jnp.asarray(x, float) for x in scalars]))

@@ -21,11 +21,21 @@ BETWEEN = ("jaxclear", "equinox", "jax", "jaxtyping", "contextlib", "functools")
 INSTALLED = (str(Path(sysconfig.get_path("stdlib"))), "site-packages")
 
 
+# How many warnings there have been.
+_told = [0]
+
+
+def told() -> int:
+    """How many times this process was warned."""
+    return _told[0]
+
+
 def warn(sentence: str, kind: type[Warning] = UserWarning) -> None:
     """A warning at the nearest line outside the package."""
     level, frame = 1, sys._getframe(0)
     while frame.f_back is not None and _is_between(frame.f_globals.get("__name__", "")):
         level, frame = level + 1, frame.f_back
+    _told[0] += 1
     warnings.warn(sentence, kind, stacklevel=level)
 
 

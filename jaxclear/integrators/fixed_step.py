@@ -324,7 +324,6 @@ class FixedStep(AbstractIntegrator):
         def known(arrays):
             return unpacked(arrays[0], rest), *eqx.combine(arrays[1:], others)
 
-
         def plain(arrays, clock, y, last):
             model, own, _ = known(arrays)
             return explicit_step(own.formulation, own.method, model, clock, y, last)

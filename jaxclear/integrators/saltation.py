@@ -24,6 +24,9 @@ A step of a given length does not know that a contact closes within it. Its deri
 become shorter. How fast hangs on the method: what goes along with the motion is large beside what
 is left of it behind a touch, and what a step departs from the motion by is as large.
 
+Flanks of play press by a spring whose stiffness does not change, and rub on nothing: steps resolve
+their derivatives as they do the motion, at times that do not move.
+
 None of this is in a program of which no derivative is asked.
 
 Source: Müller 1995, Calculation of Lyapunov exponents for dynamic systems with discontinuities,
@@ -34,7 +37,6 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -94,16 +96,26 @@ class Equations(NamedTuple):
 class Motion(NamedTuple):
     """Rates as a function of (arrays, shares, time, state), the motion of contacts as one of
     (arrays, time, state), normal forces of contacts that damp as one of (arrays, state, motion).
-    `seen`: contacts as functions of (arrays, time, state, shares), of flanks of play by whether
-    they count as pressing; `sided`: whether that makes a difference."""
+    `near`: as contacts, of flanks that are left by their torque without the rates of their depths,
+    for which equations of motion are solved; `joints`: those of joints alone. `seen`: contacts as
+    functions of (arrays, time, state, shares), of flanks of play by whether they count as pressing;
+    `depths`: theirs alone; `sided`: whether that makes a difference."""
 
     rates: Callable
     contacts: Callable
     slips: Callable
     pressing: Callable
     layout: Layout
+    near: Callable
+    joints: Callable
     seen: Callable
+    depths: Callable
     sided: bool
+
+    @property
+    def remembers(self) -> bool:
+        """Whether some contact remembers the speed with which it was met."""
+        return any(place is not None for place in impact_speed_places(self.layout))
 
 
 def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
@@ -128,14 +140,28 @@ def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
     def pressing(arrays, y, motion):
         return formulation.normal_forces(unpacked(arrays, rest), y, motion)
 
+    if not bare(rest).layout.plays:
+        seen = lambda arrays, time, y, _: contacts(arrays, time, y)
+        depths = lambda *now: seen(*now).depths
+        same = contacts, contacts, seen, depths
+        return Motion(counted, contacts, slips, pressing, bare(rest).layout, *same, sided=False)
+    count = bare(rest).layout.joint_contacts
+
     @jax.jit
     def by_shares(arrays, time, y, shares):
-        flanks = shares[bare(rest).layout.joint_contacts :]
-        return formulation.contacts(unpacked(arrays, rest), time, y, flanks, **how)
+        return formulation.contacts(unpacked(arrays, rest), time, y, shares[count:], **how)
 
+    @jax.jit
+    def near(arrays, time, y, shares=None):
+        flanks = None if shares is None else shares[count:]
+        return formulation.contacts(unpacked(arrays, rest), time, y, flanks)
+
+    joints = lambda *now: ContactMotion(*(each[:count] for each in near(*now)))
     sided = any(own.left_by_torque for own in bare(rest).system.transmissions.values())
     seen = by_shares if sided else lambda arrays, time, y, _: contacts(arrays, time, y)
-    return Motion(counted, contacts, slips, pressing, bare(rest).layout, seen, sided)
+    depths = lambda arrays, time, y, shares: near(arrays, time, y, shares).depths
+    own = near, joints, seen, depths
+    return Motion(counted, contacts, slips, pressing, bare(rest).layout, *own, sided)
 
 
 def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equations:
@@ -176,6 +202,8 @@ def _at_moving_time(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
     """The derivatives of (state, slopes, shift) at the start of a step."""
     step, (time, y), _ = numbers
     (way, *_), (time_way, state), slopes = tangents
+    if not model.layout.joint_contacts:
+        return *jax.tree.map(moved, (state, slopes)), jnp.zeros(())
 
     def moving(known):
         state, slopes, _ = known
@@ -193,9 +221,12 @@ def _at_moving_time(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
 def _shift(model: Motion, step: Step, here: tuple, ways: tuple, slopes: tuple) -> Any:
     """By how much later (its derivative) a contact does in a step what it is nearest to: to close
     or open, or to slide the other way. `slopes`: the rates of the state, and their derivatives."""
-    (depths, rates), (arrays, time, y), (flow, gains) = step.contacts, here, slopes
-    ahead = pushed(model.contacts, here, ways)[1]
-    both = lambda time, y: (model.contacts(arrays, time, y).rates, model.slips(arrays, time, y))
+    (arrays, time, y), (flow, gains) = here, slopes
+    of_joints = lambda each: each[: model.layout.joint_contacts] if model.layout.plays else each
+    depths, rates, shares = map(of_joints, (*step.contacts, step.shares))
+    sliding = lambda *now: of_joints(model.slips(*now))
+    ahead = pushed(model.joints, here, ways)[1]
+    both = lambda time, y: (model.joints(arrays, time, y).rates, sliding(arrays, time, y))
     gain, turning = jax.jvp(both, (time, y), (jnp.ones_like(time), flow))[1]
     # A contact that opens is to do so without a difference at the end.
     opening, length = rates < 0, step.length
@@ -204,12 +235,12 @@ def _shift(model: Motion, step: Step, here: tuple, ways: tuple, slopes: tuple) -
         more = jax.jvp(lambda y: both(time, y)[0], (y,), (each,))[1]
         deeper = deeper + jnp.where(opening, 0.5 * length * length * more, 0.0)
     rates = jnp.where(opening & (gain < 0), rates + length * gain, rates)
-    slips, aside = pushed(model.slips, here, ways)
+    slips, aside = pushed(sliding, here, ways)
     inner = lambda one, other: jnp.sum(one * other, -1)
     speeds = safe_sqrt(inner(slips, slips)), safe_sqrt(inner(turning, turning))
     way = jnp.stack([abs(depths), speeds[0]])
     reach = step.length * jnp.stack([abs(rates), speeds[1]])
-    near = (step.shares > 0) & (way < NEAR * reach)
+    near = (shares > 0) & (way < NEAR * reach)
     left = jnp.where(near, safe_divide(way, reach), jnp.inf)
     late = [safe_divide(deeper, rates), safe_divide(inner(aside, turning), inner(turning, turning))]
     nearest = near & (left == jnp.min(left))
@@ -223,18 +254,21 @@ def _behind(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
     (way, *_), (time_way, _), slopes, shift, *known = tangents
     arrays, before = step.arrays, step.shares
     here = arrays, time, y
-    after = closed(model.contacts(*here))
+    after = closed(model.near(*here))
+    shifts = bool(model.layout.joint_contacts)
 
     def behind(known):
         state, slopes, growth, told = known
-        state = state - moved(shift) * model.rates(arrays, before, time, y)
+        if shifts:
+            state = state - moved(shift) * model.rates(arrays, before, time, y)
         ways = way, time_way, state
-        state, *moves = passed(model, here, ways, (before, after))
+        state, *moves = passed(model, here, ways, (before, after), events is not None)
         grown = _grown(growth, jnp.max(jnp.where(after > before, abs(moves[0]), 0.0)))
         slopes = _slopes(model, after, here, (way, time_way, state), slopes)
         return state, slopes, grown, _told(told, events, before != after, moves)
 
-    wanted = jnp.any((before > 0) | (before != after))
+    changed = before != after
+    wanted = jnp.any((before > 0) | changed if shifts else changed)
     state, growth, told, error = jax.tree.map(moved, tuple(known))
     growth = _with_error(model.layout, step.length, state, growth, error)
     return where_wanted(wanted, behind, (state, jax.tree.map(moved, slopes), growth, told))
@@ -242,28 +276,44 @@ def _behind(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
 
 class Passed(NamedTuple):
     """Derivatives behind touches and releases at a fixed time: of the state; of every contact by
-    how much later it touches or parts [s], and its rate there [m/s]."""
+    how much later it touches or parts [s], and its rate there [m/s] (None: nobody asks)."""
 
     state: Any
     late: Any
     speeds: Any
 
 
-def passed(model: Motion, here: tuple, ways: tuple, acting: tuple) -> Passed:
+def passed(model: Motion, here: tuple, ways: tuple, acting: tuple, asked: bool) -> Passed:
     """Behind an instant at which contacts that act by these shares, (before, after), touch and
-    part; `here`: (arrays, time, state), `ways`: their derivatives before it."""
+    part; `here`: (arrays, time, state), `ways`: their derivatives before it; `asked`: for rates."""
     (arrays, time, y), (before, after), state = here, acting, ways[2]
-    seen = lambda *here: model.seen(*here, before)
-    flow, now = model.rates(arrays, before, time, y), seen(*here)
-    ahead = pushed(seen, here, ways)[1]
-    late = jnp.where(before != after, -safe_divide(ahead.depths, now.rates), 0.0)
+    flow = model.rates(arrays, before, time, y)
+    asked = asked or model.remembers or not model.layout.plays
+    if asked:
+        seen = lambda *here: model.seen(*here, before)
+        falls, ahead = seen(*here).rates, pushed(seen, here, ways)[1]
+        deeper = ahead.depths
+    else:
+        depths = lambda *here: model.depths(*here, before)
+        falls, deeper = falling(model, here, before, flow), pushed(depths, here, ways)[1]
+    late = jnp.where(before != after, -safe_divide(deeper, falls), 0.0)
     rate = lambda shares: model.rates(arrays, shares, time, y)
     state = state + jax.jvp(rate, (before,), ((before - after) * late,))[1]
+    if not asked:
+        return Passed(state, late, None)
     along = lambda time, y: seen(arrays, time, y).rates
     gain = jax.jvp(along, (time, y), (jnp.ones_like(time), flow))[1]
     speeds = ahead.rates + gain * late
     state = with_impact_speeds(model.layout, state, after > before, speeds)
     return Passed(state, late, speeds)
+
+
+def falling(model: Motion, here: tuple, acting: Any, flow: Any) -> Any:
+    """How fast the depths of contacts that act by these shares change at (arrays, time, state),
+    whose rate this `flow` is."""
+    arrays, time, y = here
+    depths = lambda time, y: model.depths(arrays, time, y, acting)
+    return jax.jvp(depths, (time, y), (jnp.ones_like(time), flow))[1]
 
 
 def _told(told: Any, events: Any, happened: Any, ways: tuple) -> Any:
@@ -370,7 +420,7 @@ def through_touches(
         gone = jnp.where(apart.changed, apart.way, gone)
         stop = clock_way[0] if times[1] is None else moved(clock_way[0]) + moved(longer)
         ways = way[0], (clock_way[0], state), (stop, gone), met_way
-        higher = _higher(motion, begun, (end, apart.contacts, met, arrays[2]), ways)
+        higher = _higher(motion, begun, (end, met, arrays[2]), ways)
         found = h, end, now, seen(arrays, end, met, (last, now))
         return found, (longer, gone, left, higher)
 
@@ -379,14 +429,22 @@ def through_touches(
 
 
 def _higher(motion: Any, begun: Now, ended: tuple, ways: tuple) -> Any:
-    """The derivative of the peaks behind a step. `ended`: its end, the contacts there, the peaks
-    until its start, and in the run before its interval; `ways`: derivatives of (arrays, (time,
-    state) at its start, at its end, peaks)."""
-    end, contacts, known, so_far = ended
+    """The derivative of the peaks behind a step. `ended`: its end, the peaks until its start, and
+    in the run before its interval; `ways`: derivatives of (arrays, (time, state) at its start, at
+    its end, peaks)."""
+    end, known, so_far = ended
     start, stop = (begun.time, begun.state), (begun.time + begun.length, end)
-    motions = begun.contacts, contacts
+    motions = motions_over(motion, begun, end)
     go = lambda arrays, *now: peaks(motion, arrays, now[:2], motions, now[2], so_far)
     return pushed(go, (begun.arrays, start, stop, known), ways)[1]
+
+
+def motions_over(motion: Any, begun: Now, end: Any) -> tuple[ContactMotion, ContactMotion]:
+    """The motion of the contacts at both ends of a step."""
+    first = begun.contacts
+    if motion.layout.plays:
+        first = motion.contacts(begun.arrays, begun.time, begun.state)
+    return first, motion.contacts(begun.arrays, begun.time + begun.length, end)
 
 
 def at_moving_time(motion: Any, begun: Now, acting: Any, ways: tuple) -> tuple:
@@ -403,6 +461,8 @@ def at_fixed_time(motion: Any, begun: Now, acting: Any, end: Any, moves: tuple) 
     """The derivative of the state where a step ends, at a fixed time. `moves`: (that at a time
     which moves, by how much that does)."""
     (way, shift), time = moves, begun.time + begun.length
+    if not motion.layout.joint_contacts:
+        return way
     back = lambda way: way - shift * motion.rates(begun.arrays, acting, time, end)
     return where_wanted(jnp.any(acting > 0), back, way)
 
@@ -417,16 +477,15 @@ def _remembering(formulation: CompliantContact, rest: Any, motion: Any) -> Calla
     derivative, from numbers and tangents of (arrays, time, state, last): the derivative of a speed
     that was taken within the last step is known since then."""
     places = impact_speed_places(motion.layout)
-    wanted = any(place is not None for place in places)
 
     def aware(arrays, time, y, last):
-        contacts = motion.contacts(arrays, time, y)
+        contacts = motion.near(arrays, time, y)
         known = formulation.remember(unpacked(arrays, rest), y, last[0], contacts, last[1])
         return contacts, known
 
     def both(numbers, tangents):
-        if not wanted:
-            return motion.contacts(*numbers[:3]), numbers[2], moved(tangents[2])
+        if not motion.remembers:
+            return motion.near(*numbers[:3]), numbers[2], moved(tangents[2])
         (contacts, now), (_, state) = pushed(aware, numbers, tangents)
         y, before, known = numbers[2], numbers[3][0], moved(tangents[2])
         entries = [state[i] for i in range(len(state))]
@@ -440,12 +499,11 @@ def _remembering(formulation: CompliantContact, rest: Any, motion: Any) -> Calla
 
 
 class Apart(NamedTuple):
-    """A step taken apart, where a contact has `changed`: the derivative of the state at its end,
-    and the `contacts` at the end of the step as it is."""
+    """A step taken apart, where a contact has `changed`: the derivative of the state at its
+    end."""
 
     changed: Any
     way: Any
-    contacts: ContactMotion
 
 
 def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple) -> Apart:
@@ -454,12 +512,16 @@ def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple) -> Apart:
     way, (time_way, longer), state = ways
     time, h = begun.time, begun.length
     before = closed(begun.contacts)
-    contacts = motion.contacts(begun.arrays, time + h, end)
-    after = closed(contacts)
-    path = (begun.contacts.depths, contacts.depths, h * begun.contacts.rates, h * contacts.rates)
+    after = closed(motion.near(begun.arrays, time + h, end))
     changed = before != after
     any_changed = jnp.any(changed)
-    shares = passage(constant(path), 0.0, jnp.ones_like(before), any_changed)
+
+    def met(share):
+        first, last = motions_over(motion, begun, end)
+        path = (first.depths, last.depths, h * first.rates, h * last.rates)
+        return passage(constant(path), 0.0, share, any_changed)
+
+    shares = where_wanted(any_changed, met, jnp.ones_like(before))
     turns = jnp.where(any_changed, jnp.sum(changed.astype(int)) + 1, 0)
     if longer is not None:
         state = state - moved(time_way) * motion.rates(begun.arrays, before, time, begun.state)
@@ -471,7 +533,7 @@ def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple) -> Apart:
         hit = pending & (shares <= until)
         length = (until - share) * h
         at = time + share * h
-        part = Now(begun.arrays, at, y, length, motion.contacts(begun.arrays, at, y))
+        part = Now(begun.arrays, at, y, length, motion.near(begun.arrays, at, y))
         y, state = along(motion, part, acting, (way, state))
         at = time + until * h
         y, state, later = passed_within(motion, begun, (way, state), at, y, (acting, hit))
@@ -483,21 +545,26 @@ def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple) -> Apart:
     if longer is not None:
         moves = moved(time_way) + moved(longer)
         state = state + moves * motion.rates(begun.arrays, after, time + h, end)
-    return Apart(any_changed, state, contacts)
+    return Apart(any_changed, state)
 
 
 def passed_within(motion: Any, begun: Now, ways: tuple, at: Any, y: Any, acts: tuple) -> tuple:
     """(state, its derivative, by how much later [s]) behind what is `hit` at a time."""
     (way, state), (acting, hit) = ways, acts
-    flow = motion.rates(begun.arrays, acting, at, y)
-    now = motion.contacts(begun.arrays, at, y)
+    flow, here = motion.rates(begun.arrays, acting, at, y), (begun.arrays, at, y)
+    if motion.layout.plays:
+        depths, rates = motion.depths(*here, acting), falling(motion, here, acting, flow)
+    else:
+        depths, rates = motion.contacts(*here)
     most = BEHIND * begun.length
-    short = jnp.where(hit, -safe_divide(now.depths, now.rates) + most, 0.0)
+    short = jnp.where(hit, -safe_divide(depths, rates) + most, 0.0)
     later = jnp.where(jnp.any(hit), jnp.max(jnp.where(hit, short, -begun.length)), 0.0)
     y, at = y + later * flow, at + later
     then = jnp.where(hit, 1 - acting, acting)
     ways = way, jnp.zeros(()), state
-    found = passed(motion, (begun.arrays, at, y), ways, (acting, then))
+    found = passed(motion, (begun.arrays, at, y), ways, (acting, then), False)
+    if not motion.remembers:
+        return y, found.state, later
     taken = then > acting
     rates = motion.contacts(begun.arrays, at, y).rates
     y = with_impact_speeds(motion.layout, y, taken, rates)

@@ -6,6 +6,7 @@ equations of `start_equations`, metres measured by the longest arm. What cannot 
 name (`start_check`). Where the guess is not met other beginnings are tried (`assembly_modes`).
 """
 
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -25,7 +26,6 @@ from jaxclear.ground.warning import warn
 from jaxclear.multibody import (
     assembly_modes,
     contact_point,
-    kinematics,
     redundancy,
     start_check,
 )
@@ -56,6 +56,7 @@ from jaxclear.multibody.start_equations import (
 )
 from jaxclear.multibody.system import readings
 from jaxclear.multibody.topology import Redundancy
+from jaxclear.native import in_one
 from jaxclear.native.compiled import compiled_quickly
 
 ITERATIONS = 30
@@ -79,10 +80,8 @@ def assemble_arrays(
     coordinates and speeds leads, by default the mechanism's guess; of surfaces `worn` so deep [m];
     pure, so it maps and differentiates."""
     asked = ask(mechanism, concentric, worn)
-    if rough is None:
-        q, v = guess(mechanism)
-        return _solved(asked, _towards_guess(asked, q, time), v, time)
-    return _solved(asked, *rough, time)
+    given = guess(mechanism) if rough is None else rough
+    return _solved(asked, *given, time, rough is None, in_one)
 
 
 def _towards_guess(asked: Ask, q: Array, time: Any) -> Array:
@@ -102,12 +101,33 @@ def _towards_guess(asked: Ask, q: Array, time: Any) -> Array:
     return jax.lax.scan(approach, q, length=ITERATIONS)[0]
 
 
-def _solved(asked: Ask, q: Array, v: Array, time: Any) -> Start:
-    """The consistent start to which a search leads from rough coordinates and speeds."""
+def _solved(
+    asked: Ask,
+    q: Array,
+    v: Array,
+    time: Any,
+    led: bool = False,
+    call: Callable[..., Any] = operator.call,
+) -> Start:
+    """The consistent start to which a search leads from rough coordinates and speeds, `led` to what
+    is told of other joints first; `call`: how the search is called, and what tells of the start."""
     mechanism = asked.mechanism
     start_check.check_flat_bodies(mechanism, asked.system, motions_at(asked, q, v, time)[2])
     if is_solved(mechanism, asked.concentric):
         return _started(asked, q, v, time)
+
+    def search():
+        begun = _towards_guess(asked, q, time) if led else q
+        return _searched(asked, begun, v, time)
+
+    # In a batch more may move the one than the other.
+    there, moving = call(search)
+    return call(lambda: _started(asked, there, moving, time))
+
+
+def _searched(asked: Ask, q: Array, v: Array, time: Any) -> tuple[Array, Array]:
+    """Coordinates and speeds of the consistent start to which a search leads from rough ones."""
+    mechanism = asked.mechanism
 
     def improve(q, weight):
         place = place_at(asked, q, time)
@@ -125,7 +145,7 @@ def _solved(asked: Ask, q: Array, v: Array, time: Any) -> Start:
     # The second time for rounding only: rates are linear in the speeds.
     for _ in range(2):
         v = v - least(asked, speed_blocks(asked, q, v, time)).change
-    return _started(asked, *turned(mechanism, asked.system, q, v, time), time)
+    return turned(mechanism, asked.system, q, v, time)
 
 
 def closest(asked: Ask, q: Array, time: Any) -> Array:

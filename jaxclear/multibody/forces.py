@@ -346,7 +346,10 @@ def _action_and_reaction(
     that is the ground."""
     on_child = on_parent = None
     if child is not None:
-        turned = sp.apply_transposed(pose.rotation, force), sp.apply_transposed(pose.rotation, torque)
+        turned = (
+            sp.apply_transposed(pose.rotation, force),
+            sp.apply_transposed(pose.rotation, torque),
+        )
         on_child = tree.transform_wrench(child, Wrench(*turned))
     if parent is not None:
         moment = sp.plus(torque, sp.cross(pose.translation, force))

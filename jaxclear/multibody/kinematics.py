@@ -70,9 +70,7 @@ def relative_motion(
     return view, pose, Relative(pose, velocity, spin)
 
 
-def relative_motions(
-    closures: Iterable[Closure], motions: tuple[Motion, ...]
-) -> list[Relative]:
+def relative_motions(closures: Iterable[Closure], motions: tuple[Motion, ...]) -> list[Relative]:
     """The same of many closures, without their markers; alike ones are traced once."""
 
     def one(parent, child, parent_ends, child_ends):

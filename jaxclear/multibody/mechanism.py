@@ -5,7 +5,6 @@ The numbers are leaves of a pytree; names, joint types and what is absent are it
 that are being traced are not checked: they were when the mechanism was built with numbers.
 """
 
-import copy
 import dataclasses
 from collections.abc import Iterable, Mapping
 from typing import Any, NoReturn
@@ -28,7 +27,13 @@ from jaxclear.ground.printing import (
     number_in_words,
     numbers_in_words,
 )
-from jaxclear.ground.quantity import IF_ANY, AbstractQuantified, as_number, on_device
+from jaxclear.ground.quantity import (
+    IF_ANY,
+    AbstractQuantified,
+    as_number,
+    on_device,
+    with_fields,
+)
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described, public_name
 from jaxclear.multibody import validation
@@ -414,10 +419,8 @@ def with_redundancy(mechanism: Mechanism, redundancy: Redundancy | None) -> Mech
     """The mechanism with what is known of redundant rows in its loops."""
     if mechanism.topology.redundancy == redundancy:
         return mechanism
-    known = copy.copy(mechanism)
     topology = dataclasses.replace(mechanism.topology, redundancy=redundancy)
-    object.__setattr__(known, "topology", topology)
-    return known
+    return with_fields(mechanism, topology=topology)
 
 
 def held_as_needed(mechanism: Mechanism, projects: bool) -> Mechanism:
@@ -426,9 +429,7 @@ def held_as_needed(mechanism: Mechanism, projects: bool) -> Mechanism:
     held = mechanism.stabilisation
     if not isinstance(held, AsNeeded) or held.projects == projects:
         return mechanism
-    known = copy.copy(mechanism)
-    object.__setattr__(known, "stabilisation", AsNeeded(held.baumgarte, projects))
-    return known
+    return with_fields(mechanism, stabilisation=AsNeeded(held.baumgarte, projects))
 
 
 def loosened(mechanism: Mechanism, names: tuple[str, ...]) -> Mechanism:

@@ -17,7 +17,6 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-import jaxlie
 from jaxtyping import Array, Float
 
 from jaxclear.components.body import GROUND, Marker
@@ -56,11 +55,15 @@ def inverse(pose: Transform) -> Transform:
 def exponentials(twists: Sequence[TwistVector]) -> list[Transform]:
     """exp [V] of each twist; all at once, because this function and the next are slow to
     compile."""
+    import jaxlie
+
     return list(jaxlie.SE3.exp(jnp.stack(twists)).as_matrix()) if twists else []
 
 
 def logarithms(poses: Sequence[Transform]) -> list[TwistVector]:
     """The twist V with exp [V] = T of each transformation."""
+    import jaxlie
+
     return list(jaxlie.SE3.from_matrix(jnp.stack(poses)).log()) if poses else []
 
 

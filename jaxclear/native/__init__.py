@@ -12,8 +12,8 @@ The boundary is nine functions, five that tell of the program, and three for Ctr
   turns are part of the same kernel; by `Kept` parts of what turns leave go to tables of their own,
   each turn's to a place that is chosen beforehand, or nowhere;
 - `over_rows(function, *rows)` in the place of `jax.vmap(function)(*rows)`, `through_rows` where
-  rows are few and arrays are long, `one_row(function, *numbers)` in the place of the function
-  itself, and `once`, which makes a kernel of a short one too;
+  rows are few and arrays are long, `one_row(function, *numbers)` and `in_one` in the place of the
+  function itself, and `once`, which makes a kernel of a short one too;
 - `one_by_one(function)`: a function through whose batches XLA goes sample by sample;
 - `with_fast_loops(function)`: a function whose outermost loops a library has written;
 - `by_columns(function, *arguments)`: backwards as many derivatives forwards as numbers move;
@@ -68,7 +68,7 @@ give it a case in tests/native/test_rules.py.
 from jaxclear.native.derivative_rules import by_columns, forwards_only
 from jaxclear.native.loop import has_kernels
 from jaxclear.native.program import size_of
-from jaxclear.native.rows import one_by_one, one_row, over_rows, through_rows
+from jaxclear.native.rows import in_one, one_by_one, one_row, over_rows, through_rows
 from jaxclear.native.stopping import stop, stoppable, stops
 from jaxclear.native.verdicts import NoKernel, calls_lapack, explain, only_kernels, verdict
 from jaxclear.native.while_loops import Kept, once, scan, while_loop, with_fast_loops
@@ -81,6 +81,7 @@ __all__ = [
     "explain",
     "forwards_only",
     "has_kernels",
+    "in_one",
     "once",
     "one_by_one",
     "one_row",

@@ -12,7 +12,7 @@ out either way, so that a touching contact is looked at and a parted one.
 
 import ctypes
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -60,9 +60,14 @@ def is_wanted() -> bool:
     return os.environ.get("JAXCLEAR_CHECK_KERNELS", "0") not in ("", "0")
 
 
-def check(program: Program, address: int) -> None:
-    """One turn of the kernel at an address, which takes but one, on random numbers against JAX.
-    Raises `Unsupported` where they differ.
+# The state of each sample of a draw after one turn, the row that this leaves, and the first rows of
+# all tables.
+Turn = Callable[[list], np.ndarray]
+
+
+def check(program: Program, found_by: Turn, wanted_by: Turn, beside: str = "JAX") -> None:
+    """One turn of a kernel on random numbers `beside` another evaluation of it. Raises
+    `Unsupported` where they differ.
 
     Where a difference of like numbers is exactly zero in one order of operations and rounding in
     the other, a choice or a quotient that hangs on it differs wholly. That does not recur: one
@@ -71,13 +76,13 @@ def check(program: Program, address: int) -> None:
     """
     looks: list[Look] = []
     for draw in DRAWS:
-        looks.append(compared(program, address, draw))
+        looks.append(compared(program, found_by, wanted_by, draw))
         if sum(not look.usual.agrees for look in looks) > 1:
             break
         agreed = sum(look.usual == Judgement(True, True) for look in looks)
         if agreed >= 2 and any(look.anywhere for look in looks):
             return
-    raise Unsupported("a loop whose kernel does not agree with JAX")
+    raise Unsupported(f"a loop whose kernel does not agree with {beside}")
 
 
 class Judgement(NamedTuple):
@@ -95,30 +100,12 @@ class Look(NamedTuple):
     anywhere: bool
 
 
-def compared(program: Program, address: int, draw: int) -> Look:
-    """The kernel on a draw's random numbers, beside JAX."""
+def compared(program: Program, found_by: Turn, wanted_by: Turn, draw: int) -> Look:
+    """The kernel on a draw's random numbers, beside the other evaluation."""
     constants, state = avals_of(program)
     samples = [_within_tables(program, own) for own in random_values(constants, state, draw)]
-    found = _one_turn(program, address, samples)
-
-    def by_jax(sample):
-        given = sample[program.condition_constants :]
-        out = evaluated(program.body, given)
-        rows = zip(program.tables, out[len(state) :], strict=True)
-        return packed([*out, *(_first_row(table, row, given) for table, row in rows)])
-
-    def anywhere(sample):
-        try:
-            return by_jax(sample)
-        except Unsupported:
-            # A loop that does not end here: no evidence.
-            return np.full(found.shape[1], np.nan)
-
-    with jax.ensure_compile_time_eval():
-        wanted, changed = (
-            np.array([by_jax(own[0]), *map(anywhere, own[1:])])
-            for own in (samples, [nudged(sample) for sample in samples])
-        )
+    found = found_by(samples)
+    wanted, changed = wanted_by(samples), wanted_by([nudged(sample) for sample in samples])
     first = np.zeros(found.shape)
     before = np.array([packed(s[len(constants) :]) for s in samples])
     first[:, : before.shape[1]] = before
@@ -129,6 +116,28 @@ def compared(program: Program, address: int, draw: int) -> Look:
     parts = [(a[:1, asked], a[1:, asked]) for a in (found, wanted, changed, first)]
     usual, others = (judged(*part) for part in zip(*parts, strict=True))
     return Look(usual, others.agrees)
+
+
+def turn_by_jax(program: Program, samples: list) -> np.ndarray:
+    """What a turn gives, by JAX's operations one after the other; nan where those of a sample of
+    numbers of either size do not end."""
+    state = len(avals_of(program)[1])
+
+    def by_jax(sample):
+        given = sample[program.condition_constants :]
+        out = evaluated(program.body, given)
+        rows = zip(program.tables, out[state:], strict=True)
+        return packed([*out, *(_first_row(table, row, given) for table, row in rows)])
+
+    with jax.ensure_compile_time_eval():
+        rows = [by_jax(samples[0])]
+        for sample in samples[1:]:
+            try:
+                rows.append(by_jax(sample))
+            except Unsupported:
+                # A loop that does not end here: no evidence.
+                rows.append(np.full(len(rows[0]), np.nan))
+    return np.array(rows)
 
 
 def evaluated(program: ClosedJaxpr, arguments: Sequence[Any]) -> list:
@@ -175,9 +184,8 @@ def _size(aval: Any) -> int:
     return floats_in([aval])
 
 
-def _one_turn(program: Program, address: int, samples: list) -> np.ndarray:
-    """The state of each sample after one turn by the kernel, the row that this leaves, and the
-    first rows of all tables."""
+def turn_by_kernel(program: Program, address: int, samples: list) -> np.ndarray:
+    """What a turn gives, by the kernel at an address, which takes but one."""
     kept = in_memory(program)
     rows = [packed([v for v, k in zip(s, kept, strict=True) if not k]) for s in samples]
     given = np.ascontiguousarray(rows)

@@ -9,20 +9,22 @@ there. What is found is called with plain arrays, so that a call costs little be
 import functools
 import io
 import pickle
-import threading
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.experimental import serialize_executable
+from jax.extend.core import Jaxpr, Literal, jaxpr_as_fun
 
 from jaxclear.ground import cache_folder
 from jaxclear.ground.compiling import uncollected
+from jaxclear.ground.latest import Latest
 from jaxclear.ground.quantity import is_traced, is_tracing
 from jaxclear.native import check, dispatch, verdicts
+from jaxclear.native.derivative_rules import columns_p
 from jaxclear.native.forms import Untold, function_in_text, in_text, surroundings, tree_in_text
 from jaxclear.native.verdicts import NoKernel, only_kernels
 
@@ -51,29 +53,36 @@ SETTINGS = (
 LATEST = 256
 
 
-class _Found(NamedTuple):
+@dataclass(frozen=True)
+class Place:
+    """Stands for an array of a program's results, that of a number; `given`: for its argument of
+    this number, as it was given."""
+
+    number: int
+    given: bool = False
+
+
+class _Found:
     """A compiled program over a list of arrays, and what its results are put together to: things
     that are no arrays, and `Place`s for those that are."""
 
-    program: Any
-    leaves: list[Any]
-    structure: Any
+    def __init__(self, program: Any, leaves: list[Any], structure: Any):
+        self.program, self.leaves, self.structure = program, leaves, structure
+        places = [(i, x) for i, x in enumerate(leaves) if type(x) is Place]
+        self.own = [(i, place.number) for i, place in places if not place.given]
+        self.given = [(i, place.number) for i, place in places if place.given]
 
     def __call__(self, arrays: Sequence[Any]) -> Any:
-        found = self.program(*arrays)
-        own = [found[x.number] if type(x) is Place else x for x in self.leaves]
-        return jax.tree.unflatten(self.structure, own)
+        found, out = self.program(*arrays), self.leaves.copy()
+        for i, number in self.own:
+            out[i] = found[number]
+        for i, number in self.given:
+            array = arrays[number]
+            out[i] = array if isinstance(array, jax.Array) else jnp.asarray(array)
+        return jax.tree.unflatten(self.structure, out)
 
 
-class Place:
-    """Stands for an array of a program's results, that of a number."""
-
-    def __init__(self, number: int):
-        self.number = number
-
-
-_AT_HAND: "OrderedDict[Any, Any]" = OrderedDict()
-_LOOKING = threading.Lock()
+_AT_HAND: Latest[_Found] = Latest(LATEST)
 
 
 def compiled_quickly(
@@ -120,20 +129,19 @@ def _found(function: Callable, options: dict[str, Any], leaves: list, tree: Any)
     """The program of such arguments; None where it is JAX's to keep."""
     if not _are_kept():
         return None
-    kinds = tuple(jax.typeof(x) if eqx.is_array(x) else (type(x), x) for x in leaves)
+    kinds = tuple(_kind_of(x) if eqx.is_array(x) else (type(x), x) for x in leaves)
     settings = tuple(getattr(jax.config, name) for name in SETTINGS)
     form = function, tuple(options), tree, kinds, settings
-    with _LOOKING:
-        found = _AT_HAND.get(form)
-        if found is not None:
-            _AT_HAND.move_to_end(form)
+    found = _AT_HAND.get(form)
     if found is None:
         found = _kept_or_compiled(function, options, leaves, tree)
-        with _LOOKING:
-            _AT_HAND[form] = found
-            while len(_AT_HAND) > LATEST:
-                _AT_HAND.popitem(last=False)
+        _AT_HAND.keep(form, found)
     return found
+
+
+def _kind_of(array: Any) -> Any:
+    # What `jax.typeof` answers of JAX's own arrays, without asking which kind of thing they are.
+    return array.aval if isinstance(array, jax.Array) else jax.typeof(array)
 
 
 def _are_kept() -> bool:
@@ -178,15 +186,17 @@ def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: A
         own = iter(arrays)
         given = [next(own) if eqx.is_array(leaf) else leaf for leaf in leaves]
         out, structure = jax.tree.flatten(function(*jax.tree.unflatten(tree, given)))
-        places = [i for i, leaf in enumerate(out) if eqx.is_array(leaf)]
-        numbers = {i: Place(number) for number, i in enumerate(places)}
-        form[:] = [numbers.get(i, leaf) for i, leaf in enumerate(out)], structure
-        return [out[i] for i in places]
+        form[:] = out, structure
+        return [leaf for leaf in out if eqx.is_array(leaf)]
 
     flat.__name__ = flat.__qualname__ = getattr(function, "__name__", "program")
+    arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
     with uncollected():
-        lowered = jax.jit(flat).lower(*(leaf for leaf in leaves if eqx.is_array(leaf)))
-        found = _Found(lowered.compile(compiler_options=options), *form)
+        traced = jax.jit(flat).trace(*arrays)
+        lowered, places = _lowered(traced, arrays, flat.__name__)
+        left, (out, structure) = iter(places), form
+        out = [next(left) if eqx.is_array(leaf) else leaf for leaf in out]
+        found = _Found(lowered.compile(compiler_options=options), out, structure)
     if key is None:
         return found
     try:
@@ -197,6 +207,52 @@ def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: A
         return found
     cache_folder.write(cache_folder.PROGRAM, key, content)
     return found
+
+
+def _lowered(traced: Any, arrays: list, name: str) -> tuple[Any, list[Place]]:
+    """A traced program, lowered without the results that are its arguments as they were given, and
+    where each result is then."""
+    results = traced.jaxpr.jaxpr.outvars
+    origins = [_origin(traced.jaxpr.jaxpr, result) for result in results]
+    # Numbers that come from NumPy are JAX's by being results.
+    origins = [x if x is None or isinstance(arrays[x], jax.Array) else None for x in origins]
+    own = [i for i, origin in enumerate(origins) if origin is None]
+    places = [
+        Place(own.index(i)) if x is None else Place(x, given=True) for i, x in enumerate(origins)
+    ]
+    if len(own) == len(results):
+        return traced.lower(), places
+    whole = jaxpr_as_fun(traced.jaxpr)
+
+    def without(*arrays):
+        found = whole(*arrays)
+        return [found[i] for i in own]
+
+    without.__name__ = without.__qualname__ = name
+    return jax.jit(without).lower(*arrays), places
+
+
+# Steps that are a program of their own, by the name of the parameter that holds it.
+_WITHIN = {columns_p.name: "program", "custom_jvp_call": "call_jaxpr", "jit": "jaxpr"}
+
+
+def _origin(program: Jaxpr, result: Any) -> int | None:
+    """The number of the argument that a result of a program is; None where it is worked out."""
+    if isinstance(result, Literal):
+        return None
+    if result in program.invars:
+        return program.invars.index(result)
+    for step in program.eqns:
+        if result not in step.outvars:
+            continue
+        within = _WITHIN.get(step.primitive.name)
+        # Where something is moved, results are more than those of the program.
+        if within is None or step.params.get("moving") or step.params.get("maps"):
+            return None
+        inner = step.params[within].jaxpr
+        number = _origin(inner, inner.outvars[step.outvars.index(result)])
+        return None if number is None else _origin(program, step.invars[number])
+    return None
 
 
 def _packed(found: _Found) -> tuple[bytes, int, int, Any]:
@@ -243,19 +299,19 @@ def kernels_or(soon: Callable[..., Any], usual: Callable[..., Any]) -> Callable[
 
     @functools.wraps(usual)
     def call(*arguments):
-        if refused and _kind(arguments) in refused:
+        if refused and kind_of(arguments) in refused:
             return usual(*arguments)
         try:
             with only_kernels():
                 return soon(*arguments)
         except NoKernel:
-            refused.add(_kind(arguments))
+            refused.add(kind_of(arguments))
         return usual(*arguments)
 
     return call
 
 
-def _kind(arguments: Any) -> Any:
+def kind_of(arguments: Any) -> Any:
     """What of arguments decides which program they are compiled to."""
     leaves, structure = jax.tree.flatten(arguments)
     shapes = (jax.typeof(x) if eqx.is_array(x) else x for x in leaves)

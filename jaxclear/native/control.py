@@ -13,6 +13,7 @@ from jaxclear.native.long_arrays import carried_in_memory, mapped, put_back
 from jaxclear.native.program import CALLS, called, scan_counts, size_of
 from jaxclear.native.writer import (
     FLOAT,
+    LONGEST_IN_REGISTERS,
     STOP_FLAG,
     TRUTH,
     WHOLE,
@@ -252,7 +253,9 @@ def _scan(writer, equation, *arguments):
     refuse_memory(*carry, *rows)
     rows = list(map(in_registers, rows))
     long = p["length"] > LONGEST_WRITTEN_OUT
-    as_a_loop = len(equation.outvars) == carried and not p["reverse"] and not (long and rows)
+    # A row of the turn is chosen among all.
+    few = sum(row.size for row in rows) <= LONGEST_IN_REGISTERS
+    as_a_loop = len(equation.outvars) == carried and not p["reverse"] and (few or not long)
     if as_a_loop and (long or p["length"] * size_of(p["jaxpr"]) > LARGEST_WRITTEN_OUT):
         return _counted_loop(writer, p["jaxpr"], fixed, carry, rows, p["length"], kinds)
     if long:

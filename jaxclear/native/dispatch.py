@@ -149,14 +149,19 @@ def known_to_xla() -> Any:
         internal=INTERNAL,
     )
     engine = object_code.compiled(text)
+    register("cpu", engine)
+    return engine
+
+
+def register(platform: str, engine: Any) -> None:
+    """Makes the function of an engine known to XLA on a platform."""
     capsule = ctypes.pythonapi.PyCapsule_New
     capsule.restype, capsule.argtypes = (
         ctypes.py_object,
         [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p],
     )
-    address = engine.get_function_address(TARGET)
-    jax.ffi.register_ffi_target(TARGET, capsule(address, None, None), platform="cpu", api_version=1)
-    return engine
+    found = capsule(engine.get_function_address(TARGET), None, None)
+    jax.ffi.register_ffi_target(TARGET, found, platform=platform, api_version=1)
 
 
 def _place(number: int) -> int:
@@ -361,15 +366,22 @@ def interface_version() -> tuple[int, int]:
     """Version of XLA's foreign function interface; `Unsupported` where its structures are not those
     read above.
     """
+    plain = interface()
+    if not all(part in plain for part in STRUCTURES):
+        raise Unsupported("XLA's foreign function interface of this jaxlib")
+    found = [re.search(rf"#define XLA_FFI_API_{part} (\d+)", plain) for part in ("MAJOR", "MINOR")]
+    major, minor = (int(match[1]) for match in found if match)
+    return major, minor
+
+
+def interface() -> str:
+    """The header of that interface that comes with jaxlib, without comments and line ends, by the
+    names used above."""
     header = (Path(jax.ffi.include_dir()) / "xla/ffi/api/c_api.h").read_text()
     plain = re.sub(r"\s+", " ", re.sub(r"//[^\n]*", "", header))
     for now, before in RENAMED.items():
         plain = plain.replace(now, before)
-    if not all(part in plain for part in STRUCTURES):
-        raise Unsupported("XLA's foreign function interface of this jaxlib")
-    found = [re.search(rf"#define XLA_FFI_API_{part} (\d+)", header) for part in ("MAJOR", "MINOR")]
-    major, minor = (int(match[1]) for match in found if match)
-    return major, minor
+    return plain
 
 
 def frame(

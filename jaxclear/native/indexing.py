@@ -133,7 +133,9 @@ def _stack(writer, equation, *arrays):
 @rule("unstack", reads_memory=True)
 def _unstack(writer, equation, a):
     if isinstance(a, InMemory):
-        places = np.moveaxis(np.arange(math.prod(a.shape)).reshape(a.shape), equation.params["axis"], 0)
+        places = np.moveaxis(
+            np.arange(math.prod(a.shape)).reshape(a.shape), equation.params["axis"], 0
+        )
         return unstacked(writer, equation, a, FLOAT, places)
     rows = np.split(a, len(equation.outvars), equation.params["axis"])
     return [row.reshape(atom.aval.shape) for row, atom in zip(rows, equation.outvars, strict=True)]

@@ -9,6 +9,7 @@ same turns, so that a turn's place in a table is one for all.
 
 import collections
 import contextlib
+import functools
 import hashlib
 import math
 import threading
@@ -20,6 +21,7 @@ import numpy as np
 
 from jaxclear.native import check, dispatch, elementary, object_code, stopping
 from jaxclear.native import indexing as _indexing  # noqa: F401  (its rules register themselves)
+from jaxclear.native import linear_systems as _linear_systems  # noqa: F401
 from jaxclear.native import long_rules as _long_rules  # noqa: F401
 from jaxclear.native.control import loop
 from jaxclear.native.long_arrays import for_each
@@ -242,11 +244,18 @@ def kept_kernel(number: int, name: str, key: str) -> Kernel:
         return kernel
 
 
-def _checked(program: Program, lanes: int) -> None:
-    """Raises `Unsupported` where one turn of the loop is not what JAX makes of it."""
+def turn_of(program: Program, lanes: int) -> check.Turn:
+    """One turn of the loop by a kernel of this processor. Raises `Unsupported`."""
     name, _, text = _assembled(program, lanes, checked=True)
     engine = object_code.compiled(text)
-    check.check(program, engine.get_function_address(f"{name}.samples"))
+
+    address = lambda: engine.get_function_address(f"{name}.samples")
+    return lambda samples: check.turn_by_kernel(program, address(), samples)
+
+
+def _checked(program: Program, lanes: int) -> None:
+    """Raises `Unsupported` where one turn of the loop is not what JAX makes of it."""
+    check.check(program, turn_of(program, lanes), functools.partial(check.turn_by_jax, program))
 
 
 def keep(kernel: Kernel, module: Any) -> None:

@@ -15,8 +15,6 @@ import numpy as np
 from jax.extend.core import DropVar
 
 from jaxclear.native.writer import (
-    FLOAT,
-    LONGEST_IN_REGISTERS,
     WHOLE,
     InMemory,
     Long,
@@ -64,8 +62,8 @@ class Room:
         writer.memory += 8 * writer.lanes * count
         if writer.memory > MOST_MEMORY:
             raise Unsupported("arrays this long")
-        self._start = writer.fresh("room")
-        writer.frame.append(f"  {self._start} = alloca [{count} x {writer.wide(kind)}], align 64")
+        self.start = writer.fresh("room")
+        writer.frame.append(f"  {self.start} = alloca [{count} x {writer.wide(kind)}], align 64")
 
     def put(self, index: Any, value: Any) -> None:
         """Writes an entry."""
@@ -82,7 +80,7 @@ class Room:
 
     def _place(self, index: Any) -> str:
         wide = self.writer.wide(self.kind)
-        return self.writer.put(f"getelementptr {wide}, ptr {self._start}, i64 {index}")
+        return self.writer.put(f"getelementptr {wide}, ptr {self.start}, i64 {index}")
 
 
 def entries_of(writer: Writer, array: Any, kind: str) -> Callable[[Any], Any]:
@@ -180,7 +178,9 @@ def entrywise(writer: Writer, rule: Callable, equation: Any, arrays: Sequence[An
     room = Room(writer, tuple(aval.shape), kind_of(aval.dtype))
     # Arrays of one number stand for all.
     each = [
-        entries_of(writer, array, kind) if math.prod(array.shape) > 1 else lambda _, a=array: a.item()
+        entries_of(writer, array, kind)
+        if math.prod(array.shape) > 1
+        else lambda _, a=array: a.item()
         for array, kind in zip(arrays, kinds, strict=True)
     ]
 

@@ -10,9 +10,27 @@ from jaxclear.native import control as _control  # noqa: F401  (its rules hand a
 from jaxclear.native import elementary as _elementary  # noqa: F401
 from jaxclear.native.arithmetic import combine
 from jaxclear.native.indexing import gathered_places, spans_of
-from jaxclear.native.long_arrays import Room, entrywise, for_each, joined, unstacked, view
+from jaxclear.native.long_arrays import (
+    Room,
+    entries_of,
+    entrywise,
+    for_each,
+    joined,
+    stored,
+    unstacked,
+    view,
+)
 from jaxclear.native.program import CALLS
-from jaxclear.native.writer import LONGEST_IN_REGISTERS, RULES, array_of, in_registers, kind_of, long_rule
+from jaxclear.native.writer import (
+    FLOAT,
+    LONGEST_IN_REGISTERS,
+    RULES,
+    array_of,
+    in_registers,
+    kind_of,
+    known,
+    long_rule,
+)
 
 # Operations on each entry by itself.
 ENTRYWISE = (
@@ -109,3 +127,24 @@ def _reduced(writer, equation, a):
 
     for_each(writer, a.size - 1, turn)
     return array_of(room.array().entry(0), ())
+
+
+@long_rule("scatter-add")
+def _summed(writer, equation, a, indices, terms):
+    """One term after the other, at places that are known."""
+    numbers = equation.params["dimension_numbers"]
+    plain = len(a.shape) == 1 and not numbers.update_window_dims
+    places = in_registers(indices)
+    if not plain or not known(*places.flat):
+        return RULES["scatter-add"](writer, equation, *map(in_registers, (a, places, terms)))
+    sums = stored(writer, a, FLOAT)
+    entry, table = entries_of(writer, terms, FLOAT), writer.table(places.ravel())
+
+    def turn(k):
+        at = writer.put(f"getelementptr i32, ptr {table}, i64 {k}")
+        said = writer.put(f"load i32, ptr {at}, !invariant.load !0")
+        place = writer.put(f"zext i32 {said} to i64")
+        sums.room.put(place, combine(writer, "sum", FLOAT, sums.entry(place), entry(k)))
+
+    for_each(writer, terms.size, turn)
+    return sums

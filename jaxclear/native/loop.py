@@ -2,13 +2,15 @@
 derivative.
 
 On a CPU the loop becomes one kernel of machine code (`kernel`), several samples of a batch side by
-side, each ending by itself. Elsewhere and where a part of the program has no rule it is JAX's own
+side, each ending by itself; on an NVIDIA GPU a thread a sample (`gpu`), where that is asked for by
+JAXCLEAR_GPU_KERNELS=1. Elsewhere and where a part of the program has no rule it is JAX's own
 loop. JAXCLEAR_PLAIN_LOOPS=1 switches the kernel off. Forwards its derivative is a loop with
 tangents (`tangent`), which becomes a kernel as others do; backwards as many of these as numbers
 enter the loop that move.
 """
 
 import functools
+import importlib
 import logging
 import math
 import os
@@ -56,6 +58,8 @@ from jaxclear.native.writer import Unsupported
 LOG = logging.getLogger(__name__)
 loop_p = Primitive("jaxclear_loop")
 loop_p.multiple_results = True
+# Asks for kernels on a GPU.
+ON_GPU = "JAXCLEAR_GPU_KERNELS"
 # Reasons that have been told.
 _WARNED: set[str] = set()
 
@@ -103,7 +107,8 @@ def _begun(constants: Sequence[Any]) -> Callable[[Table, Any], Any]:
 def reference_of_batch(*values: Any, program: Program, rank: int) -> list:
     """The same for batches of so many leading axes."""
     function = functools.partial(reference, program=program)
-    return _of_batch(function, _row_by_row if program.once else jax.vmap, values, program, rank)
+    apart = program.once and not program.whole
+    return _of_batch(function, _row_by_row if apart else jax.vmap, values, program, rank)
 
 
 def reference_in_pieces(*values: Any, program: Program, rank: int) -> list:
@@ -186,8 +191,9 @@ def _batch(values, dims, *, program, rank):
 batching.primitive_batchers[loop_p] = _batch
 
 
-def _native(*values, program, rank, number):
-    """Through the kernel of this number."""
+def _native(*values, program, rank, number, apart=False):
+    """Through the kernel of this number; `apart`: one whose samples stand side by side in memory,
+    the entries of an array as far apart as there are samples."""
     _, state = avals_of(program)
     batch = values[-1].shape[:rank]
     kept = in_memory(program)
@@ -196,19 +202,38 @@ def _native(*values, program, rank, number):
         for v, k in zip(values, kept, strict=True)
         if not k
     ]
+    own = [i not in program.shared for i, k in enumerate(kept) if k]
     big = [v for v, k in zip(values, kept, strict=True) if k]
     short, long = packed_state(program), changing(program)
-    shapes = [jax.ShapeDtypeStruct((*batch, floats_in(short)), jnp.float64)]
-    shapes += [jax.ShapeDtypeStruct((*batch, *aval.shape), jnp.float64) for aval in long]
     row = row_of(program)
-    for table, aval in zip(program.tables, row, strict=True):
-        shape = (*batch, table.height, *aval.shape)
-        shapes.append(jax.ShapeDtypeStruct(shape, jnp.float64))
-    call = jax.ffi.ffi_call(dispatch.TARGET, shapes)
-    packed, *arrays = call(jnp.concatenate(rows, -1), *big, kernel=np.int64(number))
+    shapes = [(floats_in(short),), *(aval.shape for aval in long)]
+    shapes += [(t.height, *aval.shape) for t, aval in zip(program.tables, row, strict=True)]
+    packed_rows = jnp.concatenate(rows, -1)
+    if apart:
+        found = _side_by_side(packed_rows, big, own, batch, shapes, number)
+    else:
+        call = jax.ffi.ffi_call(dispatch.TARGET, [_floats((*batch, *each)) for each in shapes])
+        found = call(packed_rows, *big, kernel=np.int64(number))
+    packed, *arrays = found
     found, own = iter(_unpacked(packed, short)), iter(arrays)
     last = [next(own if i in program.long else found) for i in range(len(state))]
     return [*last, *(_typed(each, aval.dtype) for each, aval in zip(own, row, strict=True))]
+
+
+def _floats(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(shape, jnp.float64)
+
+
+def _side_by_side(rows, arrays, own, batch, shapes, number):
+    """What a kernel gives whose arrays are (numbers of a sample, samples), but for those that are
+    not each sample's `own`."""
+    samples = math.prod(batch)
+    turned = lambda each: jnp.reshape(each, (samples, -1)).T
+    given = [turned(each) if mine else each for each, mine in zip(arrays, own, strict=True)]
+    asked = [_floats((math.prod(shape), samples)) for shape in shapes]
+    found = jax.ffi.ffi_call(dispatch.TARGET, asked)(turned(rows), *given, kernel=np.int64(number))
+    pairs = zip(found, shapes, strict=True)
+    return [jnp.reshape(each.T, (*batch, *shape)) for each, shape in pairs]
 
 
 def _unpacked(packed: Any, avals: Sequence[Any]) -> list:
@@ -235,26 +260,68 @@ def _by_portions(*values, program, rank, samples):
     return by_portions(values, program, rank, size, run)
 
 
-def _lower_elsewhere(ctx, *values, program, rank, reason=NOT_A_CPU):
-    if not program.length:
+def _lower_elsewhere(ctx, *values, program, rank, reason=NOT_A_CPU, written=reference_in_pieces):
+    if not program.length and not program.whole:
         tell(ctx, reason)
-    written = reference_in_pieces if reason is NOT_A_CPU else reference_of_batch
+    if program.whole:
+        written = reference_of_batch
     lower = mlir.lower_fun(written, multiple_results=True)
     return lower(ctx, *values, program=program, rank=rank)
 
 
+def _is_set(variable: str) -> bool:
+    return os.environ.get(variable, "0") not in ("", "0")
+
+
 def _switched_off() -> bool:
-    return os.environ.get("JAXCLEAR_PLAIN_LOOPS", "0") not in ("", "0")
+    return _is_set("JAXCLEAR_PLAIN_LOOPS")
+
+
+def _on_gpu() -> Any:
+    """What makes kernels on a GPU; most processes have none, and do without it."""
+    return importlib.import_module("jaxclear.native.gpu")
 
 
 def has_kernels() -> bool:
-    """Whether loops become kernels here at all: on a CPU, unless they are switched off."""
-    return jax.default_backend() == "cpu" and not _switched_off()
+    """Whether loops become kernels here at all: on a CPU, and on a GPU where that is asked for,
+    unless they are switched off."""
+    if _switched_off():
+        return False
+    if jax.default_backend() == "cpu":
+        return True
+    if jax.default_backend() == "gpu" and _is_set(ON_GPU):
+        return _on_gpu().is_ready()
+    return False
 
 
 def _lower_on_cpu(ctx, *values, program, rank):
+    def kernel(samples):
+        found = kernels.build(program, widest() if samples > 1 else 1)
+        kernels.keep(found, ctx.module_context)
+        return found.number
+
+    return _lower_as_kernel(ctx, values, program, rank, kernel, _native, reference_of_batch)
+
+
+def _lower_on_cuda(ctx, *values, program, rank):
+    if not _is_set(ON_GPU):
+        return _lower_elsewhere(ctx, *values, program=program, rank=rank)
+    call = functools.partial(_native, apart=True)
+
+    def kernel(_):
+        return _on_gpu().build(program, call).number
+
+    return _lower_as_kernel(ctx, values, program, rank, kernel, call, reference_in_pieces)
+
+
+def _lower_as_kernel(ctx, values, program, rank, kernel, call, instead):
+    """By the kernel whose number is `kernel(samples)`, through `call`; `instead`: the function
+    that XLA compiles where there is none."""
+    elsewhere = functools.partial(
+        _lower_elsewhere, ctx, *values, program=program, rank=rank, written=instead
+    )
     if _switched_off():
-        return _lower_elsewhere(ctx, *values, program=program, rank=rank, reason=SWITCHED_OFF)
+        return elsewhere(reason=SWITCHED_OFF)
     samples = int(np.prod(ctx.avals_in[-1].shape[:rank]))
     if (
         program.narrow is not None
@@ -263,26 +330,26 @@ def _lower_on_cpu(ctx, *values, program, rank):
         lower = mlir.lower_fun(_by_portions, multiple_results=True)
         return lower(ctx, *values, program=program, rank=rank, samples=samples)
     try:
-        kernel = kernels.build(program, widest() if samples > 1 else 1)
-        kernels.keep(kernel, ctx.module_context)
-        lower = mlir.lower_fun(_native, multiple_results=True)
-        out = lower(ctx, *values, program=program, rank=rank, number=kernel.number)
-        tell(ctx, None)
+        number = kernel(samples)
+        lower = mlir.lower_fun(call, multiple_results=True)
+        out = lower(ctx, *values, program=program, rank=rank, number=number)
+        if not program.whole:
+            tell(ctx, None)
         return out
     except (Unsupported, ImportError) as missing:
         reason = f"there is no machine code for {missing}"
     except Exception as failure:
         # The fast path must not cost a run: say so, and let XLA compile the loop.
         reason = f"the kernel could not be written: {failure!r}"
+    LOG.info("A loop is left to XLA: %s.", reason)
     if not program.once and not program.length:
         left_to_xla(reason)
         _warn_once(reason)
-    return _lower_elsewhere(ctx, *values, program=program, rank=rank, reason=reason)
+    return elsewhere(reason=reason)
 
 
 def _warn_once(reason: str) -> None:
     """A loop takes ten times as long as need be: said once for each reason in a process."""
-    LOG.info("A loop is left to XLA: %s.", reason)
     if reason in _WARNED:
         return
     _WARNED.add(reason)
@@ -295,6 +362,7 @@ def _warn_once(reason: str) -> None:
 
 mlir.register_lowering(loop_p, _lower_elsewhere)
 mlir.register_lowering(loop_p, _lower_on_cpu, platform="cpu")
+mlir.register_lowering(loop_p, _lower_on_cuda, platform="cuda")
 
 
 # Tangents that go through a loop side by side, where it is differentiated backwards: they share the

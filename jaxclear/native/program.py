@@ -51,10 +51,11 @@ class Table(NamedTuple):
 
 class Program(NamedTuple):
     """A while loop as two programs: condition over (its constants, state), body over (its
-    constants, state). `once`: it always takes one turn, and so is a function. `tangents`: inputs of
-    the body that nothing but other tangents depends on; `motion`: the loop without the last of
-    them. `length`: of a loop that takes so many turns, which the state's first number counts, and
-    whose body gives a row of results behind the state, kept in as many `tables` (0: of any other).
+    constants, state). `once`: it always takes one turn, and so is a function; `whole`: one that is
+    left to XLA as if it had never been here where it is no kernel. `tangents`: inputs of the body
+    that nothing but other tangents depends on; `motion`: the loop without the last of them.
+    `length`: of a loop that takes so many turns, which the state's first number counts, and whose
+    body gives a row of results behind the state, kept in as many `tables` (0: of any other).
     `within`: it stands in the body of another loop, whose kernel it is a part of. `narrow`: the
     loop of one of the tangents that it takes side by side. `shared`: constants that are the same
     for all samples of a batch, and have no axes for them. `long`: parts of the state that stand in
@@ -74,6 +75,7 @@ class Program(NamedTuple):
     tables: tuple[Table, ...] = ()
     shared: frozenset[int] = frozenset()
     long: frozenset[int] = frozenset()
+    whole: bool = False
 
 
 class Narrow(NamedTuple):

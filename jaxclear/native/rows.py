@@ -58,6 +58,14 @@ def one_row(function: Callable, *numbers: Any) -> Any:
     return (traced if _is_short(traced, numbers) else functools.partial(once, traced))(*numbers)
 
 
+def in_one(function: Callable, *numbers: Any) -> Any:
+    """As `function(*numbers)`, one kernel where it is long and all of it can be one; otherwise as
+    it is, and nobody is told."""
+    traced = jax.jit(function)
+    long = functools.partial(once, traced, whole=True)
+    return (traced if _is_short(traced, numbers) else long)(*numbers)
+
+
 def _is_short(function: Callable, numbers: Any) -> bool:
     return _operations(jax.make_jaxpr(function)(*numbers).jaxpr) <= SHORT
 

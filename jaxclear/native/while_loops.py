@@ -20,11 +20,12 @@ def while_loop(
     first: Any,
     long: Any = False,
     once: bool = False,
+    whole: bool = False,
 ) -> Any:
     """As `jax.lax.while_loop`, for a state of few numbers; forward-mode differentiable, maps over
     batches. `long`: a prefix of the state, true where arrays may be long; such arrays stand in
     memory, are read and changed by index, and as they were before that can be read no more. `once`:
-    a loop of one turn.
+    a loop of one turn; `whole`: as of `once`.
     """
     in_memory = _long_parts(long, first)
     first = jax.tree.map(jnp.asarray, first)
@@ -36,6 +37,7 @@ def while_loop(
             f"the body of a loop must keep shapes and types: {leaves} became {turns.out_avals}."
         )
     program = Program(tests, turns, len(fixed_tests), len(fixed_turns), once, long=in_memory)
+    program = program._replace(whole=whole)
     out = loop_p.bind(*fixed_tests, *fixed_turns, *leaves, program=program, rank=0)
     return jax.tree.unflatten(structure, out)
 
@@ -48,16 +50,17 @@ def _long_parts(long: Any, first: Any) -> frozenset[int]:
     return frozenset(i for i, (own, n) in enumerate(sizes) if own and n > LONGEST_IN_REGISTERS)
 
 
-def once(function: Callable, *numbers: Any) -> Any:
+def once(function: Callable, *numbers: Any, whole: bool = False) -> Any:
     """A function of few numbers as a kernel: a loop of one turn. Differentiable as the function is;
-    where there is no kernel, samples of a batch are gone through one after the other.
+    where there is no kernel, samples of a batch are gone through one after the other, or (`whole`)
+    as XLA goes through any other function.
     """
     traced = jax.jit(function)
     shapes = jax.eval_shape(traced, *numbers)
     nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), shapes)
     turn = lambda carry: (carry[0] + 1, traced(*numbers))
     first = jnp.zeros((), int), nothing
-    return while_loop(lambda carry: carry[0] < 1, turn, first, once=True)[1]
+    return while_loop(lambda carry: carry[0] < 1, turn, first, once=True, whole=whole)[1]
 
 
 class Kept(NamedTuple):

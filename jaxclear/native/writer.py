@@ -96,6 +96,11 @@ class Writer:
         self.memory = 0
         # Registers that can be read here, by their right-hand sides, as they came.
         self._seen: dict[str, str] = {}
+        # Patterns of linear systems by number, memory for their factors, and whose it holds here
+        # (`linear_systems`).
+        self.patterns: dict[Any, int] = {}
+        self.factors: dict[tuple[int, int], Any] = {}
+        self.held: dict[tuple, int] = {}
         # How often arrays in memory have changed, by the register of the first sample's place.
         self._versions: dict[str, int] = {}
 
@@ -142,9 +147,11 @@ class Writer:
 
     def enter(self) -> int:
         """Open a region whose registers are not visible behind it; hand the result to `leave`."""
+        self.held.clear()
         return len(self._seen)
 
     def leave(self, before: int) -> None:
+        self.held.clear()
         while len(self._seen) > before:
             self._seen.popitem()
 

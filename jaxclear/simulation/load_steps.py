@@ -11,7 +11,6 @@ import functools
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +19,7 @@ from jaxclear.components.drive import AbstractDrive
 from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.joint.base import drive_of
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.latest import Key
 from jaxclear.ground.quantity import concrete, is_traced, on_device, on_host
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.checks import Check, Checks, Figure
@@ -202,30 +202,12 @@ def load_steps(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any)
     if not functions or is_traced((functions, integrator, times)):
         return LoadSteps(integrator, {})
     step, fixed = concrete(integrator.asked_step()), integrator.steps_between_saves
-    length, passed = _seen(_Question(functions, np.asarray(times), step, fixed))
+    length, passed = _seen(Key(functions, np.asarray(times), step, fixed))
     return LoadSteps(integrator if length is None else integrator.held(length), passed)
 
 
-class _Question:
-    """What steps are asked of functions of time, as a key: runs ask the same again and again."""
-
-    def __init__(self, *asked: Any):
-        leaves, structure = jax.tree.flatten(asked)
-        self.asked = asked
-        self.key = (
-            structure,
-            *(np.asarray(x).tobytes() if eqx.is_array_like(x) else x for x in leaves),
-        )
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: Any) -> bool:
-        return self.key == other.key
-
-
 @functools.lru_cache(maxsize=64)
-def _seen(question: _Question) -> tuple[float | None, dict[str, float]]:
+def _seen(question: Key) -> tuple[float | None, dict[str, float]]:
     """The length [s] to which steps that find it themselves are to be held (None: they need not
     be), and by name the shares that steps pass over."""
     everything, times, step, fixed = question.asked

@@ -1,10 +1,10 @@
 """The loop of a run: the state is carried from one saving time to the next.
 
-Worn surfaces enter the gap as they were at the last saving time, and are updated at every saving
-time: wear is slow, the motion is fast, and a map that is constant within an interval costs the
-equations of motion nothing but its reading. The whole loop is one kernel, which wears surfaces and
-writes what is saved itself. Where there are no kernels, and where steps are counted, XLA goes from
-save to save.
+Worn surfaces enter the gap as they were when they were updated last, which is at saving times, at
+the most so often in a run as they say (`Wearing.updates`): wear is slow, the motion is fast, and a
+map that is constant within an interval costs the equations of motion nothing but its reading. The
+whole loop is one kernel, which wears surfaces and writes what is saved itself. Where there are no
+kernels, and where steps are counted, XLA goes from save to save, and surfaces wear at each.
 """
 
 import dataclasses
@@ -12,21 +12,20 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground.grouping import packed, unpacked
-from jaxclear.integrators.base import AbstractIntegrator, Interval
+from jaxclear.integrators.base import SLIVER, AbstractIntegrator, Interval
 from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.events import Events, Peaks, newest, together
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
-from jaxclear.multibody.system import System, readings, rubbing_joints
+from jaxclear.multibody.system import System, readings, rubbing_joints, wear_maps
 from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, verdict, while_loop
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
@@ -71,11 +70,15 @@ class Extras(NamedTuple):
 
 
 class Span(NamedTuple):
-    """A saving interval from `start` to `stop` [s]; `progress`: its share of the whole run."""
+    """A saving interval from `start` to `stop` [s]; `progress`: its share of the whole run. Where
+    surfaces wear: whether they are `due` to be worn at its start, and in how many `parts` it is
+    gone through, between which they wear."""
 
     start: Float[Array, " turns"]
     stop: Float[Array, " turns"]
     progress: Float[Array, " turns"]
+    due: Bool[Array, " turns"] | None = None
+    parts: Int[Array, " turns"] | None = None
 
 
 class Carry(NamedTuple):
@@ -118,8 +121,8 @@ def run(
     updates: Any = 1,
 ) -> Trajectory:
     """The pure core of `simulate`: from consistent coordinates and speeds, and what is left of a
-    past, to a trajectory. `updates`: of worn surfaces in a saving interval, where steps are not
-    counted."""
+    past, to a trajectory. `updates`: of worn surfaces so many times as many as usual, where steps
+    are not counted."""
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
     mechanism = held_as_needed(mechanism, integrator.opens_loops)
     mechanism = with_damped_stops(mechanism, formulation, coordinates, speeds, times[0])
@@ -140,7 +143,9 @@ def run(
     first = first._replace(peaks=turn.nothing_met(first))
     spans = Span(times[:-1], times[1:], jnp.diff(times) / (times[-1] - times[0]))
     if _whole(integrator, extras, worn):
-        last, left = _in_one_kernel(turn, first, spans, updates)
+        if worn:
+            spans = _with_updates(model.system, spans, updates)
+        last, left = _in_one_kernel(turn, first, spans)
     else:
         counted = integrator.steps_between_saves
         last, left = _from_save_to_save(turn, first, spans, counted, updates)
@@ -185,6 +190,18 @@ def _whole(integrator: AbstractIntegrator, extras: Extras, worn: Worn) -> bool:
     gone through backwards, and surfaces wear cell by cell by machine code alone."""
     told = extras.report or integrator.steps_between_saves is not None
     return not told and (not worn or has_kernels())
+
+
+def _with_updates(system: System, spans: Span, updates: Any) -> Span:
+    """Saving intervals that know when surfaces wear: in `updates` parts of each, and of intervals
+    shorter than worn surfaces ask for in fewer, at the least between some of them."""
+    asked = [own.updates for each in wear_maps(system).values() for _, own in each.values()]
+    share = updates * max(asked) / (spans.stop[-1] - spans.start[0])
+    # An interval that is as long as is asked for but for rounding is.
+    passed = jnp.floor(share * (spans.start - spans.start[0]) + SLIVER)
+    due = jnp.concatenate([jnp.ones(1, bool), jnp.diff(passed) > 0])
+    parts = jnp.ceil(share * (spans.stop - spans.start) - SLIVER)
+    return spans._replace(due=due, parts=jnp.clip(parts, 1, updates).astype(int))
 
 
 def _first_warm_start(
@@ -272,23 +289,25 @@ class _Turn:
         return after, losses(layout, now.state, state), result.events
 
 
-def _in_parts(loop: Callable, part: Callable, updates: Any, begun: Any, span: Span) -> Any:
-    """What is handed on and left behind a saving interval that is gone through in so many equal
-    parts, by a while `loop`; `part`: (what is handed on, span) -> (that, what is left: by the last
+def _in_parts(loop: Callable, part: Callable, begun: Any, span: Span) -> Any:
+    """What is handed on and left behind a saving interval that is gone through in its equal parts,
+    by a while `loop`; `part`: (what is handed on, span) -> (that, what is left: by the last
     part, and the events of all)."""
-    length = (span.stop - span.start) / updates
+    parts: Any = span.parts
+    length = (span.stop - span.start) / parts
 
     def turn(now):
         index, carry, (_, noted) = now
         begins = jnp.where(index == 0, span.start, span.start + index * length)
-        last = index + 1 == updates
+        last = index + 1 == parts
         ends = jnp.where(last, span.stop, span.start + (index + 1) * length)
-        carry, (left, more) = part(carry, Span(begins, ends, span.progress / updates))
+        due = None if span.due is None else span.due | (index > 0)
+        carry, (left, more) = part(carry, Span(begins, ends, span.progress / parts, due))
         return index + 1, carry, (left, None if more is None else together(noted, more))
 
     left = jax.eval_shape(part, begun, span)[1]
     nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), left)
-    return loop(lambda now: now[0] < updates, turn, (jnp.zeros((), int), begun, nothing))[1:]
+    return loop(lambda now: now[0] < parts, turn, (jnp.zeros((), int), begun, nothing))[1:]
 
 
 def _between_instants(system: System, loop: Callable, part: Callable) -> Callable:
@@ -305,7 +324,9 @@ def _between_instants(system: System, loop: Callable, part: Callable) -> Callabl
             time, carry, (_, noted) = now
             ahead = next_instant(system, time, span.stop)
             progress = span.progress * (ahead - time) / (span.stop - span.start)
-            carry, (left, more) = part(carry, Span(time, ahead, progress))
+            carry, (left, more) = part(
+                carry, span._replace(start=time, stop=ahead, progress=progress)
+            )
             return ahead, carry, (left, None if more is None else together(noted, more))
 
         return loop(lambda now: now[0] < span.stop, turn, (span.start, begun, nothing))[1:]
@@ -313,21 +334,23 @@ def _between_instants(system: System, loop: Callable, part: Callable) -> Callabl
     return parts
 
 
-def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Left]:
-    """(what the last turn hands on, what is left at all saving times). Before a turn surfaces are
-    worn by what the one before lost, and after the last by what that lost."""
+def _in_one_kernel(turn: _Turn, first: Carry, spans: Span) -> tuple[Carry, Left]:
+    """(what the last turn hands on, what is left at all saving times). Before a turn at whose start
+    they are due surfaces are worn by what was lost until then, and after the last."""
     model, count = turn.model, len(spans.start)
     pending = pending_wear(model.system, model.layout, first.state) if first.worn else None
 
-    def settled(now: Carry, pending: Pending | None) -> tuple[Carry, Pending | None]:
+    def settled(
+        now: Carry, pending: Pending | None, due: Any = True
+    ) -> tuple[Carry, Pending | None]:
         if pending is None:
             return now, None
         found = now.worn, now.read, pending
-        worn, read, pending = worn_so_far(model.system, model.layout, found, now.state)
+        worn, read, pending = worn_so_far(model.system, model.layout, found, now.state, due)
         return now._replace(worn=worn, read=read), pending
 
     def part(carry, span):
-        now, pending = settled(*carry)
+        now, pending = settled(*carry, span.due)
         now, _, noted = turn.motion(now, span)
         return (now, pending), ((), noted)
 
@@ -338,7 +361,7 @@ def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tupl
 
     def one(carry, span):
         wears = pending is not None
-        go = functools.partial(_in_parts, by_kernel, part, updates) if wears else part
+        go = functools.partial(_in_parts, by_kernel, part) if wears else part
         carry, (_, noted) = go(carry, span)
         return carry, ((carry[0].state, carry[0].read), noted)
 
@@ -373,7 +396,8 @@ def _from_save_to_save(
 
     def one(now, span):
         wears = first.worn and counted is None
-        go = functools.partial(_in_parts, jax.lax.while_loop, part, updates) if wears else part
+        span = span._replace(parts=updates)
+        go = functools.partial(_in_parts, jax.lax.while_loop, part) if wears else part
         now, (read, noted) = go(now, span)
         return now, (now.state, read, noted)
 

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import numpy as np
 
@@ -15,8 +16,10 @@ from jaxclear.errors.estimates import HALF
 from jaxclear.errors.verification import Replica, verified
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
+from jaxclear.ground.latest import Found, Key, Latest
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced, on_host
+from jaxclear.ground.warning import told
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
@@ -34,8 +37,8 @@ from jaxclear.simulation.derivatives import (
     order_of,
     run_where_alike,
 )
-from jaxclear.simulation.initial_state import beginning, state_of
-from jaxclear.simulation.load_steps import judged_by, load_steps
+from jaxclear.simulation.initial_state import Beginning, beginning, state_of
+from jaxclear.simulation.load_steps import LoadSteps, judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.not_finite import told_of_the_end
 from jaxclear.simulation.sampling import check_instants
@@ -80,6 +83,12 @@ def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, 
     return forwards_only(NOT_BACKWARDS, found) if shown else found
 
 
+# Where runs from a mechanism's own start began, and in which steps, but for what was warned of;
+# which forms of mechanisms suit their integrators.
+_BEGUN: Latest[Beginning] = Latest(16)
+_STEPS: Latest[LoadSteps] = Latest(16)
+_SUITS: Latest[bool] = Latest(64)
+
 _run = compiled_quickly(_both_ways, AROUND_A_KERNEL)
 _run_soon = compiled_for_kernels(_both_ways)
 
@@ -90,6 +99,20 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
     expect(mechanism, Mechanism, "what is simulated", "a jaxclear.Mechanism")
     wanted = "one of jaxclear.integrator, such as Adaptive()"
     expect(integrator, AbstractIntegrator, "the integrator", wanted)
+    key = None if is_traced(mechanism.couplings) else _form(mechanism, integrator)
+    if key is None or _SUITS.get(key) is None:
+        _check_suited(mechanism, integrator)
+        if key is not None:
+            _SUITS.keep(key, True)
+
+
+def _form(mechanism: Mechanism, integrator: AbstractIntegrator) -> Key:
+    """All by which a mechanism suits an integrator: of numbers those of couplings alone."""
+    leaves, structure = jax.tree.flatten((mechanism, integrator))
+    return Key(structure, [x for x in leaves if not eqx.is_array(x)], mechanism.couplings)
+
+
+def _check_suited(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
     name = f"integrator.{type(integrator).__name__}"
     mechanism = on_host(mechanism)
     held = held_as_needed(mechanism, integrator.opens_loops)
@@ -204,6 +227,26 @@ def _check_asked(duration: Any, how: How, throw: bool) -> None:
         )
 
 
+def _key(mechanism: Mechanism, integrator: AbstractIntegrator) -> Key | None:
+    """By which the beginning of a run from a mechanism's own start is found again, if it can be."""
+    if not isinstance(mechanism, Mechanism) or not isinstance(integrator, AbstractIntegrator):
+        return None
+    key = Key(mechanism, integrator)
+    return None if is_traced(key.leaves) else key
+
+
+def _kept(latest: Latest[Found], key: Any, find: Callable[[], Found]) -> Found:
+    """What was found lately under a key, or what is found now (None: nobody may find it again).
+    What warns is looked for each time."""
+    known = None if key is None else latest.get(key)
+    if known is not None:
+        return known
+    before, found = told(), find()
+    if key is not None and told() == before:
+        latest.keep(key, found)
+    return found
+
+
 def _simulated(
     mechanism: Mechanism,
     duration: float,
@@ -212,15 +255,26 @@ def _simulated(
     asked: Asked | None = None,
 ) -> Trajectory:
     """A run, however it ended. `asked`: its accuracy (None: what the integrator promises)."""
-    check_run(mechanism, integrator)
+    key = None if how.state is not None else _key(mechanism, integrator)
+    if key is None or _BEGUN.get(key) is None:
+        check_run(mechanism, integrator)
     saving = checked_saving(how.save, integrator)
     times = saving_times(duration, saving.at)
-    check_steps(integrator, times)
-    mechanism = integrator.formulation.seen(mechanism)
-    state = state_of(how.state)
+    state = State() if key is not None else state_of(how.state)
     saved = on_host(state.begins) + on_host(times)
-    integrator, passed = load_steps(mechanism, integrator, saved)
-    mechanism, start, past, doubt = beginning(mechanism, integrator.formulation, state)
+
+    def steps() -> LoadSteps:
+        check_steps(integrator, times)
+        return load_steps(mechanism, integrator, saved)
+
+    def begins() -> Beginning:
+        formulation = integrator.formulation
+        return beginning(formulation.seen(mechanism), formulation, state)
+
+    of_times = None if key is None or is_traced(times) else (key, np.asarray(times).tobytes())
+    own = _kept(_STEPS, of_times, steps)
+    mechanism, start, past, doubt = _kept(_BEGUN, key, begins)
+    integrator, passed = own
     whole = 1.0 if how.verify is False else 1.0 + 1 / HALF
     with progress.bar(how.progress_bar, "simulating", whole) as part:
         extras = Extras(how.balance, how.progress_bar, saving.events)
@@ -232,7 +286,10 @@ def _simulated(
             given = mechanism, begun, start.speeds, on_host(one.times)
             more = one.integrator, extras, past, np.asarray(one.updates)
             with part(one.work):
-                return jax.block_until_ready(runs(*given, *more))
+                found = runs(*given, *more)
+                # All of a program is there when some of it is.
+                jax.block_until_ready(found.outcome)
+                return found
 
         with stoppable():
             found = again(Replica(integrator, saved))

@@ -184,14 +184,14 @@ def worn_so_far(
     layout: Layout,
     now: tuple[Worn, Any, Pending],
     state: Array,
-    unless: Any = False,
+    due: Any = True,
 ) -> tuple[Worn, Any, Pending]:
     """(depth maps, as gaps read them, what is pending) once surfaces are worn by all that was lost
-    up to a state (`unless`: by nothing): cell by cell, for a kernel. None where no gap reads one.
+    up to a state, where they are `due`: cell by cell, for a kernel. None where no gap reads one.
     """
     worn, read, before = now
     entries = _of_wear(layout)
-    reached = jnp.where(unless, before.since, state[entries])
+    reached = jnp.where(due, state[entries], before.since)
     lost = losses(layout, *(state.at[entries].set(each) for each in (before.since, reached)))
     worn, read = ({name: dict(own) for name, own in each.items()} for each in (worn, read))
     maps, pressures = wear_maps(system), dict(before.pressures)

@@ -39,6 +39,7 @@ from jaxclear.multibody.reach import narrowest_gap, rooms
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import longest_arm, prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
+from jaxclear.native import has_kernels
 from jaxclear.native.compiled import compiled_for_kernels
 from jaxclear.results.response import concerned, needs_of, unit_of
 from jaxclear.results.state_history import State
@@ -89,6 +90,8 @@ HISTORY_FACTOR = 12
 LARGEST_CHUNK = {"cpu": 1024}
 NEAR_A_CORE = 1 << 26
 LARGEST_ELSEWHERE = 4096
+# Threads of kernels that fill a large GPU some times.
+LARGEST_BY_KERNELS = 1 << 17
 
 
 class Problem(AbstractMechanismProblem):
@@ -284,7 +287,7 @@ class Problem(AbstractMechanismProblem):
     def most_together(self) -> int:
         most = LARGEST_CHUNK.get(jax.default_backend())
         if most is None:
-            return LARGEST_ELSEWHERE
+            return LARGEST_BY_KERNELS if has_kernels() else LARGEST_ELSEWHERE
         near = max(NEAR_A_CORE // max(self.sample_memory(), 1), LEAST_CHUNK)
         return min(most, 1 << (near.bit_length() - 1))
 

@@ -14,6 +14,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.ground import cache_folder
+from jaxclear.ground.latest import Latest
 from jaxclear.native import as_written, compiled, forms
 from jaxclear.native.compiled import compiled_quickly
 from jaxclear.native.forms import Untold, in_text, surroundings, tree_in_text
@@ -39,7 +40,7 @@ print(json.dumps([states, str(run.stats), [one for one in built if "_" in one]])
 @pytest.fixture
 def kept(tmp_path, monkeypatch):
     monkeypatch.setenv(cache_folder.VARIABLE, str(tmp_path))
-    monkeypatch.setattr(compiled, "_AT_HAND", type(compiled._AT_HAND)())
+    monkeypatch.setattr(compiled, "_AT_HAND", Latest(compiled.LATEST))
     # These tests put other things in the place of the package's.
     monkeypatch.setattr(as_written, "is_as_written", lambda: True)
     return tmp_path
@@ -80,7 +81,7 @@ def test_what_is_no_array_comes_back_as_it_was(kept, monkeypatch):
     known = compiled_quickly(scaled)
     TRACED.clear()
     found = known(jnp.arange(3.0), 2, ("a", None))
-    compiled._AT_HAND.clear()
+    compiled._AT_HAND.kept.clear()
     again = known(np.ones(3), 2, ("a", None))
     assert TRACED == [("a", None)]
     assert again["words"] == ("a", None) and again["scaled"].tolist() == [2.0, 2.0, 2.0]
@@ -112,7 +113,7 @@ def test_what_belongs_to_a_user_is_never_found_by_its_name(kept):
     assert told != tree_in_text(jax.tree.structure(jc.scenes.slider_crank(friction=False)))
     # Its program is JAX's to keep.
     assert compiled_quickly(scaled)(jnp.ones(2), 2, "")["scaled"].tolist() == [2.0, 2.0]
-    assert cache_folder.kept() == [] and compiled._AT_HAND
+    assert cache_folder.kept() == [] and compiled._AT_HAND.kept
 
 
 def test_settings_make_another_program(monkeypatch):

@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 
 import jaxclear  # noqa: F401  (float64)
-from jaxclear.native import loop, one_by_one, one_row, over_rows, rows
+from jaxclear.native import (
+    explain,
+    in_one,
+    loop,
+    one_by_one,
+    one_row,
+    over_rows,
+    rows,
+    verdict,
+)
+from jaxclear.native.verdicts import NO_LOOPS
 
 ROUNDING = 1e-13
 
@@ -33,6 +43,32 @@ def short(x, table, key):
 def given(count):
     x = jnp.linspace(-1.0, 1.0, count)
     return x, jnp.outer(x, jnp.arange(100.0)), jnp.arange(count)
+
+
+def no_rule(x, table, key):
+    """A part of it that no kernel can be."""
+    return {"x": jnp.sort(table[:4] * jnp.sin(long(x, table, key)["x"]))}
+
+
+@pytest.mark.parametrize("function", [long, short, no_rule])
+@pytest.mark.parametrize("kernels", [True, False])
+def test_a_function_in_one_is_itself_in_a_batch_too_and_tells_nothing(
+    function, kernels, monkeypatch
+):
+    if not kernels:
+        monkeypatch.setenv("JAXCLEAR_PLAIN_LOOPS", "1")
+    one = lambda *x: in_one(lambda: function(*x))
+    numbers = given(5)
+    mapped = jax.jit(lambda *x: (jax.vmap(one)(*x), verdict(x[0])))
+    found, said = mapped(*numbers)
+    wanted = jax.vmap(function)(*numbers)
+    for each, other in zip(*map(jax.tree.leaves, (found, wanted)), strict=True):
+        np.testing.assert_allclose(each, other, rtol=ROUNDING, atol=ROUNDING)
+    assert explain(said) == NO_LOOPS
+    assert "while" not in mapped.lower(*numbers).as_text()
+    slopes = jax.vmap(jax.grad(lambda x, *rest: jnp.sum(one(x, *rest)["x"])))(*numbers)
+    own = jax.vmap(jax.grad(lambda x, *rest: jnp.sum(function(x, *rest)["x"])))(*numbers)
+    np.testing.assert_allclose(slopes, own, rtol=ROUNDING)
 
 
 @pytest.mark.parametrize("function", [long, short])

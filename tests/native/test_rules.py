@@ -106,6 +106,11 @@ def scan(x, rows):
     return last, seen, lax.scan(lambda c, r: (0.5 * c + r, c), x, rows, reverse=True)[1]
 
 
+def summed(x, rows):
+    """More turns than are written out, whose rows are few numbers."""
+    return lax.scan(lambda c, r: (0.5 * c + r, None), x, rows)[0]
+
+
 def unstacked(x, axis):
     """jax.numpy has no name for it: the derivative of a stack."""
     parts = jnp.moveaxis(jnp.zeros_like(x), axis, 0)
@@ -235,7 +240,7 @@ CASES = {
     ],
     "custom_vjp_call": [(own_vjp, (SMALL,))],
     "cond": [(lambda p, x: lax.cond(p, jnp.sin, jnp.cos, x), (p, SMALL)) for p in (True, False)],
-    "scan": [(scan, (SMALL[0], SMALL))],
+    "scan": [(scan, (SMALL[0], SMALL)), (summed, (SMALL[0], np.resize(SMALL, (20, 3))))],
     "while": [(count, (np.array([n, 1.0]),)) for n in (-1.0, 0.0, 4.0, NAN)],
     "jaxclear_loop": [(native_count, (np.array([n, 1.0]),)) for n in (-1.0, 0.0, 4.0, NAN)],
     # An error that is not raised: where it would be, the program ends.

@@ -9,9 +9,9 @@ from scipy import stats
 
 import jaxclear as jc
 from jaxclear.studies.sampling import draw, groups
-from jaxclear.studies.sensitivity.derivative import confirmed, from_parts
+from jaxclear.studies.sensitivity.derivative import Estimate, confirmed, from_parts
 from jaxclear.studies.sensitivity.differences import differences, moved
-from jaxclear.studies.sensitivity.estimand import Functional, directions
+from jaxclear.studies.sensitivity.estimand import Functional, Size, directions
 
 D = jc.distribution
 SLOPES, SPREADS = np.array([1.0, -0.8, 0.5]), np.array([0.1, 0.2, 0.15])
@@ -299,3 +299,38 @@ def test_differences_of_a_quantile_that_few_samples_decide_say_so():
         found = differences(problem, runs, direction, [one])[one.label]
         held += abs(found.value - exact) <= found.error
     assert held >= 75
+
+
+# Of a response that does not change with y in the mean: exactly, by symmetry, beside jumps or what
+# rattles, and where arithmetic alone leaves something.
+ZERO = {
+    "not asked": lambda x, y: jnp.exp(3 * x),
+    "one number": lambda x, y: 3.0 + 0.0 * x,
+    "nought": lambda x, y: 0.0 * x,
+    "rounding": lambda x, y: jnp.sin(y) ** 2 + jnp.cos(y) ** 2,
+    "symmetric": lambda x, y: (y - 1.0) ** 2 + 0.1 * x,
+    "beside what rattles": lambda x, y: jnp.sin(300 * x) + 1e-9 * y,
+    "beside a jump": lambda x, y: jnp.where(jnp.sin(5 * x) > 0.3, 1.0, 0.0),
+}
+
+
+@pytest.mark.parametrize("name", ZERO)
+def test_methods_agree_on_a_derivative_of_zero(name):
+    """To zero there is no share: what is small is small beside what the response scatters by, or
+    beside what arithmetic leaves."""
+    both = {name: jc.Dimension(1.0, D.Normal(0.1)) for name in "xy"}
+    flat = jc.FunctionProblem(ZERO[name], both)
+    of = ("mean", "standard deviation", ("quantile", 0.9))
+    for found in jc.sensitivity(flat, "y", of=of, seed=100).derivatives.values():
+        assert found.trustworthy and "Agreed by" in found.verdict, found
+        assert abs(found.value) <= 2 * found.error, found
+
+
+def test_a_zero_beside_a_slope_is_a_disagreement():
+    """A scale of the response excuses nothing that is told to be more certain than this."""
+    flat, steep = Estimate(0.0, 1e-3), Estimate(0.1, 1e-2)
+    found = confirmed("r", "v", {"regression": flat, "differences": steep}, Size(1.0, 1e-12))
+    assert found.verdict == "The methods disagree." and not found.trustworthy
+    # An error of half of what the variable could do says nothing.
+    vague = confirmed("r", "v", {"regression": flat, "differences": Estimate(0.1, 0.5)}, Size(1.0))
+    assert "too large to tell" in vague.verdict and not vague.trustworthy

@@ -268,10 +268,29 @@ def test_a_record_is_read_from_files(tmp_path):
     assert found.rate == pytest.approx(1000.0)
     with pytest.raises(ValueError, match='column "b"'):
         jc.Measurement.read_csv(file, time="t", signals={"b": sensors()["a"]})
+    with pytest.raises(ValueError, match='no unit "h" of time'):
+        jc.Measurement.read_csv(file, time="t", signals={"a": sensors()["a"]}, time_unit="h")
     tree = pandas.read_csv(file).set_index("t").to_xarray()
     again = jc.Measurement.from_dataset(tree, {"a": sensors()["a"]}, time="t")
     np.testing.assert_allclose(again.time, data.time)
     assert len(data.part(0.1, 0.2).time) == 101
+
+
+@pytest.mark.parametrize("between, decimal", [(";", ","), (";", "."), ("\t", ","), (",", ".")])
+def test_columns_may_stand_between_other_marks_and_times_be_in_milliseconds(
+    tmp_path, between, decimal
+):
+    import pandas
+
+    data = bare(turn=None)
+    table = pandas.DataFrame({"t": 1e3 * data.time, "a": data.signals["a"]})
+    table.to_csv(tmp_path / "record.csv", index=False, sep=between, decimal=decimal)
+    signals = {"a": sensors()["a"]}
+    found = jc.Measurement.read_csv(
+        tmp_path / "record.csv", time="t", signals=signals, time_unit="ms"
+    )
+    np.testing.assert_allclose(found.time, data.time, atol=1e-12)
+    np.testing.assert_allclose(found.signals["a"], data.signals["a"])
 
 
 def test_unknowns_keep_their_order_where_jax_sorts_their_names():

@@ -17,7 +17,6 @@ from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
-import jaxlie
 
 from jaxclear.components.joint.base import ANGULAR, LINEAR, AbstractGroupJoint, angle, complete
 from jaxclear.ground import sparse as sp
@@ -30,6 +29,8 @@ NO_TURN = (1.0, 0.0, 0.0, 0.0)
 @jax.jit
 def _turned_by(x: Any, y: Any, z: Any) -> tuple:
     """Quaternion of a rotation vector [rad]."""
+    import jaxlie
+
     return tuple(jaxlie.SO3.exp(jnp.stack([x, y, z])).wxyz)
 
 
@@ -188,6 +189,8 @@ def _unit(quaternion: list) -> tuple:
 
 def _quaternion(rotation: sp.Mat) -> tuple:
     matrix = jnp.stack([sp.stack(row) for row in rotation])
+    import jaxlie
+
     return tuple(jaxlie.SO3.from_matrix(matrix).wxyz)
 
 

@@ -8,6 +8,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.columns import columns_of
 from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described, listed
@@ -15,6 +16,7 @@ from jaxclear.studies.sensor import AbstractSensor, Encoder, Series
 
 # Times that stand equally but for this share of their interval are equally spaced.
 EVEN = 0.01
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 
 
 class Measurement(AbstractShown):
@@ -78,20 +80,15 @@ class Measurement(AbstractShown):
         time: str,
         signals: Mapping[str, AbstractSensor],
         turn: str | float | None = None,
+        time_unit: str = "s",
     ) -> "Measurement":
-        """A record from a file of values between commas: the column `time` [s], and the columns of
-        `signals`, {column: sensor}."""
-        import pandas
-
-        table = pandas.read_csv(path)
-        for column in (time, *signals):
-            check_known("column", column, map(str, table.columns), f" in {path}")
-        return cls(
-            table[time].to_numpy(),
-            {name: table[name].to_numpy() for name in signals},
-            signals,
-            turn,
-        )
+        """A record from a file whose first line names its columns, between commas, semicolons or
+        tabs: the column `time`, in `time_unit` ("s", "ms" or "us"), and the columns of `signals`,
+        {column: sensor}, each in the unit of its sensor."""
+        check_known("unit", time_unit, UNITS, " of time")
+        at, *values = columns_of(path, (time, *signals))
+        own = dict(zip(signals, values, strict=True))
+        return cls(UNITS[time_unit] * at, own, signals, turn)
 
     @classmethod
     def from_dataset(

@@ -9,6 +9,7 @@ the same program as alone.
 import functools
 import os
 import threading
+from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
@@ -24,6 +25,7 @@ from tqdm import tqdm
 
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.native import calls_lapack, stop, stoppable, stops
+from jaxclear.native.compiled import kind_of
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.ledger.ledger import CURRENT, Question
 
@@ -103,6 +105,11 @@ def sample_of_chunk(
         return jax.tree.map(lambda leaf: leaf[index % chunk], jax.block_until_ready(found))
 
 
+# Whether the latest programs call LAPACK, by what decides which program it is.
+_LAPACK: "OrderedDict[Any, bool]" = OrderedDict()
+LATEST = 256
+
+
 class Program:
     """A function of chunks of a problem, compiled in this process and shared by its threads. `wide`
     ones lie in equal parts on all devices."""
@@ -129,12 +136,17 @@ class Program:
         return found
 
     def compiled(self, values: np.ndarray) -> bool:
-        """Compiles the program for chunks like this, by a run of no length; whether it calls
-        LAPACK."""
+        """Compiles the program for chunks like this, by a run of no length, unless it has been;
+        whether it calls LAPACK."""
         with self._compiling:
             if len(values) not in self._lapack:
-                _, lapack = self._evaluated(self.problem.idle(), values)
-                self._lapack[len(values)] = bool(lapack)
+                form = kind_of((self._function, self.problem, values))
+                if form not in _LAPACK:
+                    _, lapack = self._evaluated(self.problem.idle(), values)
+                    _LAPACK[form] = bool(lapack)
+                    while len(_LAPACK) > LATEST:
+                        _LAPACK.popitem(last=False)
+                self._lapack[len(values)] = _LAPACK[form]
             return self._lapack[len(values)]
 
     def _evaluated(self, problem: AbstractProblem, values: np.ndarray) -> tuple[Any, Any]:

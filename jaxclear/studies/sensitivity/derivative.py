@@ -22,16 +22,18 @@ from jaxclear.studies.answer import (
     Stated,
 )
 from jaxclear.studies.monte_carlo import MonteCarlo
+from jaxclear.studies.sensitivity.estimand import Size
 from jaxclear.studies.statistics.scrambled import skewed_half
 from jaxclear.studies.warned import FEW_WARNED
 
 # An answer this many times less certain than another is large agrees with anything, and confirms
-# nothing.
+# nothing; of a zero, one whose error is no small part of all that the variable could do.
 VAGUE = 3.0
 # Of a difference of numbers that are nearly the same, which no scatter of samples shows; and what
 # is smaller than this share of another method's error is zero.
 ROUNDING = 1e-9
-# Share of a derivative by which methods of vanishing scatter differ because of the runs' own steps.
+# Share of a derivative, or of all that the variable could do, by which methods of vanishing scatter
+# differ because of the runs' own steps.
 STEPS = 1e-6
 # Methods that are both right differ by more than this many times the 95 % error of their difference
 # once in a hundred; what is called a disagreement should be one.
@@ -161,10 +163,15 @@ class Sensitivity(AbstractAnswer):
         return Stated("sensitivity", columns, self.sample.problem, (), numbers)
 
 
-def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> Derivative:
+def confirmed(
+    response: str, variable: str, estimates: dict[str, Estimate], size: Size = Size()
+) -> Derivative:
     """One answer from the methods' answers: the regression, or else the most certain one without
-    doubt, if another method confirms it. Estimates in doubt that none confirms are refused."""
+    doubt, if another method confirms it. Estimates in doubt that none confirms are refused. `size`:
+    beside what a derivative of zero is small."""
     estimates = _without_unconfirmed(estimates)
+    order = sorted(_by_certainty(estimates, size), key=lambda name: name != WIDEST)
+    estimates = _rounded(estimates, size)
 
     def answer(value, error, method, verdict, trustworthy=False):
         verdict += "".join(
@@ -174,7 +181,6 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
             verdict, trustworthy = f"{verdict} Too many for agreement to count.", False
         return Derivative(response, variable, value, error, method, verdict, trustworthy, estimates)
 
-    order = sorted(_by_certainty(estimates), key=lambda name: name != WIDEST)
     for name in order:
         best = estimates[name]
         if best.doubt:
@@ -193,7 +199,7 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
         verdict = unsure if vague else f"Unconfirmed: only {order[0]} has an answer.{why}"
         return answer(best.value, best.error, order[0], verdict)
     middle, spread = _covering([estimates[name] for name in order])
-    if spread <= STEPS * abs(middle):
+    if spread <= STEPS * max(abs(middle), size.whole):
         names = " and ".join(order)
         return answer(middle, spread, names, f"Agreed by {names}.", trustworthy=True)
     return answer(middle, spread, "spread of methods", "The methods disagree.")
@@ -222,13 +228,20 @@ def _without_unconfirmed(estimates: dict[str, Estimate]) -> dict[str, Estimate]:
     return {name: held(estimate) for name, estimate in estimates.items()}
 
 
-def _by_certainty(estimates: dict[str, Estimate]) -> list[str]:
+def _rounded(estimates: dict[str, Estimate], size: Size) -> dict[str, Estimate]:
+    """The estimates with errors that hold what arithmetic leaves."""
+    off = lambda own: float(np.hypot(own.error, size.rounding))
+    return {name: own._replace(error=off(own)) for name, own in estimates.items()}
+
+
+def _by_certainty(estimates: dict[str, Estimate], size: Size = Size()) -> list[str]:
     """The methods with an answer that is not vague beside the most certain one, which is first."""
     answers = {name: e for name, e in estimates.items() if np.isfinite(e.value + e.error)}
     order = sorted(answers, key=lambda name: (bool(answers[name].doubt), answers[name].error))
     if not order:
         return []
-    largest = VAGUE * (abs(answers[order[0]].value) + answers[order[0]].error)
+    best = answers[order[0]]
+    largest = max(VAGUE * (abs(best.value) + best.error), size.whole / VAGUE, size.rounding)
     # A zero, but for rounding, makes no other answer vague.
     least = ROUNDING * max(answers[name].error for name in order)
     return [name for name in order if largest <= least or answers[name].error <= largest]

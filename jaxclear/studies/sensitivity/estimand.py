@@ -39,6 +39,14 @@ WORDS = ("mean", "standard deviation")
 KINDS = ("quantile", "above", "below")
 
 
+class Size(NamedTuple):
+    """How large a derivative may be, in its unit: `whole` where all scatter of the response were a
+    line of the variable, `rounding` what arithmetic leaves of zero."""
+
+    whole: float = 0.0
+    rounding: float = 0.0
+
+
 class Functional(NamedTuple):
     """A statistic of a response by kind: "mean", "standard deviation", "quantile" (of a share
     `number` [1]), "above" or "below" (share [1] of parts beyond a limit `number`)."""
@@ -157,10 +165,24 @@ class Functional(NamedTuple):
         if self.kind == "quantile":
             score = scipy.stats.norm.ppf(self.number)
             low, high = np.quantile(sample, self._around())
-            density = 2 * SCORES_ASIDE * scipy.stats.norm.pdf(score) / max(high - low, 1e-300)
+            # Among samples of one value it moves by none.
+            if not high > low:
+                return lambda y: 0.0 * y
+            density = 2 * SCORES_ASIDE * scipy.stats.norm.pdf(score) / (high - low)
             place = np.quantile(sample, self.number)
             return lambda y: (y <= place) / -density
         return lambda y: self._beyond(y).astype(float)
+
+    def size(self, sample: np.ndarray, step: float) -> Size:
+        """How large its derivative may be, from a sample (samples,) of the response and the step of
+        a direction. Sums of n numbers are off by n roundings at the most."""
+        seen = sample[np.isfinite(sample)]
+        if not len(seen):
+            return Size()
+        whole = float(self.influence(seen)(seen).std()) / step
+        largest = 1.0 if self.kind in ("above", "below") else float(np.abs(seen).max())
+        rounding = len(seen) * np.finfo(float).eps * largest / step
+        return Size(whole, rounding)
 
     def tangent(self, responses: np.ndarray, tangents: np.ndarray) -> Any:
         """Single runs' parts of the derivative, from their tangents; None where tangents do not

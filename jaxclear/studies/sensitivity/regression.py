@@ -394,11 +394,11 @@ class Slope:
     def _step(self, y, basis):
         """What is fitted to the influence function, from the polynomial's terms, or by its slopes:
         these terms, and for a share of parts a smooth step where the surface passes its limit."""
-        place = self.place
-        if place is None:
-            return lambda terms, slopes=None: terms if slopes is None else slopes
-        surface = fitted(basis, y)
+        place, surface = self.place, fitted(basis, y)
         width = np.hypot(np.std(y - basis @ surface), LEAST_STEP * np.std(y))
+        # Responses that are one number pass no limit.
+        if place is None or width == 0.0:
+            return lambda terms, slopes=None: terms if slopes is None else slopes
 
         def columns(terms, slopes=None):
             z = (terms @ surface - place) / width

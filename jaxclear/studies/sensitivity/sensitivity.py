@@ -192,10 +192,12 @@ def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarl
     """One answer from the methods' answers, for each direction and statistic."""
     derivatives = {}
     for direction, answers in found.items():
+        step = direction.step(drawn.problem)
         for one in asked:
             estimates = {method: own[one.label] for method, own in answers.items()}
             key = one.label, direction.label
-            answer = confirmed(*key, estimates)
+            size = one.size(drawn.good(one.response)[0], step)
+            answer = confirmed(*key, estimates, size)
             # What brings the sample's response in doubt, and what the sample lacks of what was
             # asked for.
             doubts = [*drawn.doubts_of(one.response), drawn.unreached]

@@ -80,7 +80,12 @@ SCENE_FILES = {
                 help="a column and its sensor, COLUMN=SENSOR:PLACE:AXIS:noise=NUMBER; SENSOR is "
                 "accelerometer, gyroscope or displacement of a body, force or encoder of a joint",
             ),
-            flag("--time", "column of the time [s]", TEXT_OF, "time"),
+            flag(
+                "--time",
+                "column of the time [s]; t:ms where it is in ms, t:s:0.1:0.6 for a part of it",
+                TEXT_OF,
+                "time",
+            ),
             flag("--turn", "column of an encoder, or the period [s]", TEXT_OF),
             flag("--runs", "runs that the records are compared with", whole(64), 256),
             flag("--how", "statistics of signals, or signals", one_of(WAYS), "statistics"),

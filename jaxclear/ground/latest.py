@@ -1,0 +1,62 @@
+"""What was found lately, by what was asked: a loop that calls `simulate` asks the same again and
+again."""
+
+import functools
+import threading
+from collections import OrderedDict
+from typing import Any, Generic, TypeVar
+
+import jax
+import numpy as np
+
+Found = TypeVar("Found")
+# Numbers of Python and NumPy, beside JAX's: what is told apart by type, shape and bytes.
+NUMBERS = (bool, int, float, complex, np.generic, np.ndarray)
+
+
+class Key:
+    """What is asked: trees are alike whose structure is the same and whose numbers are,
+    bit for bit. Their functions are those of Python's, by identity."""
+
+    def __init__(self, *asked: Any):
+        self.asked = asked
+        self.leaves, self.structure = jax.tree.flatten(asked)
+
+    @functools.cached_property
+    def key(self) -> tuple:
+        """All of it; of numbers that are being traced there is none."""
+        return (self.structure, *map(_told, self.leaves))
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: Any) -> bool:
+        return self.key == other.key
+
+
+def _told(leaf: Any) -> Any:
+    if not isinstance(leaf, NUMBERS) and not isinstance(leaf, jax.Array):
+        return leaf
+    array = np.asarray(leaf)
+    return array.dtype.char, array.shape, array.tobytes()
+
+
+class Latest(Generic[Found]):
+    """The answers to so many questions, which were asked last; several threads may ask."""
+
+    def __init__(self, most: int):
+        self.most, self.looking = most, threading.Lock()
+        self.kept: OrderedDict[Any, Found] = OrderedDict()
+
+    def get(self, key: Any) -> Found | None:
+        with self.looking:
+            found = self.kept.get(key)
+            if found is not None:
+                self.kept.move_to_end(key)
+            return found
+
+    def keep(self, key: Any, found: Found) -> None:
+        with self.looking:
+            self.kept[key] = found
+            while len(self.kept) > self.most:
+                self.kept.popitem(last=False)

@@ -1,0 +1,297 @@
+"""Large symmetric systems in a kernel: loops over tables (`ground.elimination`), in functions that
+every place calls where such a system is solved.
+
+Numbers of a system stand in memory of the kernel's own, those of all lanes side by side. What has
+been factorised stays so until the program comes to another region: of several solutions of one
+system only the first factorises it.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxclear.ground.elimination import Pattern, Tables, tables_of
+from jaxclear.native.long_arrays import Room, entries_of, for_each, view
+from jaxclear.native.writer import FLOAT, TRUTH, Writer, in_registers, long_rule, rule
+
+# Systems of one pattern that stay factorised at a time: the stages of a step have one each.
+MOST_FACTORISED = 8
+# Marks in the text of a kernel that a pattern's functions take.
+MARKS = 9
+
+
+@rule("jaxclear_symmetric_solve")
+@long_rule("jaxclear_symmetric_solve")
+def _solve(writer, equation, *given):
+    system, lead = _System(writer, equation.params["pattern"]), given[-1].shape[:-1]
+    if not lead:
+        return system.solved(*given)
+    given = [np.broadcast_to(a, (*lead, a.shape[-1])) for a in map(in_registers, given)]
+    out = np.empty(given[-1].shape, object)
+    for index in np.ndindex(*lead):
+        out[index] = in_registers(system.solved(*(a[index] for a in given)))
+    return out
+
+
+class _System:
+    """Systems of a pattern, in the kernel that is being written."""
+
+    def __init__(self, writer: Writer, pattern: Pattern):
+        self.writer, self.tables = writer, tables_of(pattern)
+        self.number = writer.patterns.setdefault(pattern, len(writer.patterns))
+
+    def solved(self, *given: Any) -> Any:
+        """The solution for a matrix, with the least pivots or without, and a right-hand side."""
+        *matrix, right = given
+        factors = self._factorised(*matrix)
+        x = Room(self.writer, right.shape, FLOAT)
+        self._put(x, self.tables.unknown, right)
+        self._call("solve", factors, x)
+        return view(self.writer, x.array(), FLOAT, np.array(self.tables.unknown))
+
+    def _factorised(self, entries: Any, least: Any = None) -> Room:
+        """Memory with the factors of a matrix."""
+        writer, tables, number = self.writer, self.tables, self.number
+        names = (tuple(a.flat) if isinstance(a, np.ndarray) else a for a in (entries, least))
+        key, held = (number, *names), writer.held
+        if key in held:
+            return writer.factors[number, held[key]]
+        own = [k for k in held if k[0] == number]
+        # Memory that is free, or was taken first.
+        slot = len(own) if len(own) < MOST_FACTORISED else held.pop(own[0])
+        if (number, slot) not in writer.factors:
+            writer.factors[number, slot] = Room(writer, (tables.numbers,), FLOAT)
+        room = writer.factors[number, slot]
+        filled = sorted(set(range(tables.numbers)) - set(tables.at))
+        self._put(room, filled, np.zeros(len(filled), object))
+        self._put(room, tables.at, entries)
+        if least is None:
+            self._call("factorise", room)
+        else:
+            bounds = Room(writer, least.shape, FLOAT)
+            self._put(bounds, tables.unknown, least)
+            self._call("factorise_some", room, bounds)
+        held[key] = slot
+        return room
+
+    def _put(self, room: Room, places: Sequence[int], array: Any) -> None:
+        """Puts the numbers of an array at places in memory."""
+        writer = self.writer
+        if isinstance(array, np.ndarray):
+            for place, number in zip(places, array, strict=True):
+                room.put(place, number)
+            return
+        entry, table = entries_of(writer, array, FLOAT), writer.table(np.array(places))
+
+        def turn(k):
+            at = writer.put(f"getelementptr i32, ptr {table}, i64 {k}")
+            said = writer.put(f"load i32, ptr {at}, !invariant.load !0")
+            room.put(writer.put(f"zext i32 {said} to i64"), entry(k))
+
+        for_each(writer, len(places), turn)
+
+    def _call(self, name: str, *rooms: Room) -> None:
+        make = _solving if name == "solve" else _factorising
+        function = make(self.writer, name, self.number, self.tables)
+        self.writer.needs |= {_tables(self.number, self.tables), function}
+        given = ", ".join(f"ptr {room.start}" for room in rooms)
+        self.writer.say(f"call void @NAME.{name}{self.number}({given})")
+
+
+def _tables(number: int, tables: Tables) -> str:
+    """The tables as constants."""
+    return "\n".join(
+        _constant(f"{name}{number}", np.array(getattr(tables, name)))
+        for name in ("columns", "update_starts", "updates", "solve_starts", "solves")
+    )
+
+
+def _constant(name: str, values: np.ndarray) -> str:
+    numbers = ", ".join(f"i32 {value}" for value in values.ravel())
+    return f"@NAME.{name} = private constant [{values.size} x i32] [{numbers}]"
+
+
+def _read(table: str, *names: str, line: str) -> str:
+    """Lines that give names to the numbers in a line of a table of as many columns."""
+    out, width = [], len(names)
+    for column, name in enumerate(names):
+        place = f"getelementptr [{width} x i32], ptr @NAME.{table}, i64 {line}, i64 {column}"
+        out += [f"  %{name}.at = {place}", f"  %{name}.i = load i32, ptr %{name}.at"]
+        out += [f"  %{name} = zext i32 %{name}.i to i64"]
+    return "\n".join(out)
+
+
+def _factorising(writer: Writer, name: str, number: int, tables: Tables) -> str:
+    """The function that puts the factors of a matrix in its place: of every column the inverse of
+    its pivot, then L."""
+    wide, one = writer.wide(FLOAT), writer.text(1.0, FLOAT)
+    infinite = writer.text(math.inf, FLOAT)
+    some = name == "factorise_some"
+    bounded = f"""
+  %least.at = getelementptr {wide}, ptr %least, i64 %j
+  %bound = load {wide}, ptr %least.at
+  %counts = fcmp ugt {wide} %said, %bound
+  %pivot = select {writer.wide(TRUTH)} %counts, {wide} %said, {wide} {infinite}"""
+    # Numbers of a stretch do not depend on each other: `parallel` says so.
+    once, loop, parallel = (f"!{MARKS * number + k + 3 * some}" for k in (1, 2, 3))
+    return f"""define internal void @NAME.{name}{number}(ptr noalias %a{
+        ", ptr noalias %least" if some else ""
+    }) noinline {{
+entry:
+  %ahead = alloca [{tables.longest} x {wide}]
+  br label %column
+column:
+  %j = phi i64 [ 0, %entry ], [ %after, %next ]
+  %after = add i64 %j, 1
+{_read(f"columns{number}", "start", line="%j")}
+{_read(f"columns{number}", "end", line="%after")}
+{_read(f"update_starts{number}", "line.first", line="%j")}
+{_read(f"update_starts{number}", "line.end", line="%after")}
+  %pivot.at = getelementptr {wide}, ptr %a, i64 %start
+  %{"said" if some else "pivot"} = load {wide}, ptr %pivot.at{bounded if some else ""}
+  %inverse = fdiv {wide} {one}, %pivot
+  store {wide} %inverse, ptr %pivot.at
+  %first = add i64 %start, 1
+  %longer = icmp slt i64 %first, %end
+  br i1 %longer, label %scale, label %next
+scale:
+  %e = phi i64 [ %first, %column ], [ %e.next, %scale ]
+  %e.at = getelementptr {wide}, ptr %a, i64 %e
+  %entry.said = load {wide}, ptr %e.at
+  %k = sub i64 %e, %first
+  %k.at = getelementptr {wide}, ptr %ahead, i64 %k
+  store {wide} %entry.said, ptr %k.at
+  %scaled = fmul {wide} %entry.said, %inverse
+  store {wide} %scaled, ptr %e.at
+  %e.next = add i64 %e, 1
+  %e.more = icmp slt i64 %e.next, %end
+  br i1 %e.more, label %scale, label %update
+update:
+  %line = phi i64 [ %line.first, %scale ], [ %line.next, %updated ]
+{_read(f"updates{number}", "target", "source", "share", "length", line="%line")}
+  %factor.at = getelementptr {wide}, ptr %ahead, i64 %share
+  %factor = load {wide}, ptr %factor.at
+  br label %stretch
+stretch:
+  %q = phi i64 [ 0, %update ], [ %q.next, %stretch ]
+  %t = add i64 %target, %q
+  %t.at = getelementptr {wide}, ptr %a, i64 %t
+  %old = load {wide}, ptr %t.at, !llvm.access.group {once}
+  %s = add i64 %source, %q
+  %s.at = getelementptr {wide}, ptr %a, i64 %s
+  %l = load {wide}, ptr %s.at, !llvm.access.group {once}
+  %part = fmul contract {wide} %l, %factor
+  %new = fsub contract {wide} %old, %part
+  store {wide} %new, ptr %t.at, !llvm.access.group {once}
+  %q.next = add i64 %q, 1
+  %q.more = icmp slt i64 %q.next, %length
+  br i1 %q.more, label %stretch, label %updated, !llvm.loop {loop}
+updated:
+  %line.next = add i64 %line, 1
+  %line.more = icmp slt i64 %line.next, %line.end
+  br i1 %line.more, label %update, label %next
+next:
+  %more = icmp slt i64 %after, {len(tables.unknown)}
+  br i1 %more, label %column, label %done
+done:
+  ret void
+}}
+{once} = distinct !{{}}
+{loop} = distinct !{{{loop}, {parallel}}}
+{parallel} = !{{!"llvm.loop.parallel_accesses", {once}}}"""
+
+
+def _solving(writer: Writer, name: str, number: int, tables: Tables) -> str:
+    """The function that puts the solution in the place of a right-hand side b: y of L y = b, column
+    by column, and over the pivots; x of L^T x = y, from the end."""
+    wide, last = writer.wide(FLOAT), len(tables.unknown) - 1
+    once, loop, parallel = (f"!{MARKS * number + k}" for k in (7, 8, 9))
+    access = f"!llvm.access.group {once}"
+
+    def of_column(ahead):
+        """Begins with a column: its place `%j`, and the unknown there."""
+        return f"""  %{ahead}j.next = add i64 %{ahead}j, 1
+{_read(f"solve_starts{number}", f"{ahead}line.first", line=f"%{ahead}j")}
+{_read(f"solve_starts{number}", f"{ahead}line.end", line=f"%{ahead}j.next")}
+  %{ahead}x.at = getelementptr {wide}, ptr %x, i64 %{ahead}j
+  %{ahead}x.said = load {wide}, ptr %{ahead}x.at
+  %{ahead}any = icmp slt i64 %{ahead}line.first, %{ahead}line.end"""
+
+    def entry(ahead, marks=""):
+        """An entry of L and the unknown of its row."""
+        return f"""  %{ahead}r = add i64 %{ahead}row, %{ahead}q
+  %{ahead}r.at = getelementptr {wide}, ptr %x, i64 %{ahead}r
+  %{ahead}old = load {wide}, ptr %{ahead}r.at{marks}
+  %{ahead}s = add i64 %{ahead}source, %{ahead}q
+  %{ahead}s.at = getelementptr {wide}, ptr %a, i64 %{ahead}s
+  %{ahead}l = load {wide}, ptr %{ahead}s.at{marks}"""
+
+    names = ("row", "source", "length")
+    return f"""define internal void @NAME.{name}{number}(ptr noalias %a, ptr noalias %x) noinline {{
+entry:
+  br label %column
+column:
+  %j = phi i64 [ 0, %entry ], [ %j.next, %next ]
+{of_column("")}
+{_read(f"columns{number}", "start", line="%j")}
+  %pivot.at = getelementptr {wide}, ptr %a, i64 %start
+  %inverse = load {wide}, ptr %pivot.at
+  %over = fmul {wide} %x.said, %inverse
+  store {wide} %over, ptr %x.at
+  br i1 %any, label %update, label %next
+update:
+  %line = phi i64 [ %line.first, %column ], [ %line.next, %updated ]
+{_read(f"solves{number}", *names, line="%line")}
+  br label %stretch
+stretch:
+  %q = phi i64 [ 0, %update ], [ %q.next, %stretch ]
+{entry("", f", {access}")}
+  %part = fmul contract {wide} %l, %x.said
+  %new = fsub contract {wide} %old, %part
+  store {wide} %new, ptr %r.at, {access}
+  %q.next = add i64 %q, 1
+  %q.more = icmp slt i64 %q.next, %length
+  br i1 %q.more, label %stretch, label %updated, !llvm.loop {loop}
+updated:
+  %line.next = add i64 %line, 1
+  %line.more = icmp slt i64 %line.next, %line.end
+  br i1 %line.more, label %update, label %next
+next:
+  %more = icmp slt i64 %j, {last}
+  br i1 %more, label %column, label %b.column
+b.column:
+  %b.j = phi i64 [ {last}, %next ], [ %b.j.before, %b.next ]
+{of_column("b.")}
+  br i1 %b.any, label %b.update, label %b.next
+b.update:
+  %b.line = phi i64 [ %b.line.first, %b.column ], [ %b.line.next, %b.updated ]
+  %b.begun = phi {wide} [ %b.x.said, %b.column ], [ %b.new, %b.updated ]
+{_read(f"solves{number}", *(f"b.{each}" for each in names), line="%b.line")}
+  br label %b.stretch
+b.stretch:
+  %b.q = phi i64 [ 0, %b.update ], [ %b.q.next, %b.stretch ]
+  %b.sum = phi {wide} [ %b.begun, %b.update ], [ %b.new, %b.stretch ]
+{entry("b.")}
+  %b.part = fmul contract {wide} %b.l, %b.old
+  %b.new = fsub contract {wide} %b.sum, %b.part
+  %b.q.next = add i64 %b.q, 1
+  %b.q.more = icmp slt i64 %b.q.next, %b.length
+  br i1 %b.q.more, label %b.stretch, label %b.updated
+b.updated:
+  %b.line.next = add i64 %b.line, 1
+  %b.line.more = icmp slt i64 %b.line.next, %b.line.end
+  br i1 %b.line.more, label %b.update, label %b.next
+b.next:
+  %b.found = phi {wide} [ %b.x.said, %b.column ], [ %b.new, %b.updated ]
+  store {wide} %b.found, ptr %b.x.at
+  %b.j.before = sub i64 %b.j, 1
+  %b.more = icmp sgt i64 %b.j, 0
+  br i1 %b.more, label %b.column, label %done
+done:
+  ret void
+}}
+{once} = distinct !{{}}
+{loop} = distinct !{{{loop}, {parallel}}}
+{parallel} = !{{!"llvm.loop.parallel_accesses", {once}}}"""

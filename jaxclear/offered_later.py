@@ -1,0 +1,103 @@
+"""What is offered of studies, static positions, meshes and files: loaded when the first of these
+names is asked for, as a run needs none.
+"""
+
+from jaxclear import mesh
+from jaxclear.files.model_import import ImportedSoft, NotImported, read_mjcf, read_shapes, read_urdf
+from jaxclear.files.scene import Scene, read_scene, scene_schema, write_scene
+from jaxclear.statics.position_path import positions
+from jaxclear.statics.seated import seated
+from jaxclear.studies import distribution, limit_state, sensor
+from jaxclear.studies.advice import PilotSettings, advise
+from jaxclear.studies.base import AbstractProblem, AbstractVariable
+from jaxclear.studies.campaign.campaign import campaign, open_campaign
+from jaxclear.studies.design import catalogue, cost, limit
+from jaxclear.studies.design.design import design, design_front
+from jaxclear.studies.design.search import DesignSettings
+from jaxclear.studies.fidelity.multi_fidelity import multi_fidelity
+from jaxclear.studies.function_problem import Dimension, FunctionProblem
+from jaxclear.studies.identification.identify import identify
+from jaxclear.studies.identification.measurement import Measurement
+from jaxclear.studies.identification.remaining_life import remaining_life
+from jaxclear.studies.life.derivative import wear_life_derivatives
+from jaxclear.studies.life.life_problem import AbstractLifeResponse, LifeEnd, LifeProblem, LifeUntil
+from jaxclear.studies.life.settled import settled
+from jaxclear.studies.life.wear_life import wear_life, wear_lives
+from jaxclear.studies.monte_carlo import monte_carlo
+from jaxclear.studies.position_problem import PositionProblem
+from jaxclear.studies.problem import Problem
+from jaxclear.studies.reliability.reliability import reliability
+from jaxclear.studies.screening import screening
+from jaxclear.studies.sensitivity.sensitivity import sensitivity
+from jaxclear.studies.statistics.shapley import shapley_effects
+from jaxclear.studies.statistics.sobol_indices import sobol_indices
+from jaxclear.studies.surface.correction import corrected
+from jaxclear.studies.surface.surface import surface
+from jaxclear.studies.sweep import sweep
+from jaxclear.studies.variable import (
+    AbstractMechanismVariable,
+    Condition,
+    Heating,
+    Variable,
+)
+from jaxclear.studies.worst_case import worst_case
+
+__all__ = [
+    "AbstractLifeResponse",
+    "AbstractMechanismVariable",
+    "AbstractProblem",
+    "AbstractVariable",
+    "Condition",
+    "DesignSettings",
+    "Dimension",
+    "FunctionProblem",
+    "Heating",
+    "ImportedSoft",
+    "LifeEnd",
+    "LifeProblem",
+    "LifeUntil",
+    "Measurement",
+    "NotImported",
+    "PilotSettings",
+    "PositionProblem",
+    "Problem",
+    "Scene",
+    "Variable",
+    "advise",
+    "campaign",
+    "catalogue",
+    "corrected",
+    "cost",
+    "design",
+    "design_front",
+    "distribution",
+    "identify",
+    "limit",
+    "limit_state",
+    "mesh",
+    "monte_carlo",
+    "multi_fidelity",
+    "open_campaign",
+    "positions",
+    "read_mjcf",
+    "read_scene",
+    "read_shapes",
+    "read_urdf",
+    "reliability",
+    "remaining_life",
+    "scene_schema",
+    "screening",
+    "seated",
+    "sensitivity",
+    "sensor",
+    "settled",
+    "shapley_effects",
+    "sobol_indices",
+    "surface",
+    "sweep",
+    "wear_life",
+    "wear_life_derivatives",
+    "wear_lives",
+    "worst_case",
+    "write_scene",
+]
