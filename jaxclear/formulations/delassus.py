@@ -18,7 +18,7 @@ from jaxclear.formulations.contact_rows import ContactJacobianRow, FreeMotion
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.elimination import Pattern, solved
-from jaxclear.ground.grouping import MANY, looked_up, summed, unstacked
+from jaxclear.ground.grouping import MANY, in_memory, looked_up, summed, unstacked
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.multibody.dynamics import constrained_inverse
 from jaxclear.multibody.kinematics import JacobianRow, along
@@ -90,7 +90,7 @@ class Entries:
     the column of each."""
 
     def __init__(self, rows: Sequence[JacobianRow]):
-        self.values = sp.stack([entry for row in rows for entry in row.values()])
+        self.values = in_memory(sp.stack([entry for row in rows for entry in row.values()]))
         self.rows = np.repeat(np.arange(len(rows)), list(map(len, rows)))
         self.columns = np.array([j for row in rows for j in row])
 
@@ -192,11 +192,16 @@ def _in_speeds(mass: list, rows: list[ContactJacobianRow]) -> Callable:
     return solve
 
 
+def stacked(values: Sequence[Any]) -> jnp.ndarray:
+    """Many numbers as an array in memory."""
+    return in_memory(sp.stack(values))
+
+
 def _in_many_speeds(mass: list[list], rows: list[ContactJacobianRow]) -> Callable:
     """The same from array to array."""
     size, entries = len(mass), Entries(rows)
     lower = [(i, j) for i in range(size) for j in range(i + 1) if not sp.is_zero(mass[i][j])]
-    own, first, pairs = sp.stack([mass[i][j] for i, j in lower]), 0, []
+    own, first, pairs = stacked([mass[i][j] for i, j in lower]), 0, []
     for r, row in enumerate(rows):
         each = list(enumerate(row, first))
         pairs += [(r, a, b, (i, j)) for a, i in each for b, j in each if j <= i]
@@ -209,8 +214,7 @@ def _in_many_speeds(mass: list[list], rows: list[ContactJacobianRow]) -> Callabl
     pattern = Pattern(size, tuple(number))
 
     def solve(reaches, unmoved, laws):
-        unmoved, reach = sp.stack(unmoved), sp.stack(reaches)
-        forces, dampings, about = (sp.stack(part) for part in laws)
+        unmoved, reach, forces, dampings, about = map(stacked, (unmoved, reaches, *laws))
         weights = looked_up(reach * dampings, np.array(of_row))
         matrix = summed(jnp.concatenate([own, squares * weights]), places, len(number))
         pushed = values * looked_up(forces + dampings * (about - unmoved), entries.rows)
@@ -289,8 +293,7 @@ def _in_many_rows(operator: DelassusOperator) -> Callable:
         return unmoved + reach * summed(terms, answering, count)
 
     def solve(reaches, unmoved, laws):
-        unmoved, reach = sp.stack(unmoved), sp.stack(reaches)
-        forces, dampings, about = (sp.stack(part) for part in laws)
+        unmoved, reach, forces, dampings, about = map(stacked, (unmoved, reaches, *laws))
         roots = safe_sqrt(dampings * reach)
         matrix = gains * looked_up(roots, lower) * looked_up(roots, upper) + ones
         wanted = roots / reach * (about - answered(unmoved, reach, forces))
