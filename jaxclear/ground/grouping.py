@@ -16,6 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
 
 # From so many numbers on entries remember where they were taken from.
 MANY = 65
@@ -115,6 +117,21 @@ def summed(terms: jax.Array, places: np.ndarray, count: int) -> jax.Array:
         numbers,
         mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS,
     )
+
+
+in_memory_p = Primitive("jaxclear_in_memory")
+
+
+def in_memory(array: jax.Array) -> jax.Array:
+    """An array that in a kernel stands in memory: what is done to it is a loop there."""
+    return in_memory_p.bind(array)
+
+
+in_memory_p.def_impl(lambda array: array)
+in_memory_p.def_abstract_eval(lambda array: array)
+ad.deflinear2(in_memory_p, lambda cotangent, _: [cotangent])
+batching.defvectorized(in_memory_p)
+mlir.register_lowering(in_memory_p, lambda _, array: [array])
 
 
 class _Packed(eqx.Module):

@@ -25,11 +25,14 @@ from jaxclear.native.writer import (
     FLOAT,
     LONGEST_IN_REGISTERS,
     RULES,
+    Long,
     array_of,
     in_registers,
     kind_of,
+    kinds_of,
     known,
     long_rule,
+    rule,
 )
 
 # Operations on each entry by itself.
@@ -148,3 +151,10 @@ def _summed(writer, equation, a, indices, terms):
 
     for_each(writer, terms.size, turn)
     return sums
+
+
+@rule("jaxclear_in_memory")
+@long_rule("jaxclear_in_memory")
+def _in_memory(writer, equation, a):
+    few = math.prod(a.shape) <= LONGEST_IN_REGISTERS
+    return a if few or isinstance(a, Long) else stored(writer, a, kinds_of(equation)[0])
