@@ -90,7 +90,7 @@ class MiddleOfStep(NamedTuple):
 
     def change_to(self, speeds: list) -> list:
         """From the predicted speeds to others: what rates of rows must be corrected by."""
-        return [sp.sub(a, b) for a, b in zip(speeds, self.predicted, strict=True)]
+        return sp.each(sp.sub, speeds, self.predicted)
 
     def end(self, model: Model, mean: list, h: Any) -> list:
         """Coordinates after a step of mean speeds, their rates taken in its middle."""
@@ -132,7 +132,7 @@ def middle_of_step(
     """The middle of a step from the state's entries, where speeds and these accelerations lead."""
     layout, h = model.layout, time_step.length
     q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]
-    predicted = [x + 0.5 * h * a for x, a in zip(v, accelerations, strict=True)]
+    predicted = sp.each(lambda x, a: x + 0.5 * h * a, v, accelerations)
     halfway = drift(model.system, q, q, v, 0.5 * h)
     motion = unpack_motion(model.system, [*halfway, *predicted])
     followed = unpack_followed(layout, entries)

@@ -39,7 +39,7 @@ from jaxclear.formulations.shafts_over_step import shafts_over_step
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_alike, map_many
-from jaxclear.ground.grouping import unstacked
+from jaxclear.ground.grouping import MANY, unstacked
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.state import unpack_memories, unpack_motion
@@ -103,7 +103,7 @@ def step(
     """Entries of the state after the step, and what it hands on; `last` is what it was handed."""
     h = time_step.length
     averaging = Averaging(h, settings.bias)
-    accelerations = [a + b for a, b in zip(last.smooth, last.contact, strict=True)]
+    accelerations = sp.each(lambda a, b: a + b, last.smooth, last.contact)
     middle = contact_rows.middle_of_step(model, time_step, entries, accelerations)
     shafts, free_motion = shafts_over_step(model, middle.free_motion, middle.v, h)
     middle = middle._replace(free_motion=free_motion)
@@ -114,12 +114,10 @@ def step(
     whole = Step(model, time_step, averaging, middle, contacts, equations, joints, shafts)
     solution = _iterate(whole, last.contact, settings.newton_iterations)
     free, caused = equations.free, solution.accelerations
-    mean = [
-        x + 0.5 * h * (k + (1 + settings.bias) * c)
-        for x, k, c in zip(middle.v, free, caused, strict=True)
-    ]
+    halfway = lambda x, k, c: x + 0.5 * h * (k + (1 + settings.bias) * c)
+    mean = sp.each(halfway, middle.v, free, caused)
     q = middle.end(model, mean, h)
-    v = [x + h * (k + c) for x, k, c in zip(middle.v, free, caused, strict=True)]
+    v = sp.each(lambda x, k, c: x + h * (k + c), middle.v, free, caused)
     q, depths = _settle(whole, solution, q, v)
     slid = [
         laws_over_step.at_end(contact.slips, contact.braking, rates[1:])
@@ -146,9 +144,11 @@ def surplus(bias: Any, free: list, caused: list) -> list:
     b k_c / 2 of what contact `caused`, but of no more than it has to hold of the `free`
     accelerations: an impact's speeds are what they are. Of what rests on a contact it is, times the
     step, all of its speed, of opposite sign, to which a law would answer with damping."""
-    squares = [sum(k * k for k in own) for own in (free, caused)]
+    many = len(free) >= MANY
+    square = lambda own: jnp.sum(sp.stack(own) ** 2) if many else sum(k * k for k in own)
+    squares = [square(own) for own in (free, caused)]
     held = jnp.minimum(1.0, safe_sqrt(safe_divide(*squares)))
-    return [0.5 * bias * held * k for k in caused]
+    return sp.each(lambda k: 0.5 * bias * held * k, caused)
 
 
 def _contacts_at_start(
