@@ -75,7 +75,9 @@ def forward_dynamics(system: System, forces: Forces, stabilisation: Baumgarte | 
         with jax.named_scope("constraints"):
             loops = constraints.acceleration_equations(system, forces.motions, stabilisation)
     respond, constrain = constrained_inverse(masses, loops.rows, loops.alike, loops.dependence)
-    accelerations, multipliers = constrain(*respond([[x for own in right for x in own]]), loops.wanted)
+    accelerations, multipliers = constrain(
+        *respond([[x for own in right for x in own]]), loops.wanted
+    )
     return Solution(
         tuple(tuple(accelerations[branch.speeds]) for branch in system.topology.branches),
         multipliers,
@@ -125,7 +127,9 @@ def _responses(columns: list[list], masses: list, factors: list) -> list[list]:
         rest = iter(forces)
         parts.append([tuple(itertools.islice(rest, len(mass))) for mass in masses])
     moved = [
-        (k, i) for k, own in enumerate(parts) for i, each in enumerate(own)
+        (k, i)
+        for k, own in enumerate(parts)
+        for i, each in enumerate(own)
         if not all(map(sp.is_zero, each))
     ]
     found = map_many(factorisation.solve, [(factors[i], parts[k][i]) for k, i in moved])
