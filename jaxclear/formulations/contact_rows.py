@@ -174,9 +174,9 @@ def contact_points(
     bearings = model.system.bearings
     poses, calls = {}, []
     relative = relative_motions(model.system, motions)
-    for (name, bearing), own in zip(bearings.items(), relative, strict=True):
-        poses[name] = own.pose
-        calls.append((bearing.joint, own, model.worn.get(name, {})))
+    for (name, bearing), seen in zip(bearings.items(), relative, strict=True):
+        poses[name] = seen.pose
+        calls.append((bearing.joint, seen, model.worn.get(name, {})))
 
     def geometry(joint, relative, worn):
         gap_functions = contact_point.gap_function(joint, relative.pose, worn)

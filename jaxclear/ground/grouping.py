@@ -30,7 +30,7 @@ class _Origin(NamedTuple):
 
     number: weakref.ref
     array: jax.Array
-    index: int
+    place: int
 
 
 # By the identity of numbers, for as long as they live.
@@ -80,7 +80,7 @@ def stacked(numbers: Sequence[Any], least: int = MANY) -> jax.Array:
     whole = sources[0] if len(sources) == 1 else jnp.concatenate(sources)
     further = iter(range(lengths[-1], lengths[-1] + len(alone)))
     places = [
-        next(further) if own is None else starts[id(own.array)] + own.index for own in origins
+        next(further) if own is None else starts[id(own.array)] + own.place for own in origins
     ]
     return looked_up(whole, np.array(places))
 

@@ -112,7 +112,7 @@ def _numbers(arrays: Any, kinds: list[str], long: list[Any]) -> list[tuple[Any, 
     return [(value, k) for a, k, own in each if own is None for value in in_registers(a).flat]
 
 
-def _same_place(writer: Writer, before: Any, after: Any) -> InMemory | None:
+def _same_place(writer: Writer, before: Any, after: Any) -> InMemory | Long | None:
     """An array in memory as a turn leaves it. Raises `Unsupported` for another one."""
     if isinstance(before, Long):
         return before

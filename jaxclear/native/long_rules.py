@@ -44,7 +44,14 @@ ENTRYWISE = (
     *("tan", "atan", "atan2", "tanh", "exp2", "log1p", "expm1"),
 )
 # What hands arrays on, or takes them as they are.
-HANDED_ON = (*CALLS, "copy", "copy_p", "stop_gradient", "optimization_barrier", "reduce_precision")
+HANDED_ON: tuple[str, ...] = (
+    *CALLS,
+    "copy",
+    "copy_p",
+    "stop_gradient",
+    "optimization_barrier",
+    "reduce_precision",
+)
 HANDED_ON += ("scan", "while", "cond", "jaxclear_loop")
 
 
