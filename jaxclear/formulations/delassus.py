@@ -18,10 +18,10 @@ from jaxclear.formulations.contact_rows import ContactJacobianRow, FreeMotion
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.elimination import Pattern, solved
-from jaxclear.ground.grouping import MANY, looked_up, summed, unstacked
+from jaxclear.ground.grouping import MANY, in_memory, looked_up, summed, unstacked
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.multibody.dynamics import constrained_inverse
-from jaxclear.multibody.kinematics import along
+from jaxclear.multibody.kinematics import JacobianRow, along
 
 
 class DelassusOperator(NamedTuple):
@@ -85,6 +85,23 @@ class ContactSolution(NamedTuple):
     multipliers: Any
 
 
+class Entries:
+    """Rows of a Jacobian from array to array: their entries one after the other, with the row and
+    the column of each."""
+
+    def __init__(self, rows: Sequence[JacobianRow]):
+        self.values = in_memory(sp.stack([entry for row in rows for entry in row.values()]))
+        self.rows = np.repeat(np.arange(len(rows)), list(map(len, rows)))
+        self.columns = np.array([j for row in rows for j in row])
+
+    def by_column(self, size: int) -> list[list[tuple[int, int]]]:
+        """By column (row, place) of its entries."""
+        out: list[list[tuple[int, int]]] = [[] for _ in range(size)]
+        for k, (i, j) in enumerate(zip(self.rows.tolist(), self.columns.tolist(), strict=True)):
+            out[j].append((i, k))
+        return out
+
+
 class ImplicitContact(NamedTuple):
     """Free accelerations and closure multipliers without contact, and `solve(reaches, unmoved,
     laws)`: what contact adds where rates = unmoved + reach J k, k the accelerations it causes, and
@@ -104,9 +121,10 @@ def delassus_operator(free_motion: FreeMotion, rows: list[ContactJacobianRow]) -
         free_motion.masses, closures.rows, closures.alike, closures.dependence
     )
     respond, constrain = inverse
-    free, multipliers = constrain(respond(list(free_motion.right)), closures.wanted)
+    free, multipliers = constrain(*respond([list(free_motion.right)]), closures.wanted)
     size, still = len(free_motion.right), [0] * len(multipliers)
-    responses = [constrain(respond([row.get(j, 0) for j in range(size)]), still) for row in rows]
+    columns = respond([[row.get(j, 0) for j in range(size)] for row in rows])
+    responses = [constrain(column, still) for column in columns]
     return DelassusOperator(rows, free, multipliers, responses)
 
 
@@ -130,7 +148,8 @@ def implicit_contact(
         return ImplicitContact(operator.free, operator.multipliers, way(mass, rows))
     operator = delassus_operator(free_motion, rows)
     if rows:
-        return ImplicitContact(operator.free, operator.multipliers, _in_rows(operator))
+        way = _in_rows if len(rows) < MANY else _in_many_rows
+        return ImplicitContact(operator.free, operator.multipliers, way(operator))
     nothing = ContactSolution([], [], [0] * size, (0,) * len(operator.multipliers))
     return ImplicitContact(operator.free, operator.multipliers, lambda *_: nothing)
 
@@ -173,11 +192,16 @@ def _in_speeds(mass: list, rows: list[ContactJacobianRow]) -> Callable:
     return solve
 
 
+def stacked(values: Sequence[Any]) -> jnp.ndarray:
+    """Many numbers as an array in memory."""
+    return in_memory(sp.stack(values))
+
+
 def _in_many_speeds(mass: list[list], rows: list[ContactJacobianRow]) -> Callable:
     """The same from array to array."""
-    size, count = len(mass), len(rows)
+    size, entries = len(mass), Entries(rows)
     lower = [(i, j) for i in range(size) for j in range(i + 1) if not sp.is_zero(mass[i][j])]
-    own, first, pairs = [sp.stack([mass[i][j] for i, j in lower])], 0, []
+    own, first, pairs = stacked([mass[i][j] for i, j in lower]), 0, []
     for r, row in enumerate(rows):
         each = list(enumerate(row, first))
         pairs += [(r, a, b, (i, j)) for a, i in each for b, j in each if j <= i]
@@ -185,20 +209,18 @@ def _in_many_speeds(mass: list[list], rows: list[ContactJacobianRow]) -> Callabl
     of_row, left, right, squared = map(list, zip(*pairs, strict=True))
     number = {place: k for k, place in enumerate(dict.fromkeys([*lower, *squared]))}
     places = np.array([number[place] for place in [*lower, *squared]])
-    owner = np.repeat(np.arange(count), list(map(len, rows)))
-    column = np.array([j for row in rows for j in row])
-    entries = sp.stack([entry for row in rows for entry in row.values()])
-    squares = looked_up(entries, np.array(left)) * looked_up(entries, np.array(right))
+    values = entries.values
+    squares = looked_up(values, np.array(left)) * looked_up(values, np.array(right))
     pattern = Pattern(size, tuple(number))
 
     def solve(reaches, unmoved, laws):
-        unmoved, reach = sp.stack(unmoved), sp.stack(reaches)
-        forces, dampings, about = (sp.stack(part) for part in laws)
+        unmoved, reach, forces, dampings, about = map(stacked, (unmoved, reaches, *laws))
         weights = looked_up(reach * dampings, np.array(of_row))
-        matrix = summed(jnp.concatenate([*own, squares * weights]), places, len(number))
-        pushed = looked_up(forces + dampings * (about - unmoved), owner)
-        found = solved(pattern, matrix, None, summed(entries * pushed, column, size))
-        rates = unmoved + reach * summed(entries * looked_up(found, column), owner, count)
+        matrix = summed(jnp.concatenate([own, squares * weights]), places, len(number))
+        pushed = values * looked_up(forces + dampings * (about - unmoved), entries.rows)
+        found = solved(pattern, matrix, None, summed(pushed, entries.columns, size))
+        moved = values * looked_up(found, entries.columns)
+        rates = unmoved + reach * summed(moved, entries.rows, len(rows))
         final = forces + dampings * (about - rates)
         return ContactSolution(*map(unstacked, (rates, final, found)), ())
 
@@ -233,5 +255,53 @@ def _in_rows(operator: DelassusOperator) -> Callable:
             for f, root, share in zip(laws.forces, roots, shares, strict=True)
         ]
         return ContactSolution(moved(unmoved, reaches, final), final, *operator.under(final))
+
+    return solve
+
+
+def _in_many_rows(operator: DelassusOperator) -> Callable:
+    """The same from array to array."""
+    count, size = len(operator.rows), len(operator.free)
+    acting = Entries(operator.rows)
+    moved = Entries(
+        [
+            {j: x for j, x in enumerate(column) if not sp.is_zero(x)}
+            for column, _ in operator.responses
+        ]
+    )
+    pairs = [
+        (a, b, (i, k))
+        for here, there in zip(acting.by_column(size), moved.by_column(size), strict=True)
+        for i, a in here
+        for k, b in there
+        if k <= i
+    ]
+    pattern = {(i, i): i for i in range(count)}
+    for *_, place in pairs:
+        pattern.setdefault(place, len(pattern))
+    left, right, places = np.array([(a, b, pattern[place]) for a, b, place in pairs]).T
+    products = looked_up(acting.values, left) * looked_up(moved.values, right)
+    gains = summed(products, places, len(pattern))
+    lower, upper = np.array(list(pattern)).T
+    ones = (lower == upper).astype(float)
+    off = np.flatnonzero(lower != upper)
+    both = np.concatenate([np.arange(len(lower)), off])
+    answering, pushing = np.concatenate([lower, upper[off]]), np.concatenate([upper, lower[off]])
+
+    def answered(unmoved, reach, forces):
+        terms = looked_up(gains, both) * looked_up(forces, pushing)
+        return unmoved + reach * summed(terms, answering, count)
+
+    def solve(reaches, unmoved, laws):
+        unmoved, reach, forces, dampings, about = map(stacked, (unmoved, reaches, *laws))
+        roots = safe_sqrt(dampings * reach)
+        matrix = gains * looked_up(roots, lower) * looked_up(roots, upper) + ones
+        wanted = roots / reach * (about - answered(unmoved, reach, forces))
+        final = forces + roots * solved(Pattern(count, tuple(pattern)), matrix, None, wanted)
+        found = summed(moved.values * looked_up(final, moved.rows), moved.columns, size)
+        rates, final, found = map(unstacked, (answered(unmoved, reach, final), final, found))
+        multipliers = [entries for _, entries in operator.responses]
+        added = tuple(sp.dot(final, own) for own in zip(*multipliers, strict=True))
+        return ContactSolution(rates, final, found, added)
 
     return solve

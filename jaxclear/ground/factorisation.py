@@ -182,26 +182,28 @@ def sign_of_determinant(matrix: Any) -> Any:
 
 
 def to_array(rows: Rows) -> jnp.ndarray:
-    """Rows of sparse scalars as an array; entries that are structurally zero are filled in, not
-    stacked.
-    """
-    places = [(i, j) for i, row in enumerate(rows) for j, x in enumerate(row) if not sp.is_zero(x)]
-    shape = (len(rows), len(rows[0]) if rows else 0)
-    if not places:
+    """Rows of sparse scalars as an array."""
+    entries = {(i, j): x for i, row in enumerate(rows) for j, x in enumerate(row)}
+    return placed(entries, (len(rows), len(rows[0]) if rows else 0))
+
+
+def placed(entries: dict[tuple[int, int], Any], shape: tuple[int, int]) -> jnp.ndarray:
+    """An array of sparse scalars at these places; entries that are structurally zero are filled in,
+    not stacked."""
+    filled = {place: x for place, x in entries.items() if not sp.is_zero(x)}
+    if not filled:
         return jnp.zeros(shape)
-    i, j = zip(*places, strict=True)
-    own = [rows[a][b] for a, b in places]
+    (i, j), own = (np.array(part) for part in zip(*filled, strict=True)), list(filled.values())
     if all(isinstance(x, (int, float)) for x in own):
         known = np.zeros(shape)
         known[i, j] = own
         return jnp.asarray(known)
-    entries = sp.stack(own)
     if shape[1] >= MANY_COLUMNS:
         # XLA compiles what is looked up faster than what is put into place.
         looked_up = np.zeros(shape, np.int32)
         looked_up[i, j] = np.arange(1, len(own) + 1)
-        return jnp.concatenate([jnp.zeros(1), entries])[looked_up]
-    return jnp.zeros(shape).at[np.array(i), np.array(j)].set(entries, unique_indices=True)
+        return jnp.concatenate([jnp.zeros(1), sp.stack(own)])[looked_up]
+    return jnp.zeros(shape).at[i, j].set(sp.stack(own), unique_indices=True)
 
 
 # Of this many columns on.

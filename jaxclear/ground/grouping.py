@@ -16,6 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
 
 # From so many numbers on entries remember where they were taken from.
 MANY = 65
@@ -28,7 +30,7 @@ class _Origin(NamedTuple):
 
     number: weakref.ref
     array: jax.Array
-    index: int
+    place: int
 
 
 # By the identity of numbers, for as long as they live.
@@ -78,7 +80,7 @@ def stacked(numbers: Sequence[Any], least: int = MANY) -> jax.Array:
     whole = sources[0] if len(sources) == 1 else jnp.concatenate(sources)
     further = iter(range(lengths[-1], lengths[-1] + len(alone)))
     places = [
-        next(further) if own is None else starts[id(own.array)] + own.index for own in origins
+        next(further) if own is None else starts[id(own.array)] + own.place for own in origins
     ]
     return looked_up(whole, np.array(places))
 
@@ -115,6 +117,21 @@ def summed(terms: jax.Array, places: np.ndarray, count: int) -> jax.Array:
         numbers,
         mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS,
     )
+
+
+in_memory_p = Primitive("jaxclear_in_memory")
+
+
+def in_memory(array: jax.Array) -> jax.Array:
+    """An array that in a kernel stands in memory: what is done to it is a loop there."""
+    return in_memory_p.bind(array)
+
+
+in_memory_p.def_impl(lambda array: array)
+in_memory_p.def_abstract_eval(lambda array: array)
+ad.deflinear2(in_memory_p, lambda cotangent, _: [cotangent])
+batching.defvectorized(in_memory_p)
+mlir.register_lowering(in_memory_p, lambda _, array: [array])
 
 
 class _Packed(eqx.Module):

@@ -19,6 +19,7 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_alike, map_many
+from jaxclear.ground.grouping import MANY
 from jaxclear.ground.quantity import constant
 from jaxclear.multibody import constraints, kinematics, tree
 from jaxclear.multibody.constraints import ClosureEquations, Dependence
@@ -74,7 +75,9 @@ def forward_dynamics(system: System, forces: Forces, stabilisation: Baumgarte | 
         with jax.named_scope("constraints"):
             loops = constraints.acceleration_equations(system, forces.motions, stabilisation)
     respond, constrain = constrained_inverse(masses, loops.rows, loops.alike, loops.dependence)
-    accelerations, multipliers = constrain(respond([x for own in right for x in own]), loops.wanted)
+    accelerations, multipliers = constrain(
+        *respond([[x for own in right for x in own]]), loops.wanted
+    )
     return Solution(
         tuple(tuple(accelerations[branch.speeds]) for branch in system.topology.branches),
         multipliers,
@@ -83,9 +86,9 @@ def forward_dynamics(system: System, forces: Forces, stabilisation: Baumgarte | 
 
 def constrained_inverse(
     masses: list, rows: list[JacobianRow], alike: tuple, dependence: Dependence | None
-) -> tuple[Callable[[list], list], Callable[[list, list], tuple[list, tuple]]]:
-    """Two functions: M^-1 by subtrees, from generalised forces to accelerations, structurally zero
-    where no force acts; and the correction of accelerations to what constraint rows want, with its
+) -> tuple[Callable[[list[list]], list[list]], Callable[[list, list], tuple[list, tuple]]]:
+    """Two functions: M^-1 by subtrees, from several columns of generalised forces to as many of
+    accelerations, structurally zero where no force acts; and the correction of accelerations to what constraint rows want, with its
     multipliers; where rows depend on each other the least of them, torques measured by the longest
     arm. `alike` as of `ClosureEquations`: of rows that follow from others at a singular position
     the multipliers are 0."""
@@ -93,16 +96,12 @@ def constrained_inverse(
     factors = [next(factors) if mass else None for mass in masses]
     size = sum(len(mass) for mass in masses)
 
-    def respond(forces):
-        rest = iter(forces)
-        out = [tuple(itertools.islice(rest, len(mass))) for mass in masses]
-        moved = [i for i, own in enumerate(out) if not all(map(sp.is_zero, own))]
-        found = map_many(factorisation.solve, [(factors[i], out[i]) for i in moved])
-        for i, own in zip(moved, found, strict=True):
-            out[i] = own
-        return [x for own in out for x in own]
+    def respond(columns):
+        if len(columns) < MANY:
+            return [_responses([column], masses, factors)[0] for column in columns]
+        return _responses(columns, masses, factors)
 
-    columns = [respond([row.get(j, 0) for j in range(size)]) for row in rows]
+    columns = respond([[row.get(j, 0) for j in range(size)] for row in rows])
     schur = [[along(row, column) for column in columns] for row in rows]
     closed = _solver(schur, alike, dependence) if rows else None
 
@@ -119,6 +118,24 @@ def constrained_inverse(
         return changed, multipliers
 
     return respond, constrain
+
+
+def _responses(columns: list[list], masses: list, factors: list) -> list[list]:
+    """Accelerations by columns of generalised forces; alike ones are traced once."""
+    parts = []
+    for forces in columns:
+        rest = iter(forces)
+        parts.append([tuple(itertools.islice(rest, len(mass))) for mass in masses])
+    moved = [
+        (k, i)
+        for k, own in enumerate(parts)
+        for i, each in enumerate(own)
+        if not all(map(sp.is_zero, each))
+    ]
+    found = map_many(factorisation.solve, [(factors[i], parts[k][i]) for k, i in moved])
+    for (k, i), own in zip(moved, found, strict=True):
+        parts[k][i] = own
+    return [[x for each in own for x in each] for own in parts]
 
 
 def _solver(

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_many
-from jaxclear.ground.grouping import unstacked
+from jaxclear.ground.grouping import LARGEST_UNROLLED, unstacked
 from jaxclear.ground.printing import shown_in_words
 from jaxclear.ground.quantity import is_traced
 from jaxclear.multibody import constraints, given, kinematics
@@ -83,7 +83,8 @@ class Ask(NamedTuple):
 
 class Block(NamedTuple):
     """Equations in the free speeds of one closure or one given name, of a kind: what is left to
-    change, its Jacobian, what counts as much as a radian [m, 1], and what no motion changes."""
+    change, its Jacobian, what counts as much as a radian [m, 1], what no motion changes, and the
+    Jacobian once more, number by number."""
 
     kind: str
     name: str
@@ -91,6 +92,7 @@ class Block(NamedTuple):
     jacobian: Float[Array, "rows v"]
     measure: Float[Array, " rows"]
     fixed: Float[Array, " fixed"]
+    rows: list[kinematics.JacobianRow]
 
 
 def ask(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> Ask:
@@ -228,6 +230,9 @@ def is_solved(mechanism: Mechanism, concentric: bool) -> bool:
 def stacked(asked: Ask, blocks: list[Block]) -> tuple[Array, Array]:
     """(Jacobian, what is left) of all blocks."""
     none = jnp.zeros((0, asked.system.topology.speed_count))
+    if len(blocks) >= LARGEST_UNROLLED:
+        rows = [row for block in blocks for row in block.rows]
+        return _dense(asked, rows), jnp.concatenate([block.left for block in blocks])
     return (
         jnp.concatenate([none, *(block.jacobian for block in blocks)]),
         jnp.concatenate([none.ravel(), *(block.left for block in blocks)]),
@@ -289,6 +294,7 @@ def _closure_block(
         _dense(asked, found.jacobian),
         sp.stack(constraints.measures(closure, found, asked.arm)),
         sp.stack(() if rates else tuple(found.fixed.values())),
+        found.jacobian,
     )
 
 
@@ -303,10 +309,11 @@ def _given_block(asked: Ask, kind: str, name: str, where: Any, found: Any, told:
         _dense(asked, found.jacobian),
         sp.stack(measure),
         jnp.zeros(0),
+        found.jacobian,
     )
 
 
 def _dense(asked: Ask, rows: list[kinematics.JacobianRow]) -> Float[Array, "rows v"]:
     count = asked.system.topology.speed_count
-    entries = tuple(tuple(row.get(j, 0) for j in range(count)) for row in rows)
-    return factorisation.to_array(entries).reshape(len(rows), count)
+    entries = {(i, j): x for i, row in enumerate(rows) for j, x in row.items()}
+    return factorisation.placed(entries, (len(rows), count))

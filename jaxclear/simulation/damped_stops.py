@@ -77,5 +77,5 @@ def lightness_along(
     )
     size = sum(len(mass) for mass in masses)
     forces = [row.get(j, 0) for j in range(size)]
-    moved, _ = constrain(respond(forces), [0] * len(loops.rows))
+    moved, _ = constrain(*respond([forces]), [0] * len(loops.rows))
     return kinematics.along(row, moved)

@@ -56,7 +56,7 @@ def solved(mass, jacobian, held, right, wanted, reach, unmoved, forces, dampings
 
 @pytest.mark.parametrize(
     ("rows", "closures", "many"),
-    [(6, 0, 65), (6, 0, 5), (2, 0, 65), (6, 2, 65), (2, 1, 65)],
+    [(6, 0, 65), (6, 0, 5), (2, 0, 65), (6, 2, 65), (2, 1, 65), (2, 0, 1), (6, 2, 2)],
     ids=str,
 )
 def test_every_way_gives_the_solution_of_the_whole_system(rows, closures, many, monkeypatch):

@@ -1,0 +1,43 @@
+"""Maps over many rows are loops within a kernel, and say what JAX says."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxclear.ground.grouping import stacked, unstacked
+from jaxclear.native import once, only_kernels
+
+
+def _springs(state, parameters):
+    """Rates of a chain of many masses, stated number by number."""
+    count = len(state) // 2
+    numbers = unstacked(state)
+    places, speeds = numbers[:count], numbers[count:]
+    ends = stacked(places[:1] + places[:-1], 12)
+    one = lambda _, row: (
+        None,
+        jnp.where(row[0] > row[1], row[2] * (row[1] - row[0]), 0.1 * row[3]),
+    )
+    pulls = jax.lax.scan(one, None, (stacked(places, 12), ends, parameters, stacked(speeds, 12)))[1]
+    return jnp.concatenate([stacked(speeds, 12), pulls])
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+def test_a_map_over_many_rows_is_what_jax_makes_of_it(samples):
+    rng = np.random.default_rng(0)
+    states = jnp.asarray(rng.normal(size=(samples, 160)))
+    parameters = jnp.asarray(rng.normal(size=80))
+
+    def run(state):
+        # A state this long stands in memory while the loop goes on.
+        wide = jnp.concatenate([state, 2 * state])
+        step = lambda y, _: (
+            y + 1e-2 * jnp.concatenate([_springs(y[:160], parameters), y[160:]]),
+            None,
+        )
+        return jax.lax.scan(step, wide, length=30)[0]
+
+    with only_kernels():
+        found = jax.jit(jax.vmap(lambda state: once(run, state)))(states)
+    np.testing.assert_allclose(found, jax.vmap(run)(states), rtol=1e-12, atol=1e-14)
