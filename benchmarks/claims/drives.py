@@ -23,7 +23,6 @@ from benchmarks.measure import report, sign
 # Beyond 18 links XLA factorises the mass matrix, and compiles the step for minutes.
 LINKS, QUICK_LINKS = (1, 3, 7, 15, 30), (1, 3)
 PLAY, STEP, STEPS, REPEATS = 6e-4, 2e-5, 400_000, 5
-SAMPLES, BATCH_STEPS = 256, 20_000
 TIP_STEPS = (1000, 2000, 4000, 8000)
 EXACT = jc.integrator.Adaptive(rtol=1e-12, atol=1e-13)
 
@@ -35,9 +34,8 @@ def options() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def arm(links: int, plays: Any = None, speed: Any = 0.0) -> jc.Mechanism:
-    """The arm; `plays` [rad] of its gears, None without; `speed` [rad/s] of its first joint at the
-    start."""
+def arm(links: int, plays: Any = None) -> jc.Mechanism:
+    """The arm; `plays` [rad] of its gears, None without."""
     bodies, joints, loads, couplings = {}, {}, {}, {}
     for i in range(links):
         name, link = f"J{i}", f"link{i}"
@@ -53,7 +51,7 @@ def arm(links: int, plays: Any = None, speed: Any = 0.0) -> jc.Mechanism:
         loads[f"torque{i}"] = jc.load.JointTorque(
             f"{name}.motor", lambda t, i=i: 1e-2 * jnp.sin((3 + i) * t)
         )
-    return jc.Mechanism(bodies, joints, loads, couplings=couplings, speeds={"J0": speed})
+    return jc.Mechanism(bodies, joints, loads, couplings=couplings)
 
 
 def cpu(run: Callable[[], Any]) -> float:
@@ -80,36 +78,6 @@ def step_cost(links: int) -> dict[str, float]:
     least = {which: min(each[which] for each in rounds) for which in rounds[0]}
     for name in rigs:
         row[f"a step [ns], {name}"] = 1e9 * (least[name, steps] - least[name, 50]) / (steps - 50)
-    return row | {"ratio": row["a step [ns], with play"] / row["a step [ns], without"]}
-
-
-def batch(links: int) -> dict[str, float]:
-    """CPU time of a step of each of `SAMPLES` runs that go side by side, without play and with
-    [ns]."""
-    step, steps = jc.integrator.FixedStep(STEP), BATCH_STEPS // links**2
-
-    def ended(plays, count):
-        def one(speed):
-            rig = arm(links, plays, speed)
-            run = jc.simulate(rig, count * STEP, save=3, integrator=step, throw=False, verify=False)
-            return run.coordinate("J0")[-1]
-
-        return jax.jit(jax.vmap(one))
-
-    speeds, row = jnp.linspace(0.1, 0.2, SAMPLES), {"links": links, "samples": SAMPLES}
-    calls = {
-        (name, count): ended(plays, count)
-        for name, plays in (("without", None), ("with play", (PLAY,) * links))
-        for count in (50, steps)
-    }
-    rounds = [
-        {which: cpu(lambda call=call: call(speeds)) for which, call in calls.items()}
-        for _ in range(REPEATS + 1)
-    ]
-    least = {which: min(each[which] for each in rounds[1:]) for which in calls}
-    for name in ("without", "with play"):
-        spent = least[name, steps] - least[name, 50]
-        row[f"a step [ns], {name}"] = 1e9 * spent / (SAMPLES * (steps - 50))
     return row | {"ratio": row["a step [ns], with play"] / row["a step [ns], without"]}
 
 
@@ -178,8 +146,6 @@ def main() -> None:
     links = QUICK_LINKS if asked.quick else LINKS
     costs = [step_cost(count) for count in links]
     report("drives: a Runge-Kutta step with play and without", costs, asked)
-    batches = [batch(count) for count in links[:3]]
-    report("drives: the same of 256 runs side by side", batches, asked)
     tips = [row for count in links[:2] for row in tip_error(count)]
     report("drives: the place of the tip for its cost", tips, asked)
     slopes = [slope(count) for count in links[:2]]

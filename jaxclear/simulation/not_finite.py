@@ -10,7 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.components.stops_and_friction import JointFriction
+from jaxclear.components.acting import AbstractStateLoad
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.wording import listed, public_name
@@ -64,7 +64,7 @@ def _of_springs(mechanism: Mechanism) -> str:
     frictions = [
         name
         for name, load in mechanism.loads.items()
-        if isinstance(load, JointFriction) and load.transition_speed is None
+        if isinstance(load, AbstractStateLoad) and any(x.most is not None for x in load.states())
     ]
     if not couplings and not frictions:
         return ""
