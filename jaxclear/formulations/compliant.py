@@ -30,6 +30,7 @@ from jaxclear.formulations.model import Instant, Model, State
 from jaxclear.formulations.permanent_reactions import REACTION, Reaction, slips_of, touching
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_alike
+from jaxclear.ground.grouping import unstacked
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.forces import (
     Forces,
@@ -332,7 +333,7 @@ class CompliantContact(AbstractFormulation):
     ) -> tuple[State, Float[Array, " h"]]:
         """The state after an implicit step, and what it hands on to the next."""
         count = model.layout.speeds
-        numbers = [warm_start[i] for i in range(len(warm_start))]
+        numbers = unstacked(warm_start)
         directions = [
             count - 1
             for bearing in model.system.bearings.values()

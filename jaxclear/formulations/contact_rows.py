@@ -23,7 +23,7 @@ from jaxclear.laws.contact import Rigid
 from jaxclear.multibody import constraints, contact_point, dynamics, kinematics
 from jaxclear.multibody.constraints import ClosureEquations
 from jaxclear.multibody.contact_point import GapFunction, JointReport, PointState, Response
-from jaxclear.multibody.forces import Forces, applied_forces
+from jaxclear.multibody.forces import Forces, applied_forces, relative_motions
 from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.state import Followed, component_count, unpack_followed, unpack_motion
 from jaxclear.multibody.system import System
@@ -90,7 +90,7 @@ class MiddleOfStep(NamedTuple):
 
     def change_to(self, speeds: list) -> list:
         """From the predicted speeds to others: what rates of rows must be corrected by."""
-        return [sp.sub(a, b) for a, b in zip(speeds, self.predicted, strict=True)]
+        return sp.each(sp.sub, speeds, self.predicted)
 
     def end(self, model: Model, mean: list, h: Any) -> list:
         """Coordinates after a step of mean speeds, their rates taken in its middle."""
@@ -132,7 +132,7 @@ def middle_of_step(
     """The middle of a step from the state's entries, where speeds and these accelerations lead."""
     layout, h = model.layout, time_step.length
     q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]
-    predicted = [x + 0.5 * h * a for x, a in zip(v, accelerations, strict=True)]
+    predicted = sp.each(lambda x, a: x + 0.5 * h * a, v, accelerations)
     halfway = drift(model.system, q, q, v, 0.5 * h)
     motion = unpack_motion(model.system, [*halfway, *predicted])
     followed = unpack_followed(layout, entries)
@@ -158,10 +158,11 @@ def free_motion(model: Model, time: Any, q: tuple, v: tuple, followed: Followed)
 def indentations(model: Model, time: Any, q: tuple, v: tuple) -> list:
     """Indentation of every possible contact [m], from the geometry alone."""
     motions = kinematics.link_motions(model.system, q, v, time)
-    calls = []
-    for name, bearing in model.system.bearings.items():
-        pose = kinematics.relative_motion(bearing.closure, motions)[1]
-        calls.append((bearing.joint, pose, model.worn.get(name, {})))
+    relative = relative_motions(model.system, motions)
+    calls = [
+        (bearing.joint, own.pose, model.worn.get(name, {}))
+        for (name, bearing), own in zip(model.system.bearings.items(), relative, strict=True)
+    ]
     found = map_alike(contact_point.depths, calls)
     return [indentation for joint in found for indentation in joint]
 
@@ -172,10 +173,10 @@ def contact_points(
     """Poses of the journals in their bearings, and every possible contact."""
     bearings = model.system.bearings
     poses, calls = {}, []
-    for name, bearing in bearings.items():
-        relative = kinematics.relative_motion(bearing.closure, motions)[2]
-        poses[name] = relative.pose
-        calls.append((bearing.joint, relative, model.worn.get(name, {})))
+    relative = relative_motions(model.system, motions)
+    for (name, bearing), own in zip(bearings.items(), relative, strict=True):
+        poses[name] = own.pose
+        calls.append((bearing.joint, own, model.worn.get(name, {})))
 
     def geometry(joint, relative, worn):
         gap_functions = contact_point.gap_function(joint, relative.pose, worn)
@@ -186,14 +187,17 @@ def contact_points(
     with jax.named_scope("gap_function"):
         found = map_alike(geometry, calls)
     points = []
-    for (name, bearing), (gap_functions, rates) in zip(bearings.items(), found, strict=True):
-        jacobian = kinematics.relative_jacobian(
-            model.system,
-            motions,
-            bearing.closure,
-            poses[name],
-            lambda *velocity, j=bearing.joint, g=gap_functions: _row_rates(j, g, *velocity),
-        )
+    jacobians = kinematics.relative_jacobians(
+        model.system,
+        motions,
+        [bearing.closure for bearing in bearings.values()],
+        [
+            (_row_rates, (bearing.joint, gap_functions), poses[name])
+            for (name, bearing), (gap_functions, _) in zip(bearings.items(), found, strict=True)
+        ],
+    )
+    each = zip(bearings.items(), found, jacobians, strict=True)
+    for (name, bearing), (gap_functions, rates), jacobian in each:
         start = 0
         own_laws = contact_point.laws_at(
             bearing.joint, bearing.contact_laws, poses[name], model.worn.get(name, {})

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations import contact_rows, laws_over_step
-from jaxclear.formulations.contact_rows import MiddleOfStep, TimeStep, by_joint, lightness
+from jaxclear.formulations.contact_rows import MiddleOfStep, TimeStep, by_joint
 from jaxclear.formulations.contacts_over_step import (
     ContactOverStep,
     Step,
@@ -38,10 +38,10 @@ from jaxclear.formulations.rubbing_over_step import damping, joints_over_step
 from jaxclear.formulations.shafts_over_step import shafts_over_step
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import map_alike
-from jaxclear.ground.grouping import unstacked
+from jaxclear.ground.compiling import map_alike, map_many
+from jaxclear.ground.grouping import MANY, unstacked
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
-from jaxclear.multibody.kinematics import along
+from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.state import unpack_memories, unpack_motion
 from jaxclear.multibody.transmissions import within_gaps
 
@@ -50,6 +50,27 @@ STIFFNESS = 100.0
 # Added to the inverse of an effective mass [1/kg], so that a contact which nothing can move has
 # one.
 LEAST_LIGHTNESS = 1e-12
+
+
+class RowRead(NamedTuple):
+    """A row of a Jacobian with what some vectors are where it has entries."""
+
+    entries: tuple
+    read: tuple[tuple, ...]
+
+    def along(self, which: int) -> Any:
+        """The row times one of the vectors."""
+        return sp.dot(self.entries, self.read[which])
+
+    def lightness(self, which: int) -> Any:
+        """As `contact_rows.lightness`, the diagonal being one of the vectors."""
+        pairs = zip(self.entries, self.read[which], strict=True)
+        return sp.total(entry * entry / own for entry, own in pairs)
+
+
+def read_by(row: JacobianRow, *vectors: Sequence[Any]) -> RowRead:
+    """A row with the entries of vectors that it reads."""
+    return RowRead(tuple(row.values()), tuple(tuple(own[j] for j in row) for own in vectors))
 
 
 class ImplicitSettings(NamedTuple):
@@ -82,7 +103,7 @@ def step(
     """Entries of the state after the step, and what it hands on; `last` is what it was handed."""
     h = time_step.length
     averaging = Averaging(h, settings.bias)
-    accelerations = [a + b for a, b in zip(last.smooth, last.contact, strict=True)]
+    accelerations = sp.each(lambda a, b: a + b, last.smooth, last.contact)
     middle = contact_rows.middle_of_step(model, time_step, entries, accelerations)
     shafts, free_motion = shafts_over_step(model, middle.free_motion, middle.v, h)
     middle = middle._replace(free_motion=free_motion)
@@ -93,12 +114,10 @@ def step(
     whole = Step(model, time_step, averaging, middle, contacts, equations, joints, shafts)
     solution = _iterate(whole, last.contact, settings.newton_iterations)
     free, caused = equations.free, solution.accelerations
-    mean = [
-        x + 0.5 * h * (k + (1 + settings.bias) * c)
-        for x, k, c in zip(middle.v, free, caused, strict=True)
-    ]
+    halfway = lambda x, k, c: x + 0.5 * h * (k + (1 + settings.bias) * c)
+    mean = sp.each(halfway, middle.v, free, caused)
     q = middle.end(model, mean, h)
-    v = [x + h * (k + c) for x, k, c in zip(middle.v, free, caused, strict=True)]
+    v = sp.each(lambda x, k, c: x + h * (k + c), middle.v, free, caused)
     q, depths = _settle(whole, solution, q, v)
     slid = [
         laws_over_step.at_end(contact.slips, contact.braking, rates[1:])
@@ -125,9 +144,11 @@ def surplus(bias: Any, free: list, caused: list) -> list:
     b k_c / 2 of what contact `caused`, but of no more than it has to hold of the `free`
     accelerations: an impact's speeds are what they are. Of what rests on a contact it is, times the
     step, all of its speed, of opposite sign, to which a law would answer with damping."""
-    squares = [sum(k * k for k in own) for own in (free, caused)]
+    many = len(free) >= MANY
+    square = lambda own: jnp.sum(sp.stack(own) ** 2) if many else sum(k * k for k in own)
+    squares = [square(own) for own in (free, caused)]
     held = jnp.minimum(1.0, safe_sqrt(safe_divide(*squares)))
-    return [0.5 * bias * held * k for k in caused]
+    return sp.each(lambda k: 0.5 * bias * held * k, caused)
 
 
 def _contacts_at_start(
@@ -143,25 +164,37 @@ def _contacts_at_start(
     half, diagonal = 0.5 * averaging.length, middle.free_motion.diagonal
     memories = unpack_memories(model.layout, entries)
     remembered = [memory for joint in memories.values() for memory in joint]
-    contacts = []
-    each = zip(middle.free_motion.contacts, last.depths, remembered, slips, last.slips, strict=True)
-    for point, depth, memory, now, past in each:
-        approach = sp.add(point.rates[0], along(point.rows[0], back))
+
+    def one(averaging, laws, indentation, rate, rows, depth, memory, now, past):
+        normal, *across = rows
+        approach = sp.add(rate, normal.along(0))
         if memory.impact_speed is not None:
-            gain = half * along(point.rows[0], free)
-            flight = Flight(depth, point.gap_function.indentation, approach, gain)
+            gain = half * normal.along(1)
+            flight = Flight(depth, indentation, approach, gain)
             speed = taken_in_flight(memory.impact_speed, flight, averaging.length)
             memory = memory._replace(impact_speed=speed)
-        mass = 1.0 / (lightness(point.rows[0], diagonal) + LEAST_LIGHTNESS)
+        mass = 1.0 / (normal.lightness(2) + LEAST_LIGHTNESS)
         braking = laws_over_step.braking(
-            point.laws,
+            laws,
             *averaging,
             depth + averaging.length * positive_part(approach),
-            [lightness(row, diagonal) for row in point.rows[1 : point.active]],
+            [row.lightness(2) for row in across],
         )
         sliding = laws_over_step.at_start(now, past, depth)
-        contacts.append(ContactOverStep(point, depth, approach, mass, memory, braking, sliding))
-    return contacts
+        return depth, approach, mass, memory, braking, sliding
+
+    points = middle.free_motion.contacts
+    calls = [
+        (
+            averaging,
+            *(point.laws, point.gap_function.indentation, point.rates[0]),
+            tuple(read_by(row, back, free, diagonal) for row in point.rows[: point.active]),
+            *own,
+        )
+        for point, *own in zip(points, last.depths, remembered, slips, last.slips, strict=True)
+    ]
+    found = map_many(one, calls)
+    return [ContactOverStep(point, *own) for point, own in zip(points, found, strict=True)]
 
 
 def _first_rates(whole: Step, last: list) -> tuple[list, list, list]:
@@ -175,21 +208,34 @@ def _first_rates(whole: Step, last: list) -> tuple[list, list, list]:
     unmoved: list[Any] = []
     first: list[Any] = []
     forces: list[Any] = []
-    for contact in whole.contacts:
-        closed, rows = contact.depth > 0, contact.point.rows[: contact.point.active]
-        approach = contact.approach + 0.5 * h * along(rows[0], free)
-        deepest = laws_over_step.deepest(
-            contact.point.laws, contact.mass, contact.approach, contact.depth + h * approach
+
+    def one(averaging, laws, depth, approach, mass, braking, slips, rows):
+        closed, (normal, *across) = depth > 0, rows
+        reached = approach + 0.5 * averaging.length * normal.along(0)
+        free_depth = depth + averaging.length * reached
+        deepest = laws_over_step.deepest(laws, mass, approach, free_depth)
+        carried_on = reached + averaging.reach * normal.along(1)
+        begun = jnp.where(closed, carried_on, (deepest - depth) / averaging.length)
+        found = [(reached, begun, 0.0)]
+        for slip, row in zip(slips, across, strict=True):
+            rate = laws_over_step.unhindered(slip, braking, row.along(0))
+            traction = jnp.where(closed, slip.traction, 0.0)
+            found.append((rate, jnp.where(closed, slip.own, rate), traction))
+        return tuple(found)
+
+    calls = [
+        (
+            *(whole.averaging, contact.point.laws, contact.depth, contact.approach),
+            *(contact.mass, contact.braking, contact.slips),
+            tuple(read_by(x, free, last) for x in contact.point.rows[: contact.point.active]),
         )
-        unmoved.append(approach)
-        carried_on = approach + whole.averaging.reach * along(rows[0], last)
-        first.append(jnp.where(closed, carried_on, (deepest - contact.depth) / h))
-        forces.append(0.0)
-        for slip, row in zip(contact.slips, rows[1:], strict=True):
-            rate = laws_over_step.unhindered(slip, contact.braking, along(row, free))
+        for contact in whole.contacts
+    ]
+    for rows in map_many(one, calls):
+        for rate, begun, force in rows:
             unmoved.append(rate)
-            first.append(jnp.where(closed, slip.own, rate))
-            forces.append(jnp.where(closed, slip.traction, 0.0))
+            first.append(begun)
+            forces.append(force)
     for joint in whole.joints:
         moved = [joint.reach * along(row, free) for row in joint.rows]
         unmoved += [sp.add(x, y) for x, y in zip(joint.begun, moved, strict=True)]
@@ -297,12 +343,18 @@ def _depths_worked_for(whole: Step, solution: ContactSolution) -> list:
     worked for. (An unfinished iteration ends with less than the law's force at the depth it
     reaches.)"""
     rates, forces = whole.per_contact(solution.rates), whole.per_contact(solution.forces)
-    out = []
-    for contact, rate, force in zip(whole.contacts, rates, forces, strict=True):
-        law = laws_over_step.mean_force(
-            contact.point.laws, contact.memory, whole.averaging, contact.depth, rate[0]
-        )
-        share = jnp.clip(safe_divide(-force[0], law), 0.0, 1.0)
-        low, end = positive_part(contact.depth), contact.depth + whole.averaging.length * rate[0]
-        out.append(jnp.where(end > low, low + share * (end - low), end))
-    return out
+
+    def one(averaging, laws, memory, depth, rate, force):
+        law = laws_over_step.mean_force(laws, memory, averaging, depth, rate)
+        share = jnp.clip(safe_divide(-force, law), 0.0, 1.0)
+        low, end = positive_part(depth), depth + averaging.length * rate
+        return jnp.where(end > low, low + share * (end - low), end)
+
+    each = zip(whole.contacts, rates, forces, strict=True)
+    return map_many(
+        one,
+        [
+            (whole.averaging, own.point.laws, own.memory, own.depth, rate[0], force[0])
+            for own, rate, force in each
+        ],
+    )

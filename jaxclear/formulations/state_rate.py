@@ -34,7 +34,7 @@ def coordinate_rates(system: System, q: tuple, v: tuple) -> list:
 def drift(system: System, start: list, at: list, speeds: list, h: Any) -> list:
     """Coordinates a time `h` [s] after `start`, their rates taken `at` some coordinates."""
     rates = coordinate_rates(system, *unpack_motion(system, [*at, *speeds]))
-    return [x + h * rate for x, rate in zip(start, rates, strict=True)]
+    return sp.each(lambda x, rate: x + h * rate, start, rates)
 
 
 def followed_rates(system: System, layout: Layout, forces: Forces) -> list:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxclear.ground.grouping import MANY, stacked
+from jaxclear.ground.grouping import MANY, stacked, unstacked
 from jaxclear.ground.numerics import safe_sqrt
 
 # Of three each: a type checker does not count what a loop builds.
@@ -179,6 +179,14 @@ def vec3(values: Any) -> Vec:
     if values is None:
         return ZERO
     return (*values, *(0,) * (3 - len(values)))
+
+
+def each(function: Any, *lists: Any) -> list:
+    """[function(x, ...) for x, ... in the lists side by side], of many numbers as arrays: for
+    arithmetic that is the same for numbers and arrays."""
+    if len(lists[0]) < MANY:
+        return [function(*numbers) for numbers in zip(*lists, strict=True)]
+    return unstacked(function(*map(stack, lists)))
 
 
 def dense(tree: Any) -> Any:

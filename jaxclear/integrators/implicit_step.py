@@ -14,7 +14,7 @@ from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.midpoint_step import surplus
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.grouping import packed, unpacked
+from jaxclear.ground.grouping import packed, unpacked, unstacked
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, constant, count, quantity
 from jaxclear.integrators.base import AbstractIntegrator, arrived, counted, divide, march
@@ -181,7 +181,7 @@ class ImplicitStep(AbstractIntegrator):
             return last
         free, caused = self.formulation.caused_by_contact(model, start, state)
         return last.at[self._surplus(model, last)].set(
-            jnp.stack(surplus(self._bias, list(free), list(caused)))
+            sp.stack(surplus(self._bias, unstacked(free), unstacked(caused)))
         )
 
     def _surplus(self, model, last):

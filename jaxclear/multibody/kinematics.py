@@ -137,6 +137,44 @@ def relative_jacobian(
     return rows
 
 
+def relative_jacobians(
+    system: System, motions: tuple[Motion, ...], closures: list[Closure], rates: list[tuple]
+) -> list[list[JacobianRow]]:
+    """The same of many closures; `rates`: of each a function, what it takes first, and the pose;
+    alike ones are traced once."""
+    columns = [
+        [jacobian_columns(system, motions, link) for link in (own.parent_link, own.child_link)]
+        for own in closures
+    ]
+
+    def entries(given, pose, markers, twists, rates):
+        found = []
+        for side, (marker, own) in enumerate(zip(markers, twists, strict=True)):
+            for column in own:
+                twist = loops.marker_twist(column, marker)
+                pair = (twist, STILL) if side == 0 else (STILL, twist)
+                velocities = loops.relative_velocity(pose, *pair)
+                found.append(tuple(rates(*given, pose, *velocities)))
+        return tuple(found)
+
+    calls = [
+        (given, pose, (own.parent, own.child), tuple(tuple(x.values()) for x in moved), function)
+        for own, moved, (function, given, pose) in zip(closures, columns, rates, strict=True)
+    ]
+    jacobians = []
+    each = zip(columns, rates, map_many(entries, calls), strict=True)
+    for moved, (function, given, pose), found in each:
+        places = [j for own in moved for j in own]
+        like = found[0] if found else function(*given, pose, sp.ZERO, sp.ZERO)
+        rows: list[JacobianRow] = [{} for _ in like]
+        for j, own in zip(places, found, strict=True):
+            for row, entry in zip(rows, own, strict=True):
+                if not sp.is_zero(entry):
+                    row[j] = sp.add(row.get(j, 0), entry)
+        jacobians.append(rows)
+    return jacobians
+
+
 def joint_twist(system: System, motions: tuple[Motion, ...], index: int) -> Twist:
     """Twist of a link relative to its parent link, in the link's axes."""
     path = ancestry(system, index)
