@@ -270,7 +270,7 @@ def _scan(writer, equation, *arguments):
         collected.append(found[carried:])
     if p["reverse"]:
         collected.reverse()
-    return carry + [np.stack(parts) for parts in zip(*collected, strict=True)]
+    return carry + [np.stack([*map(in_registers, parts)]) for parts in zip(*collected, strict=True)]
 
 
 def _counted_loop(writer, body, fixed, carry, rows, length, kinds):
