@@ -126,7 +126,9 @@ def _responses(columns: list[list], masses: list, factors: list) -> list[list]:
         rest = iter(forces)
         parts.append([tuple(itertools.islice(rest, len(mass))) for mass in masses])
     moved = [
-        (k, i) for k, own in enumerate(parts) for i, each in enumerate(own)
+        (k, i)
+        for k, own in enumerate(parts)
+        for i, each in enumerate(own)
         if not all(map(sp.is_zero, each))
     ]
     found = map_many(factorisation.solve, [(factors[i], parts[k][i]) for k, i in moved])

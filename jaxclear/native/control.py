@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxclear.native.arithmetic import compare
-from jaxclear.native.long_arrays import carried_in_memory, mapped, put_back
+from jaxclear.native.long_arrays import carried_in_memory, mapped, put_back, rows_joined
 from jaxclear.native.program import CALLS, called, scan_counts, size_of
 from jaxclear.native.writer import (
     FLOAT,
@@ -270,7 +270,11 @@ def _scan(writer, equation, *arguments):
         collected.append(found[carried:])
     if p["reverse"]:
         collected.reverse()
-    return carry + [np.stack([*map(in_registers, parts)]) for parts in zip(*collected, strict=True)]
+    kinds = [kind_of(atom.aval.dtype) for atom in equation.outvars[carried:]]
+    return carry + [
+        rows_joined(writer, parts, kind)
+        for parts, kind in zip(zip(*collected, strict=True), kinds, strict=True)
+    ]
 
 
 def _counted_loop(writer, body, fixed, carry, rows, length, kinds):

@@ -346,7 +346,7 @@ def _scatter(writer, equation, a, indices, update):
         refuse_memory(a, indices, update)
     if numbers.operand_batching_dims or (clips and add):
         raise Unsupported("this kind of scatter")
-    places = _places(writer, numbers, a.shape, indices, update.shape, clips)
+    places = places_of(writer, numbers, a.shape, indices, update.shape, clips)
     if clips:
         return _changed(writer, a, update, places, kind)
     out = a.copy()
@@ -360,7 +360,7 @@ def _scatter(writer, equation, a, indices, update):
     return out
 
 
-def _places(writer, numbers, shape, indices, updated, clips):
+def places_of(writer, numbers, shape, indices, updated, clips):
     """Where the entries of an update go in an array of this shape; `clips`: windows are moved
     within it as a whole, what the update of a slice becomes where several arrays are updated at the
     same place."""

@@ -125,25 +125,50 @@ def view(writer: Writer, array: Any, kind: str, places: np.ndarray) -> Any:
         for k, place in enumerate(flat.tolist()):
             found[k] = entry(place)
         return found.reshape(places.shape)
-    first, step = int(flat[0]), int(flat[1] - flat[0])
-    if (np.diff(flat) == step).all():
+    index = _index(writer, flat)
+    return Long(places.shape, kind, lambda k: entry(index(k)))
 
-        def index(k):
+
+def _index(writer: Writer, places: np.ndarray) -> Callable[[Any], Any]:
+    """Known places, by a number that is known or in a register."""
+    first, step = int(places[0]), int(places[-1] - places[0]) // max(len(places) - 1, 1)
+    if (np.diff(places) == step).all():
+
+        def along(k):
             if known(k):
                 return first + step * k
             ahead = k if step == 1 else writer.put(f"mul i64 {k}, {step}")
             return ahead if first == 0 else writer.put(f"add i64 {ahead}, {first}")
-    else:
-        table = writer.table(flat)
 
-        def index(k):
-            if known(k):
-                return int(flat[k])
-            place = writer.put(f"getelementptr i32, ptr {table}, i64 {k}")
-            found = writer.put(f"load i32, ptr {place}, !invariant.load !0")
-            return writer.put(f"zext i32 {found} to i64")
+        return along
+    table = writer.table(places)
 
-    return Long(places.shape, kind, lambda k: entry(index(k)))
+    def looked_up(k):
+        if known(k):
+            return int(places[k])
+        place = writer.put(f"getelementptr i32, ptr {table}, i64 {k}")
+        found = writer.put(f"load i32, ptr {place}, !invariant.load !0")
+        return writer.put(f"zext i32 {found} to i64")
+
+    return looked_up
+
+
+def changed(
+    writer: Writer, array: Any, kind: str, places: np.ndarray, update: Any, combine: Callable
+) -> Long:
+    """An array whose entries at known row-major places are `combine`d with those of an update, one
+    after the other."""
+    room, entry, index = stored(writer, array, kind).room, entries_of(writer, update, kind), None
+    if not places.size:
+        return room.array()
+    index, kept = _index(writer, places.ravel()), room.array().entry
+
+    def put(k):
+        place = index(k)
+        room.put(place, combine(kept(place), entry(k)))
+
+    for_each(writer, places.size, put)
+    return room.array()
 
 
 def unstacked(writer: Writer, equation: Any, array: Any, kind: str, places: np.ndarray) -> list:
@@ -179,6 +204,18 @@ def joined(writer: Writer, arrays: Sequence[Any], kind: str, axis: int) -> Any:
     if (np.diff(order.ravel()) == 1).all():
         return room.array().reshaped(order.shape)
     return view(writer, room.array(), kind, order)
+
+
+def rows_joined(writer: Writer, rows: Sequence[Any], kind: str) -> Any:
+    """Arrays of one shape as the rows of one."""
+    if not any(isinstance(row, Long) for row in rows):
+        return np.stack(rows)
+    return joined(writer, [_as_a_row(row) for row in rows], kind, 0)
+
+
+def _as_a_row(array: Any) -> Any:
+    shape = (1, *array.shape)
+    return array.reshaped(shape) if isinstance(array, Long) else array.reshape(shape)
 
 
 def entrywise(writer: Writer, rule: Callable, equation: Any, arrays: Sequence[Any]) -> Long:

@@ -9,10 +9,10 @@ import numpy as np
 from jaxclear.native import control as _control  # noqa: F401  (its rules hand arrays on)
 from jaxclear.native import elementary as _elementary  # noqa: F401
 from jaxclear.native.arithmetic import combine
-from jaxclear.native.indexing import gathered_places, spans_of
+from jaxclear.native.indexing import gathered_places, places_of, spans_of
 from jaxclear.native.long_arrays import (
     Room,
-    entries_of,
+    changed,
     entrywise,
     for_each,
     joined,
@@ -22,9 +22,9 @@ from jaxclear.native.long_arrays import (
 )
 from jaxclear.native.program import CALLS
 from jaxclear.native.writer import (
-    FLOAT,
     LONGEST_IN_REGISTERS,
     RULES,
+    InMemory,
     Long,
     array_of,
     in_registers,
@@ -115,6 +115,23 @@ def _gathered(writer, equation, a, indices):
     return view(writer, a, a.kind, places)
 
 
+@long_rule("scatter", "scatter-add")
+def _scattered(writer, equation, a, indices, update):
+    name, numbers = equation.primitive.name, equation.params["dimension_numbers"]
+    indices, kind = in_registers(indices), kind_of(equation.invars[0].aval.dtype)
+    unknown = not known(*indices.flat) or numbers.operand_batching_dims
+    if unknown or isinstance(a, InMemory):
+        return RULES[name](writer, equation, *map(in_registers, (a, indices, update)))
+    clips = "CLIP" in str(equation.params["mode"])
+    to = places_of(writer, numbers, a.shape, indices, update.shape, clips)
+    inside = all(0 <= i < n for place in to.values() for i, n in zip(place, a.shape, strict=True))
+    if not inside:
+        return RULES[name](writer, equation, *map(in_registers, (a, indices, update)))
+    places = np.array([np.ravel_multi_index(place, a.shape) for place in to.values()], int)
+    join = lambda old, new: combine(writer, "sum", kind, old, new) if "add" in name else new
+    return changed(writer, a, kind, places, update, join)
+
+
 @long_rule("reduce_sum", "reduce_max", "reduce_min", "reduce_and", "reduce_or")
 def _reduced(writer, equation, a):
     """Over all axes, one entry after the other."""
@@ -130,27 +147,6 @@ def _reduced(writer, equation, a):
 
     for_each(writer, a.size - 1, turn)
     return array_of(room.array().entry(0), ())
-
-
-@long_rule("scatter-add")
-def _summed(writer, equation, a, indices, terms):
-    """One term after the other, at places that are known."""
-    numbers = equation.params["dimension_numbers"]
-    plain = len(a.shape) == 1 and not numbers.update_window_dims
-    places = in_registers(indices)
-    if not plain or not known(*places.flat):
-        return RULES["scatter-add"](writer, equation, *map(in_registers, (a, places, terms)))
-    sums = stored(writer, a, FLOAT)
-    entry, table = entries_of(writer, terms, FLOAT), writer.table(places.ravel())
-
-    def turn(k):
-        at = writer.put(f"getelementptr i32, ptr {table}, i64 {k}")
-        said = writer.put(f"load i32, ptr {at}, !invariant.load !0")
-        place = writer.put(f"zext i32 {said} to i64")
-        sums.room.put(place, combine(writer, "sum", FLOAT, sums.entry(place), entry(k)))
-
-    for_each(writer, terms.size, turn)
-    return sums
 
 
 @rule("jaxclear_in_memory")
