@@ -91,8 +91,8 @@ def constrained_inverse(
     what constraint rows want, with its multipliers; where rows depend on each other the least of
     them, torques measured by the longest arm. `alike` as of `ClosureEquations`: of rows that follow
     from others at a singular position the multipliers are 0."""
-    factors = iter(map_many(factorisation.factor, [(mass,) for mass in masses if mass]))
-    factors = [next(factors) if mass else None for mass in masses]
+    found = iter(map_many(factorisation.factor, [(mass,) for mass in masses if mass]))
+    factors = [next(found) if mass else None for mass in masses]
     size = sum(len(mass) for mass in masses)
 
     def respond(columns):

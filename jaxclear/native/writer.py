@@ -204,7 +204,7 @@ class Writer:
         zeros = f"<{self.lanes} x i32> zeroinitializer"
         return self.put(f"shufflevector {wide} {first}, {wide} poison, {zeros}")
 
-    def table(self, numbers: Sequence[Any], kind: str = "i32") -> str:
+    def table(self, numbers: Any, kind: str = "i32") -> str:
         """Numbers that are known, in memory."""
         word = (lambda x: str(int(x))) if kind == "i32" else (lambda x: Writer(1).text(x, kind))
         words = ", ".join(f"{kind} {word(x)}" for x in numbers)
