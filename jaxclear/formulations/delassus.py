@@ -121,7 +121,8 @@ def delassus_operator(free_motion: FreeMotion, rows: list[ContactJacobianRow]) -
         free_motion.masses, closures.rows, closures.alike, closures.dependence
     )
     respond, constrain = inverse
-    free, multipliers = constrain(*respond([list(free_motion.right)]), closures.wanted)
+    (unheld,) = respond([list(free_motion.right)])
+    free, multipliers = constrain(unheld, closures.wanted)
     size, still = len(free_motion.right), [0] * len(multipliers)
     columns = respond([[row.get(j, 0) for j in range(size)] for row in rows])
     responses = [constrain(column, still) for column in columns]
@@ -148,8 +149,8 @@ def implicit_contact(
         return ImplicitContact(operator.free, operator.multipliers, way(mass, rows))
     operator = delassus_operator(free_motion, rows)
     if rows:
-        way = _in_rows if len(rows) < MANY else _in_many_rows
-        return ImplicitContact(operator.free, operator.multipliers, way(operator))
+        in_rows = _in_rows if len(rows) < MANY else _in_many_rows
+        return ImplicitContact(operator.free, operator.multipliers, in_rows(operator))
     nothing = ContactSolution([], [], [0] * size, (0,) * len(operator.multipliers))
     return ImplicitContact(operator.free, operator.multipliers, lambda *_: nothing)
 

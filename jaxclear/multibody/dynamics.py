@@ -75,9 +75,8 @@ def forward_dynamics(system: System, forces: Forces, stabilisation: Baumgarte | 
         with jax.named_scope("constraints"):
             loops = constraints.acceleration_equations(system, forces.motions, stabilisation)
     respond, constrain = constrained_inverse(masses, loops.rows, loops.alike, loops.dependence)
-    accelerations, multipliers = constrain(
-        *respond([[x for own in right for x in own]]), loops.wanted
-    )
+    (free,) = respond([[x for own in right for x in own]])
+    accelerations, multipliers = constrain(free, loops.wanted)
     return Solution(
         tuple(tuple(accelerations[branch.speeds]) for branch in system.topology.branches),
         multipliers,
@@ -88,12 +87,12 @@ def constrained_inverse(
     masses: list, rows: list[JacobianRow], alike: tuple, dependence: Dependence | None
 ) -> tuple[Callable[[list[list]], list[list]], Callable[[list, list], tuple[list, tuple]]]:
     """Two functions: M^-1 by subtrees, from several columns of generalised forces to as many of
-    accelerations, structurally zero where no force acts; and the correction of accelerations to what constraint rows want, with its
-    multipliers; where rows depend on each other the least of them, torques measured by the longest
-    arm. `alike` as of `ClosureEquations`: of rows that follow from others at a singular position
-    the multipliers are 0."""
-    factors = iter(map_many(factorisation.factor, [(mass,) for mass in masses if mass]))
-    factors = [next(factors) if mass else None for mass in masses]
+    accelerations, structurally zero where no force acts; and the correction of accelerations to
+    what constraint rows want, with its multipliers; where rows depend on each other the least of
+    them, torques measured by the longest arm. `alike` as of `ClosureEquations`: of rows that follow
+    from others at a singular position the multipliers are 0."""
+    found = iter(map_many(factorisation.factor, [(mass,) for mass in masses if mass]))
+    factors = [next(found) if mass else None for mass in masses]
     size = sum(len(mass) for mass in masses)
 
     def respond(columns):

@@ -36,6 +36,7 @@ On its way a loop passes through these files:
 - `rows`: functions as loops of one turn, and what is no loop, and is left to XLA.
 - `arithmetic`, `elementary`, `indexing`, `control`: one rule for each of JAX's primitives: what it
   becomes as LLVM code.
+- `linear_systems`: large symmetric systems, factorised and solved by loops over tables.
 - `writer`: the text under construction, and the registry of rules. An array is a NumPy array of
   register names, so reshaping costs nothing and a sum of three numbers is two instructions.
 - `kernel`: the loop compiled by LLVM, and what it writes; `dispatch`: how XLA calls it.

@@ -203,38 +203,53 @@ done:
 {parallel} = !{{!"llvm.loop.parallel_accesses", {once}}}"""
 
 
+# What a table says of a stretch of a column.
+STRETCH = ("row", "source", "length")
+
+
 def _solving(writer: Writer, name: str, number: int, tables: Tables) -> str:
     """The function that puts the solution in the place of a right-hand side b: y of L y = b, column
     by column, and over the pivots; x of L^T x = y, from the end."""
     wide, last = writer.wide(FLOAT), len(tables.unknown) - 1
     once, loop, parallel = (f"!{MARKS * number + k}" for k in (7, 8, 9))
-    access = f"!llvm.access.group {once}"
+    return f"""define internal void @NAME.{name}{number}(ptr noalias %a, ptr noalias %x) noinline {{
+{_forwards(wide, number, last, f", !llvm.access.group {once}", f", !llvm.loop {loop}")}
+{_backwards(wide, number, last)}
+done:
+  ret void
+}}
+{once} = distinct !{{}}
+{loop} = distinct !{{{loop}, {parallel}}}
+{parallel} = !{{!"llvm.loop.parallel_accesses", {once}}}"""
 
-    def of_column(ahead):
-        """Begins with a column: its place `%j`, and the unknown there."""
-        return f"""  %{ahead}j.next = add i64 %{ahead}j, 1
+
+def _of_column(wide: str, number: int, ahead: str) -> str:
+    """Lines that begin with a column: its place `j`, and the unknown there."""
+    return f"""  %{ahead}j.next = add i64 %{ahead}j, 1
 {_read(f"solve_starts{number}", f"{ahead}line.first", line=f"%{ahead}j")}
 {_read(f"solve_starts{number}", f"{ahead}line.end", line=f"%{ahead}j.next")}
   %{ahead}x.at = getelementptr {wide}, ptr %x, i64 %{ahead}j
   %{ahead}x.said = load {wide}, ptr %{ahead}x.at
   %{ahead}any = icmp slt i64 %{ahead}line.first, %{ahead}line.end"""
 
-    def entry(ahead, marks=""):
-        """An entry of L and the unknown of its row."""
-        return f"""  %{ahead}r = add i64 %{ahead}row, %{ahead}q
+
+def _entry(wide: str, ahead: str, marks: str = "") -> str:
+    """Lines with an entry of L and the unknown of its row."""
+    return f"""  %{ahead}r = add i64 %{ahead}row, %{ahead}q
   %{ahead}r.at = getelementptr {wide}, ptr %x, i64 %{ahead}r
   %{ahead}old = load {wide}, ptr %{ahead}r.at{marks}
   %{ahead}s = add i64 %{ahead}source, %{ahead}q
   %{ahead}s.at = getelementptr {wide}, ptr %a, i64 %{ahead}s
   %{ahead}l = load {wide}, ptr %{ahead}s.at{marks}"""
 
-    names = ("row", "source", "length")
-    return f"""define internal void @NAME.{name}{number}(ptr noalias %a, ptr noalias %x) noinline {{
-entry:
+
+def _forwards(wide: str, number: int, last: int, access: str, parallel: str) -> str:
+    """Lines of the columns from the first to the last."""
+    return f"""entry:
   br label %column
 column:
   %j = phi i64 [ 0, %entry ], [ %j.next, %next ]
-{of_column("")}
+{_of_column(wide, number, "")}
 {_read(f"columns{number}", "start", line="%j")}
   %pivot.at = getelementptr {wide}, ptr %a, i64 %start
   %inverse = load {wide}, ptr %pivot.at
@@ -243,37 +258,41 @@ column:
   br i1 %any, label %update, label %next
 update:
   %line = phi i64 [ %line.first, %column ], [ %line.next, %updated ]
-{_read(f"solves{number}", *names, line="%line")}
+{_read(f"solves{number}", *STRETCH, line="%line")}
   br label %stretch
 stretch:
   %q = phi i64 [ 0, %update ], [ %q.next, %stretch ]
-{entry("", f", {access}")}
+{_entry(wide, "", access)}
   %part = fmul contract {wide} %l, %x.said
   %new = fsub contract {wide} %old, %part
-  store {wide} %new, ptr %r.at, {access}
+  store {wide} %new, ptr %r.at{access}
   %q.next = add i64 %q, 1
   %q.more = icmp slt i64 %q.next, %length
-  br i1 %q.more, label %stretch, label %updated, !llvm.loop {loop}
+  br i1 %q.more, label %stretch, label %updated{parallel}
 updated:
   %line.next = add i64 %line, 1
   %line.more = icmp slt i64 %line.next, %line.end
   br i1 %line.more, label %update, label %next
 next:
   %more = icmp slt i64 %j, {last}
-  br i1 %more, label %column, label %b.column
-b.column:
+  br i1 %more, label %column, label %b.column"""
+
+
+def _backwards(wide: str, number: int, last: int) -> str:
+    """Lines of the columns from the last to the first."""
+    return f"""b.column:
   %b.j = phi i64 [ {last}, %next ], [ %b.j.before, %b.next ]
-{of_column("b.")}
+{_of_column(wide, number, "b.")}
   br i1 %b.any, label %b.update, label %b.next
 b.update:
   %b.line = phi i64 [ %b.line.first, %b.column ], [ %b.line.next, %b.updated ]
   %b.begun = phi {wide} [ %b.x.said, %b.column ], [ %b.new, %b.updated ]
-{_read(f"solves{number}", *(f"b.{each}" for each in names), line="%b.line")}
+{_read(f"solves{number}", *(f"b.{each}" for each in STRETCH), line="%b.line")}
   br label %b.stretch
 b.stretch:
   %b.q = phi i64 [ 0, %b.update ], [ %b.q.next, %b.stretch ]
   %b.sum = phi {wide} [ %b.begun, %b.update ], [ %b.new, %b.stretch ]
-{entry("b.")}
+{_entry(wide, "b.")}
   %b.part = fmul contract {wide} %b.l, %b.old
   %b.new = fsub contract {wide} %b.sum, %b.part
   %b.q.next = add i64 %b.q, 1
@@ -288,10 +307,4 @@ b.next:
   store {wide} %b.found, ptr %b.x.at
   %b.j.before = sub i64 %b.j, 1
   %b.more = icmp sgt i64 %b.j, 0
-  br i1 %b.more, label %b.column, label %done
-done:
-  ret void
-}}
-{once} = distinct !{{}}
-{loop} = distinct !{{{loop}, {parallel}}}
-{parallel} = !{{!"llvm.loop.parallel_accesses", {once}}}"""
+  br i1 %b.more, label %b.column, label %done"""

@@ -15,6 +15,7 @@ import numpy as np
 from jax.extend.core import DropVar
 
 from jaxclear.native.writer import (
+    FLOAT,
     WHOLE,
     InMemory,
     Long,
@@ -92,13 +93,22 @@ def entries_of(writer: Writer, array: Any, kind: str) -> Callable[[Any], Any]:
     flat = array.ravel()
     if len(flat) and all(x is flat[0] or x == flat[0] for x in flat):
         return lambda _: flat[0]
+    if kind == FLOAT and known(*flat):
+        return lambda k: flat[k] if known(k) else _looked_up(writer, flat, k)
     return stored(writer, array, kind).entry
+
+
+def _looked_up(writer: Writer, numbers: np.ndarray, index: str) -> str:
+    """One of many known numbers."""
+    table = writer.table(numbers, FLOAT)
+    place = writer.put(f"getelementptr double, ptr {table}, i64 {index}")
+    return writer.spread(writer.put(f"load double, ptr {place}, !invariant.load !0"), FLOAT)
 
 
 def stored(writer: Writer, array: Any, kind: str) -> Long:
     """An array, in registers or looked up, as one in memory of its own."""
     room = Room(writer, tuple(array.shape), kind)
-    if isinstance(array, (Long, InMemory)):
+    if isinstance(array, (Long, InMemory)) or (kind == FLOAT and known(*array.flat)):
         entry = entries_of(writer, array, kind)
         for_each(writer, math.prod(array.shape), lambda k: room.put(k, entry(k)))
     else:

@@ -195,13 +195,15 @@ def _open(program: ClosedJaxpr) -> tuple[ClosedJaxpr, list]:
     """Constants that are not yet known as leading arguments, and these; known numbers stay
     inside."""
     pairs = list(zip(program.jaxpr.constvars, program.consts, strict=True))
-    known = [
-        p
-        for p in pairs
-        if not isinstance(p[1], jax.core.Tracer) and np.size(p[1]) <= LONGEST_IN_REGISTERS
-    ]
+    known = [p for p in pairs if not isinstance(p[1], jax.core.Tracer) and _is_told(p[1])]
     others = [p for p in pairs if not any(p[0] is k[0] for k in known)]
     jaxpr = program.jaxpr.replace(
         constvars=[k[0] for k in known], invars=[*[o[0] for o in others], *program.jaxpr.invars]
     )
     return ClosedJaxpr(jaxpr, [k[1] for k in known]), [o[1] for o in others]
+
+
+def _is_told(constant: Any) -> bool:
+    """Whether the text of a kernel holds a constant: few numbers, and places in arrays."""
+    whole = np.issubdtype(constant.dtype, np.integer)
+    return bool(whole or np.size(constant) <= LONGEST_IN_REGISTERS)

@@ -204,11 +204,12 @@ class Writer:
         zeros = f"<{self.lanes} x i32> zeroinitializer"
         return self.put(f"shufflevector {wide} {first}, {wide} poison, {zeros}")
 
-    def table(self, numbers: np.ndarray) -> str:
-        """Whole numbers that are known, in memory."""
-        words = ", ".join(f"i32 {x}" for x in numbers.tolist())
+    def table(self, numbers: Any, kind: str = "i32") -> str:
+        """Numbers that are known, in memory."""
+        word = (lambda x: str(int(x))) if kind == "i32" else (lambda x: Writer(1).text(x, kind))
+        words = ", ".join(f"{kind} {word(x)}" for x in numbers)
         name = f"@NAME.table{hashlib.sha256(words.encode()).hexdigest()[:16]}"
-        self.needs.add(f"{name} = private constant [{len(numbers)} x i32] [{words}]")
+        self.needs.add(f"{name} = private constant [{len(numbers)} x {kind}] [{words}]")
         return name
 
     def library(self, name: str, *values: Any) -> str:

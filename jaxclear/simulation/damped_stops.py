@@ -76,6 +76,6 @@ def lightness_along(
         masses, loops.rows, loops.alike, loops.dependence
     )
     size = sum(len(mass) for mass in masses)
-    forces = [row.get(j, 0) for j in range(size)]
-    moved, _ = constrain(*respond([forces]), [0] * len(loops.rows))
+    (moved,) = respond([[row.get(j, 0) for j in range(size)]])
+    moved, _ = constrain(moved, [0] * len(loops.rows))
     return kinematics.along(row, moved)

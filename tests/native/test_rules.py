@@ -20,6 +20,9 @@ from jax.extend.core import jaxprs_in_params
 from jax.extend.core.primitives import closed_call_p
 
 import jaxclear  # noqa: F401  (float64)
+from jaxclear.ground.elimination import Pattern, solved
+from jaxclear.ground.grouping import in_memory, looked_up
+from jaxclear.ground.grouping import summed as summed_by_place
 from jaxclear.native import explain, verdict, while_loop
 from jaxclear.native.verdicts import KERNELS
 from jaxclear.native.while_loops import once
@@ -42,6 +45,7 @@ WITH_NAN = np.array([[0.5, NAN, 2.0], [-INF, -0.0, INF]])
 N = np.array([0, 1, -1, 7, -8, 3, 100])
 M = np.array([2, -3, 0, 4, -1, -5, 0])
 T, U = np.array([True, True, False, False]), np.array([True, False, True, False])
+PLACES = np.arange(160) * 7 % 80
 TABLE = np.linspace(-1.0, 1.0, 90).reshape(30, 3)  # more than 64 numbers: stays in memory
 
 
@@ -115,6 +119,12 @@ def unstacked(x, axis):
     """jax.numpy has no name for it: the derivative of a stack."""
     parts = jnp.moveaxis(jnp.zeros_like(x), axis, 0)
     return jax.vjp(lambda *p: jnp.stack(p, axis), *parts)[1](x)
+
+
+def system(x):
+    """Diagonally dominant, for any numbers of these."""
+    pattern = Pattern(3, ((0, 0), (1, 0), (1, 1), (2, 1), (2, 2)))
+    return solved(pattern, jnp.stack([3.0, x[0], 4.0, x[1], 5.0]), None, x[1:])
 
 
 def count(x):
@@ -253,6 +263,12 @@ CASES = {
             lambda p, x: select_if_vmap_p.bind(p, x, 2 * x),
             (np.array(True), np.array(3.0)),
         )
+    ],
+    "jaxclear_symmetric_solve": [(system, (np.array([0.3, -0.2, 0.7, 0.1]),))],
+    "jaxclear_in_memory": [
+        (lambda x: looked_up(in_memory(2.0 * x), PLACES), (np.resize(SMALL, 80),)),
+        (lambda x: summed_by_place(in_memory(x), PLACES[:80] % 7, 7), (np.resize(SMALL, 80),)),
+        (in_memory, (SMALL,)),
     ],
     "maybe_set": [(set_at, (np.array(True), SMALL, SMALL[0], i)) for i in (0, 1)],
 }
