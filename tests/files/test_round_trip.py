@@ -458,6 +458,7 @@ LEFT_OUT = {
     "FromFunction",
     "MuntheKaas",
     "Stages",
+    "StandingAtBounds",
     "TakingImpactSpeeds",
 }
 
