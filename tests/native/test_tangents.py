@@ -174,7 +174,7 @@ def test_in_a_batch_the_motion_is_shared_by_tangents_as_well(built, count, toget
         push = lambda t: jax.jvp(END(while_loop), (p,), (t,))
         return jax.vmap(push, out_axes=(None, 0))(directions)
 
-    batch = AT * jnp.linspace(0.9, 1.1, 11)[:, None]
+    batch = AT * jnp.linspace(0.9, 1.1, 16)[:, None]
     value, slope = jax.jit(jax.vmap(slopes))(batch)
     plain = END(jax.lax.while_loop)
     np.testing.assert_allclose(value, jax.vmap(plain)(batch), rtol=ROUNDING, atol=ROUNDING)
