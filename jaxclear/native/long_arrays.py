@@ -218,18 +218,27 @@ def _as_a_row(array: Any) -> Any:
     return array.reshaped(shape) if isinstance(array, Long) else array.reshape(shape)
 
 
+def _over_shape(writer: Writer, array: Any, kind: str, shape: tuple[int, ...]) -> Callable:
+    """The entries of an array as those of one of this shape: of an axis of length 1 the one entry
+    stands for all."""
+    if math.prod(array.shape) == 1:
+        one = in_registers(array).item()
+        return lambda _: one
+    entry = entries_of(writer, array, kind)
+    if tuple(array.shape) == shape:
+        return entry
+    places = np.arange(math.prod(array.shape)).reshape(array.shape)
+    index = _index(writer, np.broadcast_to(places, shape).ravel())
+    return lambda k: entry(index(k))
+
+
 def entrywise(writer: Writer, rule: Callable, equation: Any, arrays: Sequence[Any]) -> Long:
     """An operation that acts on each entry by itself, of long arrays and single numbers."""
     aval = equation.outvars[0].aval
     kinds = [kind_of(atom.aval.dtype) for atom in equation.invars]
     room = Room(writer, tuple(aval.shape), kind_of(aval.dtype))
-    # Arrays of one number stand for all.
-    each = [
-        entries_of(writer, array, kind)
-        if math.prod(array.shape) > 1
-        else lambda _, a=array: a.item()
-        for array, kind in zip(arrays, kinds, strict=True)
-    ]
+    pairs = zip(arrays, kinds, strict=True)
+    each = [_over_shape(writer, array, kind, room.shape) for array, kind in pairs]
 
     def turn(k):
         found = rule(writer, equation, *[array_of(entry(k), ()) for entry in each])

@@ -41,3 +41,24 @@ def test_a_map_over_many_rows_is_what_jax_makes_of_it(samples):
     with only_kernels():
         found = jax.jit(jax.vmap(lambda state: once(run, state)))(states)
     np.testing.assert_allclose(found, jax.vmap(run)(states), rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("samples", [1, 5])
+def test_an_axis_of_length_one_stands_for_all_beside_a_long_array(samples):
+    """Stages of a step, row upon row, times a column of weights, or the first row: JAX multiplies
+    arrays of shapes (7, 1) and (7, 40), too."""
+
+    def turned(first):
+        def turn(carry):
+            i, rows = carry
+            own = jnp.sum(jnp.cos(rows[:, :1]) * rows + rows[:1] * (i + 1.0), 0)
+            return i + 1, jnp.concatenate([rows[1:], own[None]])
+
+        rows = jnp.concatenate([jnp.zeros((6, 40)), first[None]])
+        return jax.lax.while_loop(lambda carry: carry[0] < 3, turn, (jnp.asarray(0), rows))[1]
+
+    given = jnp.asarray(np.random.default_rng(3).normal(size=(samples, 40)))
+    with only_kernels():
+        found = jax.jit(jax.vmap(lambda first: once(turned, first)))(given)
+    # Sums are rounded in another order.
+    np.testing.assert_allclose(found, jax.vmap(turned)(given), rtol=1e-12, atol=1e-12)
