@@ -9,6 +9,7 @@ there. What is found is called with plain arrays, so that a call costs little be
 import functools
 import io
 import pickle
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -49,6 +50,8 @@ SETTINGS = (
     "jax_numpy_dtype_promotion",
     "jax_numpy_rank_promotion",
 )
+# JAX records this where it finds a program that an earlier process has compiled.
+FOUND_BY_JAX = "/jax/compilation_cache/cache_hits"
 # Programs that a process has at hand beside those that JAX keeps.
 LATEST = 256
 
@@ -216,8 +219,10 @@ def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: A
         left, (out, structure) = iter(places), form
         out = [next(left) if eqx.is_array(leaf) else leaf for leaf in out]
         lapack = verdicts.any_lapack(lowered.compiler_ir().operation)
+        before = _found_by_jax()
         found = _Found(lowered.compile(compiler_options=options), lapack, out, structure)
-    if key is None:
+    # One that XLA has read and writes again lacks its functions, and fails when it is called.
+    if key is None or _found_by_jax() > before:
         return found
     try:
         content = pickle.dumps((_packed(found), lapack, verdicts.SENTENCES))
@@ -226,6 +231,26 @@ def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: A
         return found
     cache_folder.write(cache_folder.PROGRAM, key, content)
     return found
+
+
+_HITS = threading.local()
+
+
+@functools.cache
+def _listens() -> None:
+    """This process counts what JAX finds on disk, by threads."""
+
+    def count(event: str, **_: Any) -> None:
+        if event == FOUND_BY_JAX:
+            _HITS.count = getattr(_HITS, "count", 0) + 1
+
+    jax.monitoring.register_event_listener(count)
+
+
+def _found_by_jax() -> int:
+    """How many programs JAX has found on disk in this thread."""
+    _listens()
+    return getattr(_HITS, "count", 0)
 
 
 def _lowered(traced: Any, arrays: list, name: str) -> tuple[Any, list[Place]]:

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.experimental.compilation_cache import compilation_cache
 
 import jaxclear as jc
 from jaxclear.ground import cache_folder
@@ -43,7 +44,12 @@ def kept(tmp_path, monkeypatch):
     monkeypatch.setattr(compiled, "_AT_HAND", Latest(compiled.LATEST))
     # These tests put other things in the place of the package's.
     monkeypatch.setattr(as_written, "is_as_written", lambda: True)
-    return tmp_path
+    # What JAX finds on disk is not kept again.
+    jax.config.update("jax_enable_compilation_cache", False)
+    compilation_cache.reset_cache()
+    yield tmp_path
+    jax.config.update("jax_enable_compilation_cache", True)
+    compilation_cache.reset_cache()
 
 
 def another_process(folder, program=PROGRAM):
@@ -64,6 +70,18 @@ def test_another_process_compiles_nothing_and_gives_the_same_numbers(tmp_path):
         path.unlink()
     again = another_process(tmp_path)
     assert again[:2] == first[:2] and "jit(_both_ways)" in again[2]
+
+
+@pytest.mark.slow
+def test_what_jax_has_kept_is_not_kept_again(tmp_path, monkeypatch):
+    """JAX's cache outlives programs that were cleared, or those of another version."""
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "jax"))
+    monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+    first = another_process(tmp_path)
+    for path in (tmp_path / "programs").glob("*.program"):
+        path.unlink()
+    second, third = (another_process(tmp_path) for _ in range(2))
+    assert first[:2] == second[:2] == third[:2]
 
 
 TRACED = []
@@ -175,6 +193,21 @@ def test_files_count_by_what_stands_in_them(tmp_path):
         on.setattr(as_written, "BEGUN", time.time() + 86400)
         before = written("MU = 0.3")
         assert written("MU = 0.4") != before == written("MU = 0.3", days=2)
+
+
+@pytest.mark.parametrize("hits", [0, 1])
+def test_a_program_that_jax_has_found_is_not_kept(hits, kept, monkeypatch):
+    real = jax.stages.Lowered.compile
+
+    def found(self, **given):
+        for _ in range(hits):
+            jax.monitoring.record_event(compiled.FOUND_BY_JAX)
+        return real(self, **given)
+
+    monkeypatch.setattr(forms, "OWN", (*forms.OWN, "tests"))
+    monkeypatch.setattr(jax.stages.Lowered, "compile", found)
+    compiled_quickly(scaled)(jnp.ones(2), 3.0, ("a",))
+    assert len([one for one in cache_folder.kept() if one.path.suffix == ".program"]) == 1 - hits
 
 
 def test_a_program_that_calls_back_is_not_kept_and_runs(kept, monkeypatch):
