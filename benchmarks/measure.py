@@ -29,7 +29,7 @@ FILES = ("--json", "--kept")
 def arguments(description: str, **more: dict[str, Any]) -> argparse.Namespace:
     """`--quick` for small sizes, `--json FILE` for the printed figures as JSON; `more` by name."""
     parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--quick", action="store_true", help="small sizes, a minute at most")
+    parser.add_argument("--quick", action="store_true", help="small sizes, mostly within a minute")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
     for name, how in more.items():
         parser.add_argument(f"--{name}", **how)

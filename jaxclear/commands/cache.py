@@ -26,6 +26,8 @@ def cache(clear: bool = False) -> None:
         click.echo(f"{len(own):6} {words}, {sum(one.size for one in own) / 1e6:.1f} MB")
     if files:
         days = (time.time() - files[0].used) / DAY
-        click.echo(f"The one that was not used for longest was used {days:.1f} days ago.")
+        click.echo(f"The oldest was last used {days:.1f} days ago.")
     most = cache_folder.MOST / 1e6
-    click.echo(f"They lie in {folder}, at most {most:.0f} MB of them; see jaxclear cache --help.")
+    click.echo(
+        f"They lie in {folder}, which holds {most:.0f} MB at most; see jaxclear cache --help."
+    )

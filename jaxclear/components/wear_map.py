@@ -228,8 +228,9 @@ class Wearing(AbstractQuantified):
     the geometry, its stiffness say, is that of the radius as worn at the contact, not as made.
     `updates`: how often in a run the surface is worn at the most, evenly (None: at every saving
     time), where more states are saved than wear asks for; a worn depth asks for some hundred in a
-    turn. What fewer change is part of the error that replicas tell, which wear it more often in
-    proportion; a run whose steps are counted (`steps_per_save`) wears it at each.
+    turn. Replicas wear it more often in proportion, so that an error of that is part of the one
+    told; below some fifty in a turn they may agree on a wrong depth. A run whose steps are counted
+    (`steps_per_save`) wears it at each saving time.
     """
 
     law: AbstractWearLaw

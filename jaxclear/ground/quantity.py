@@ -416,7 +416,12 @@ def count(default: Any = dataclasses.MISSING, meaning: str = "", at_least: int =
     said = {"at_least": at_least, "meaning": meaning}
     if default is not dataclasses.MISSING:
         kwargs["default"] = default
-    return eqx.field(static=True, metadata=said, **kwargs)
+    return eqx.field(static=True, metadata=said, converter=_counted, **kwargs)
+
+
+def _counted(given: Any) -> Any:
+    """NumPy's whole numbers as Python's."""
+    return int(given) if isinstance(given, np.integer) else given
 
 
 def _field(default, unit, meaning, converter, kwargs, said):

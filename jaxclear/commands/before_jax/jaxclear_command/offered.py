@@ -82,7 +82,8 @@ SCENE_FILES = {
             ),
             flag(
                 "--time",
-                "column of the time [s]; t:ms where it is in ms, t:s:0.1:0.6 for a part of it",
+                "column of the time [s]; t:ms where it is in ms, t:ms:0.1:0.6 for the part "
+                "from 0.1 to 0.6 s",
                 TEXT_OF,
                 "time",
             ),
@@ -173,7 +174,7 @@ STUDIES = {
     ),
     "arm": Offer(
         "robot arm with play in its reducers: errors of the tip, lost motion, which to buy better",
-        [out("arm_study"), flag("--samples", "Monte Carlo samples", whole(16), 256), quiet()],
+        [out("arm_study"), flag("--samples", "Monte Carlo samples", whole(16), 128), quiet()],
         ["jaxclear arm --samples 1000"],
     ),
     "wear-life": Offer(
