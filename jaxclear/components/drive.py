@@ -9,11 +9,16 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.components.function_of_time import AbstractFunctionOfTime, check_function_of_time
+from jaxclear.components.function_of_time import (
+    AbstractFunctionOfTime,
+    check_function_of_time,
+    opened,
+)
 from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.numerics import smooth_step
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
@@ -96,7 +101,7 @@ class Position(AbstractDrive):
     own: q = function(t).
     """
 
-    function: Callable
+    function: Callable = eqx.field(converter=opened)
 
     def __check_init__(self):
         check_function_of_time(self, "function")
@@ -120,7 +125,7 @@ class Speed(AbstractDrive):
     scale t / pieces. That of a `TimeTable` is exact.
     """
 
-    function: Callable
+    function: Callable = eqx.field(converter=opened)
     start: Scalar = quantity(0.0, "rad", "position at time zero (m for a sliding joint)")
     pieces: int = count(16, "pieces of the quadrature")
 

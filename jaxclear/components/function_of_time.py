@@ -20,7 +20,14 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.columns import columns_of
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, as_vector, quantity
+from jaxclear.ground.quantity import (
+    AbstractQuantified,
+    Scalar,
+    as_number,
+    as_vector,
+    is_traced,
+    quantity,
+)
 from jaxclear.ground.warning import asked, shape_of
 from jaxclear.ground.wording import described, public_name
 
@@ -64,20 +71,43 @@ def check_function_of_time(part: Any, field: str, counts: tuple[int, ...] = (1,)
         raise ValueError(f"{owner}, which returns {returned}; it {wanted}.")
 
 
+class _Opened(eqx.Module):
+    """A function of time whose numbers that are being traced are leaves of its own."""
+
+    function: Callable
+
+    def __call__(self, time: Scalar) -> Any:
+        return self.function(jnp.asarray(time, float))
+
+
+def opened(function: Callable) -> Callable:
+    """A function of time; if it encloses numbers that are being traced, with these as leaves, so
+    that batches and derivatives see them wherever it is handed to."""
+    if isinstance(function, eqx.Module) or not is_traced(function):
+        return function
+    # By a function that encloses it: of others Equinox takes it that they hang on nothing.
+    at = lambda time: function(time)
+    try:
+        return _Opened(eqx.filter_closure_convert(at, jax.ShapeDtypeStruct((), jnp.float64)))
+    except Exception:
+        # What fails is told of in a sentence (`check_function_of_time`).
+        return function
+
+
 def vector_or_function(value: Any) -> Any:
     """Several numbers, or the function that gives them."""
-    return value if callable(value) else as_vector(value)
+    return opened(value) if callable(value) else as_vector(value)
 
 
 def one_or_more_or_function(value: Any) -> Any:
     """One number or several, or the function that gives them."""
     one = np.ndim(value) == 0 and not isinstance(value, (str, dict)) and value is not None
-    return value if callable(value) else as_vector((value,) if one else value)
+    return opened(value) if callable(value) else as_vector((value,) if one else value)
 
 
 def number_or_function(value: Any) -> Any:
     """One number, or the function that gives it."""
-    return value if callable(value) else as_number(value)
+    return opened(value) if callable(value) else as_number(value)
 
 
 def value_at(value: Any, time: Any) -> Any:

@@ -36,6 +36,8 @@ from jaxclear.ground.precision import check_double_precision, check_not_forked
 from jaxclear.ground.printing import AbstractShown, part_in_words
 from jaxclear.ground.wording import described, final_members, offered_like, public_name
 
+# Things that a function of Python's encloses, of which no more are looked at.
+MOST_ENCLOSED = 1000
 SIMPLE: dict[Any, tuple[tuple[type, ...], str]] = {
     str: ((str,), "a name or word (text)"),
     bool: ((bool, np.bool_), "True or False"),
@@ -312,20 +314,40 @@ def concrete(value: Any) -> float | None:
 def is_traced(tree: Any) -> bool:
     """Whether any number of a tree is being traced, so that nobody knows it yet; those that
     functions of Python's enclose, too."""
-    for leaf in jax.tree.leaves(tree):
-        if isinstance(leaf, jax.core.Tracer):
+    return any(
+        isinstance(leaf, jax.core.Tracer) or (callable(leaf) and _encloses_traced(leaf))
+        for leaf in jax.tree.leaves(tree)
+    )
+
+
+def _encloses_traced(function: Any) -> bool:
+    """Whether a function of Python's hangs on a number that is being traced, by whatever it
+    encloses: other functions, containers, objects with numbers."""
+    near, seen = [function], set[int]()
+    while near and len(seen) < MOST_ENCLOSED:
+        if any(isinstance(one, jax.core.Tracer) for one in near):
             return True
-        enclosed = _enclosed(leaf)
-        if enclosed and is_traced(enclosed):
-            return True
+        near = [one for one in near if id(one) not in seen]
+        seen.update(map(id, near))
+        near = [held for one in near for held in _within(one)]
     return False
 
 
-def _enclosed(leaf: Any) -> list:
-    """The numbers that a function of Python's encloses."""
-    cells = getattr(leaf, "__closure__", None) or ()
-    found = [cell.cell_contents for cell in cells if cell != types.CellType()]
-    return [each for each in found if isinstance(each, jax.Array)]
+def _within(one: Any) -> list:
+    """What a function, a container or an object holds."""
+    if isinstance(one, types.FunctionType):
+        cells = [x.cell_contents for x in one.__closure__ or () if x != types.CellType()]
+        return [*cells, *(one.__defaults__ or ()), *(one.__kwdefaults__ or {}).values()]
+    if isinstance(one, types.MethodType):
+        return [one.__self__, one.__func__]
+    if isinstance(one, functools.partial):
+        return [one.func, *one.args, *one.keywords.values()]
+    if isinstance(one, Mapping):
+        return list(one.values())
+    if isinstance(one, (list, tuple)):
+        return list(one)
+    known = isinstance(one, (type, types.ModuleType, jax.Array))
+    return [] if known else list(getattr(one, "__dict__", {}).values())
 
 
 def on_host(tree: Any) -> Any:

@@ -202,7 +202,9 @@ def load_steps(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any)
     if not functions or is_traced((functions, integrator, times)):
         return LoadSteps(integrator, {})
     step, fixed = concrete(integrator.asked_step()), integrator.steps_between_saves
-    length, passed = _seen(Key(functions, np.asarray(times), step, fixed))
+    # What is known of them is looked at, also where something else is being traced.
+    with jax.ensure_compile_time_eval():
+        length, passed = _seen(Key(functions, np.asarray(times), step, fixed))
     return LoadSteps(integrator if length is None else integrator.held(length), passed)
 
 

@@ -1,5 +1,6 @@
 """`simulate` where a run is traced, cannot compile, or its failure crosses to another process."""
 
+import functools
 import pickle
 
 import equinox as eqx
@@ -52,16 +53,49 @@ def test_backwards_a_run_that_shows_its_progress_says_what_to_do():
         jax.grad(last)(2e-4)
 
 
-def test_functions_of_time_may_enclose_numbers_of_a_batch():
+class Push:
+    """A function of time that is an object with a number."""
+
+    def __init__(self, size):
+        self.size = size
+
+    def __call__(self, time):
+        return self.size * jnp.sin(8.0 * time)
+
+
+PUSHES = {
+    "a number": lambda size: lambda t: size * jnp.sin(8.0 * t),
+    "a dictionary": lambda size: (lambda own: lambda t: own["size"] * jnp.sin(8.0 * t))(
+        {"size": size}
+    ),
+    "another function": lambda size: (lambda own: lambda t: own(t))(Push(size)),
+    "an object": Push,
+    "a method": lambda size: Push(size).__call__,
+    "a part": lambda size: functools.partial(lambda own, t: own * jnp.sin(8.0 * t), size),
+    "a default": lambda size: lambda t, own=size: own * jnp.sin(8.0 * t),
+    "nothing": lambda size: lambda t: jnp.sin(8.0 * t),
+}
+PUSHED = jc.integrator.FixedStep(1e-3)
+
+
+@pytest.mark.parametrize("enclosed", PUSHES)
+def test_functions_of_time_may_enclose_numbers_that_are_traced(enclosed):
+    """A batch, compiled or not, and a slope: of I w'' = M sin(8 t), which M leads."""
+
     def end(size):
         rig = jc.Mechanism(
             {"arm": jc.Body(1.0, 0.1)},
             {"A": jc.Connection(jc.joint.Revolute(), "ground", "arm")},
-            {"push": jc.load.JointTorque("A", lambda t: size * jnp.sin(8.0 * t))},
+            {"push": jc.load.JointTorque("A", PUSHES[enclosed](size))},
         )
-        steps = jc.integrator.FixedStep(1e-3)
-        run = jc.simulate(rig, 0.1, save=2, integrator=steps, throw=False, verify=False)
+        run = jc.simulate(rig, 0.1, save=2, integrator=PUSHED, throw=False, verify=False)
         return run.coordinate("A")[-1]
 
-    found = jax.vmap(end)(jnp.array([1.0, 2.0]))
-    np.testing.assert_allclose(found, [end(1.0), end(2.0)], rtol=1e-12)
+    led = enclosed != "nothing"
+    one = (0.1 - np.sin(0.8) / 8.0) / 8.0 / 0.1
+    wanted = [one, 2.0 * one if led else one]
+    sizes = jnp.array([1.0, 2.0])
+    for mapped in (jax.vmap(end), jax.jit(jax.vmap(end)), jax.vmap(jax.jit(end))):
+        np.testing.assert_allclose(mapped(sizes), wanted, rtol=1e-9)
+    slope = jax.jvp(end, (1.0,), (1.0,))[1]
+    np.testing.assert_allclose(slope, one if led else 0.0, rtol=1e-9)
