@@ -222,7 +222,7 @@ def _over_shape(writer: Writer, array: Any, kind: str, shape: tuple[int, ...]) -
     """The entries of an array as those of one of this shape: of an axis of length 1 the one entry
     stands for all."""
     if math.prod(array.shape) == 1:
-        one = in_registers(array).item()
+        one: str = in_registers(array).item()
         return lambda _: one
     entry = entries_of(writer, array, kind)
     if tuple(array.shape) == shape:
