@@ -23,6 +23,7 @@ from jaxclear.components.coupling import (
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Revolute
 from jaxclear.components.load import AbstractBodyLoad, AbstractStateLoad, Gravity, MotorEnd
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.compiling import map_many
 from jaxclear.ground.pose import REST, Pose
 from jaxclear.multibody.contact_point import fitted_laws
 from jaxclear.multibody.loops import TURN, WAY, Closure, CoordinateSum, SummedCoordinate
@@ -167,10 +168,12 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
         closure(name, closing_rows(joint), reading_of(joint))
         for name, joint in ((n, mechanism.connections[n].joint) for n in topology.closing)
     )
-    bearings = {}
-    for name in topology.clearances:
-        joint = mechanism.connections[name].joint
-        bearings[name] = Bearing(closure(name, joint.ideal_rows), joint, fitted_laws(joint))
+    joints = {name: mechanism.connections[name].joint for name in topology.clearances}
+    laws = map_many(fitted_laws, [(joint,) for joint in joints.values()])
+    bearings = {
+        name: Bearing(closure(name, joint.ideal_rows), joint, own)
+        for (name, joint), own in zip(joints.items(), laws, strict=True)
+    }
     loads, load_markers, gravity = {}, {}, sp.ZERO
     for name, load in acting_in(mechanism).items():
         if isinstance(load, Gravity):
