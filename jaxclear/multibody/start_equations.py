@@ -105,8 +105,8 @@ def ask(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> Ask
 
 
 def guess(mechanism: Mechanism, system: System | None = None) -> tuple[Array, Array]:
-    """Coordinates and speeds from the mechanism's own rough start (`system`: the mechanism's). A motor of which nothing is told
-    stands and turns as its joint wants it, where that is of the tree."""
+    """Coordinates and speeds from the mechanism's own rough start (`system`: it, prepared). A motor
+    of which nothing is told stands and turns as its joint wants it, where that is of the tree."""
     q: list[Any] = []
     v: list[Any] = []
     system = prepare(mechanism) if system is None else system
@@ -281,7 +281,9 @@ def _journal_blocks(asked: Ask, motions: tuple[Motion, ...], rates: bool) -> lis
     journals = _journals(asked)
     closures = [closure for _, closure in journals]
     relative = kinematics.relative_motions(closures, motions)
-    turning = [(_row_rates(c.rows), (), own.pose) for c, own in zip(closures, relative, strict=True)]
+    turning = [
+        (_row_rates(c.rows), (), own.pose) for c, own in zip(closures, relative, strict=True)
+    ]
     rows = kinematics.relative_jacobians(asked.system, motions, closures, turning)
     return [
         _closure_block(asked, motions, name, closure, JOURNAL, rates, *own)

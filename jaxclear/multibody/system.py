@@ -168,12 +168,11 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
         closure(name, closing_rows(joint), reading_of(joint))
         for name, joint in ((n, mechanism.connections[n].joint) for n in topology.closing)
     )
-    joints = {name: mechanism.connections[name].joint for name in topology.clearances}
-    laws = map_many(fitted_laws, [(joint,) for joint in joints.values()])
-    bearings = {
-        name: Bearing(closure(name, joint.ideal_rows), joint, own)
-        for (name, joint), own in zip(joints.items(), laws, strict=True)
-    }
+    joints = [mechanism.connections[name].joint for name in topology.clearances]
+    laws = map_many(fitted_laws, [(joint,) for joint in joints])
+    bearings = {}
+    for name, joint, own in zip(topology.clearances, joints, laws, strict=True):
+        bearings[name] = Bearing(closure(name, joint.ideal_rows), joint, own)
     loads, load_markers, gravity = {}, {}, sp.ZERO
     for name, load in acting_in(mechanism).items():
         if isinstance(load, Gravity):
@@ -201,9 +200,7 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     loaded = (loads, measured, load_markers, gravity)
     behind = (transmissions, geared_motors(mechanism))
     system = System(tuple(links), closures, closing, bearings, *loaded, None, topology, *behind)
-    if not topology.depend:
-        return system
-    return dataclasses.replace(system, arm=longest_arm(system))
+    return dataclasses.replace(system, arm=longest_arm(system)) if topology.depend else system
 
 
 def _check_error(name: str, coupling: Any, own: Closure) -> None:
