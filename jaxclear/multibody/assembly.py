@@ -46,6 +46,7 @@ from jaxclear.multibody.start_equations import (
     guess_blocks,
     held_blocks,
     is_solved,
+    jacobians,
     leaves_free,
     motions_at,
     outside_tree,
@@ -80,7 +81,7 @@ def assemble_arrays(
     coordinates and speeds leads, by default the mechanism's guess; of surfaces `worn` so deep [m];
     pure, so it maps and differentiates."""
     asked = ask(mechanism, concentric, worn)
-    given = guess(mechanism) if rough is None else rough
+    given = guess(mechanism, asked.system) if rough is None else rough
     return _solved(asked, *given, time, rough is None, in_one)
 
 
@@ -183,7 +184,7 @@ def _started(asked: Ask, q: Array, v: Array, time: Any) -> Start:
         q,
         v,
         {b.name: jnp.concatenate([b.left, b.fixed]) for b in closures},
-        {b.name: b.jacobian for b in closures},
+        dict(zip([b.name for b in closures], jacobians(asked, closures), strict=True)),
         {b.name: b.left for b in speeds if b.kind == LOOP},
         {b.name: b.left / b.measure for b in positions if b.kind == GIVEN},
         {b.name: b.left / b.measure for b in speeds if b.kind == GIVEN},
@@ -241,7 +242,7 @@ def _judged(
     mechanism: Mechanism, concentric: bool, worn: dict | None, begin: Beginning | None = None
 ) -> Judged:
     asked = ask(mechanism, concentric, worn)
-    seed, v = guess(mechanism)
+    seed, v = guess(mechanism, asked.system)
     if begin is None:
         q = _towards_guess(asked, seed, 0.0)
     else:

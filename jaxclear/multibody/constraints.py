@@ -148,9 +148,10 @@ def constraint_rows(
     motions: tuple[Motion, ...],
     closure: Closure,
     relative: Relative | None = None,
+    jacobian: list[JacobianRow] | None = None,
 ) -> ConstraintRows:
-    """Residuals, rates and Jacobian of a closure's rows; `relative`: the motion of its markers,
-    where it is known."""
+    """Residuals, rates and Jacobian of a closure's rows; `relative`: the motion of its markers, and
+    `jacobian`, where they are known."""
     if isinstance(closure.reading, CoordinateSum):
         residual, rate, row = sum_equation(system, motions, closure.reading)
         return ConstraintRows([0], (residual,), (rate,), [row], {})
@@ -165,7 +166,8 @@ def constraint_rows(
         residuals, slopes = pose_rows.gradients(closure.reading, pose)
         row_rates = lambda *own: tuple(pose_rows.rate(slope, *own) for slope in slopes)
     rates = row_rates(pose, relative.velocity, relative.spin)
-    jacobian = kinematics.relative_jacobian(system, motions, closure, pose, row_rates)
+    if jacobian is None:
+        jacobian = kinematics.relative_jacobian(system, motions, closure, pose, row_rates)
     residuals = _counted(closure, residuals, pose, motions)
     kept = [i for i, row in enumerate(jacobian) if row or not sp.is_zero(rates[i])]
     fixed = {

@@ -4,6 +4,8 @@ free is as near to all that is guessed as it can be, in radians and shares of th
 together.
 """
 
+import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -17,9 +19,9 @@ from jaxclear.ground.compiling import map_many
 from jaxclear.ground.grouping import LARGEST_UNROLLED, unstacked
 from jaxclear.ground.printing import shown_in_words
 from jaxclear.ground.quantity import is_traced
-from jaxclear.multibody import constraints, given, kinematics
+from jaxclear.multibody import constraints, given, kinematics, loops
 from jaxclear.multibody.given import at_start
-from jaxclear.multibody.loops import Closure, Relative
+from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.motors_at_start import turned
 from jaxclear.multibody.state import unpack_motion
@@ -83,13 +85,12 @@ class Ask(NamedTuple):
 
 class Block(NamedTuple):
     """Equations in the free speeds of one closure or one given name, of a kind: what is left to
-    change, its Jacobian, what counts as much as a radian [m, 1], what no motion changes, and the
-    Jacobian once more, number by number."""
+    change, what counts as much as a radian [m, 1], what no motion changes, and its Jacobian, number
+    by number."""
 
     kind: str
     name: str
     left: Float[Array, " rows"]
-    jacobian: Float[Array, "rows v"]
     measure: Float[Array, " rows"]
     fixed: Float[Array, " fixed"]
     rows: list[kinematics.JacobianRow]
@@ -103,12 +104,12 @@ def ask(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> Ask
     return Ask(mechanism, system, concentric, arm, worn or {})
 
 
-def guess(mechanism: Mechanism) -> tuple[Array, Array]:
-    """Coordinates and speeds from the mechanism's own rough start. A motor of which nothing is told
-    stands and turns as its joint wants it, where that is of the tree."""
+def guess(mechanism: Mechanism, system: System | None = None) -> tuple[Array, Array]:
+    """Coordinates and speeds from the mechanism's own rough start (`system`: it, prepared). A motor
+    of which nothing is told stands and turns as its joint wants it, where that is of the tree."""
     q: list[Any] = []
     v: list[Any] = []
-    system = prepare(mechanism)
+    system = prepare(mechanism) if system is None else system
     rough, speeds = mechanism.guess | mechanism.start, mechanism.speeds
     ends: dict[Any, Any] = {
         end.coordinate: (joint, end) for joint, end in motor_ends(mechanism).items()
@@ -234,9 +235,17 @@ def stacked(asked: Ask, blocks: list[Block]) -> tuple[Array, Array]:
         rows = [row for block in blocks for row in block.rows]
         return _dense(asked, rows), jnp.concatenate([block.left for block in blocks])
     return (
-        jnp.concatenate([none, *(block.jacobian for block in blocks)]),
+        jnp.concatenate([none, *jacobians(asked, blocks)]),
         jnp.concatenate([none.ravel(), *(block.left for block in blocks)]),
     )
+
+
+def jacobians(asked: Ask, blocks: list[Block]) -> list[Array]:
+    """The Jacobian of each block."""
+    if len(blocks) < LARGEST_UNROLLED:
+        return [_dense(asked, block.rows) for block in blocks]
+    ends = np.cumsum([len(block.rows) for block in blocks])
+    return jnp.split(stacked(asked, blocks)[0], ends[:-1])
 
 
 def alike(asked: Ask, blocks: list[Block]) -> tuple[Array, Array]:
@@ -270,11 +279,22 @@ def _journals(asked: Ask) -> list[tuple[str, Closure]]:
 def _journal_blocks(asked: Ask, motions: tuple[Motion, ...], rates: bool) -> list[Block]:
     """Journals that are to be concentric."""
     journals = _journals(asked)
-    relative = kinematics.relative_motions([closure for _, closure in journals], motions)
-    return [
-        _closure_block(asked, motions, name, closure, JOURNAL, rates, own)
-        for (name, closure), own in zip(journals, relative, strict=True)
+    closures = [closure for _, closure in journals]
+    relative = kinematics.relative_motions(closures, motions)
+    turning = [
+        (_row_rates(c.rows), (), own.pose) for c, own in zip(closures, relative, strict=True)
     ]
+    rows = kinematics.relative_jacobians(asked.system, motions, closures, turning)
+    return [
+        _closure_block(asked, motions, name, closure, JOURNAL, rates, *own)
+        for (name, closure), own in zip(journals, zip(relative, rows, strict=True), strict=True)
+    ]
+
+
+@functools.cache
+def _row_rates(rows: tuple[str, ...]) -> Callable:
+    """The rates of such rows: one function, so that closures of them are alike."""
+    return functools.partial(loops.row_rates, rows)
 
 
 def _closure_block(
@@ -284,14 +304,14 @@ def _closure_block(
     closure: Closure,
     kind: str,
     rates: bool,
-    relative: Relative | None = None,
+    *known: Any,
 ) -> Block:
-    found = constraints.constraint_rows(asked.system, motions, closure, relative)
+    """`known`: motion of the closure's markers, and its Jacobian, where many are asked for."""
+    found = constraints.constraint_rows(asked.system, motions, closure, *known)
     return Block(
         kind,
         name,
         sp.stack(found.rates if rates else found.residuals),
-        _dense(asked, found.jacobian),
         sp.stack(constraints.measures(closure, found, asked.arm)),
         sp.stack(() if rates else tuple(found.fixed.values())),
         found.jacobian,
@@ -306,7 +326,6 @@ def _given_block(asked: Ask, kind: str, name: str, where: Any, found: Any, told:
         kind,
         name,
         sp.stack(found.missed),
-        _dense(asked, found.jacobian),
         sp.stack(measure),
         jnp.zeros(0),
         found.jacobian,

@@ -23,6 +23,7 @@ from jaxclear.components.coupling import (
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Revolute
 from jaxclear.components.load import AbstractBodyLoad, AbstractStateLoad, Gravity, MotorEnd
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.compiling import map_many
 from jaxclear.ground.pose import REST, Pose
 from jaxclear.multibody.contact_point import fitted_laws
 from jaxclear.multibody.loops import TURN, WAY, Closure, CoordinateSum, SummedCoordinate
@@ -167,10 +168,11 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
         closure(name, closing_rows(joint), reading_of(joint))
         for name, joint in ((n, mechanism.connections[n].joint) for n in topology.closing)
     )
+    joints = [mechanism.connections[name].joint for name in topology.clearances]
+    laws = map_many(fitted_laws, [(joint,) for joint in joints])
     bearings = {}
-    for name in topology.clearances:
-        joint = mechanism.connections[name].joint
-        bearings[name] = Bearing(closure(name, joint.ideal_rows), joint, fitted_laws(joint))
+    for name, joint, own in zip(topology.clearances, joints, laws, strict=True):
+        bearings[name] = Bearing(closure(name, joint.ideal_rows), joint, own)
     loads, load_markers, gravity = {}, {}, sp.ZERO
     for name, load in acting_in(mechanism).items():
         if isinstance(load, Gravity):
@@ -198,9 +200,7 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     loaded = (loads, measured, load_markers, gravity)
     behind = (transmissions, geared_motors(mechanism))
     system = System(tuple(links), closures, closing, bearings, *loaded, None, topology, *behind)
-    if not topology.depend:
-        return system
-    return dataclasses.replace(system, arm=longest_arm(system))
+    return dataclasses.replace(system, arm=longest_arm(system)) if topology.depend else system
 
 
 def _check_error(name: str, coupling: Any, own: Closure) -> None:

@@ -215,7 +215,7 @@ def _raise(writer, equation, *arguments):
 # equations.
 LONGEST_WRITTEN_OUT = 16
 LARGEST_WRITTEN_OUT = 2000
-# Maps over rows of so many and more are loops over these.
+# Maps over rows of so many and more are loops over these: as `ground.grouping` has it.
 SHORTEST_MAP = 12
 
 
