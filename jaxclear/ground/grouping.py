@@ -8,6 +8,7 @@ were.
 """
 
 import weakref
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -151,9 +152,23 @@ class _Rest(eqx.Module):
     single: tuple[int, ...] = eqx.field(static=True)
 
 
+def has_many_alike(tree: Any) -> bool:
+    """Whether a container of the tree holds so many alike pieces that a map over them is a loop."""
+    level = jax.tree_util.default_registry.flatten_one_level(tree)
+    pieces = [] if level is None else list(level[0])
+    kinds = Counter(
+        jax.tree.structure(each) for each in pieces if not jax.tree_util.all_leaves([each])
+    )
+    return max(kinds.values(), default=0) >= LARGEST_UNROLLED or any(map(has_many_alike, pieces))
+
+
 def packed(tree: Any) -> tuple[Any, Any]:
-    """As `equinox.partition(tree, equinox.is_array)`; many single numbers become one array."""
+    """As `equinox.partition(tree, equinox.is_array)`; of a tree with many alike pieces the single
+    numbers become one array. One number that moves then moves them all, in batches and in
+    derivatives: what has few pieces keeps its numbers apart."""
     arrays, rest = eqx.partition(tree, eqx.is_array)
+    if not has_many_alike(arrays):
+        return arrays, rest
     leaves, structure = jax.tree.flatten(arrays)
     single = tuple(i for i, x in enumerate(leaves) if jnp.shape(x) == () and x.dtype == jnp.float64)
     if len(single) < MANY or not any(isinstance(x, jax.core.Tracer) for x in leaves):
