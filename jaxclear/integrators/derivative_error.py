@@ -156,10 +156,6 @@ class FollowingErrors(
     ends: tuple[int, int] = eqx.field(static=True)
     known: Any = None
 
-    @property
-    def interpolation_cls(self):
-        return self.solver.interpolation_cls
-
     def init(self, terms, t0, t1, y0, args):
         return self.solver.init(terms, t0, t1, y0, args), self.known
 

@@ -44,13 +44,25 @@ ROUNDINGS = 100 * float(np.finfo(float).eps)
 
 class AbstractAround:
     """What diffrax asks of a solver that is stepped by another one's steps, in front of diffrax's
-    classes: the orders and terms of `solver`."""
+    classes: the orders and terms of `solver`, and how it looks between its steps and finds its
+    stages."""
 
     solver: Any
+    interpolation_cls: Any = property(lambda self: self.solver.interpolation_cls)
 
     @property
     def term_structure(self):
         return self.solver.term_structure
+
+    @property
+    def scan_kind(self):
+        """How an explicit solver goes through its stages; diffrax asks."""
+        return self.solver.scan_kind
+
+    @property
+    def root_finder(self):
+        """How an implicit solver finds its stages; diffrax asks."""
+        return self.solver.root_finder
 
     def order(self, terms):
         return self.solver.order(terms)
@@ -72,10 +84,6 @@ class Stages(AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWra
 
     solver: diffrax.AbstractERK  # type: ignore[misc]
     written_out: bool = eqx.field(static=True)
-
-    @property
-    def interpolation_cls(self):
-        return self.solver.interpolation_cls
 
     def func(self, terms, t0, y0, args):
         return terms.vf(t0, y0, args)
@@ -316,20 +324,6 @@ class StandingAtBounds(
     solver: diffrax.AbstractSolver  # type: ignore[misc]
     bounded: Callable
 
-    @property
-    def interpolation_cls(self):
-        return self.solver.interpolation_cls
-
-    @property
-    def scan_kind(self):
-        """How an explicit solver goes through its stages; diffrax asks."""
-        return self.solver.scan_kind
-
-    @property
-    def root_finder(self):
-        """How an implicit solver finds its stages; diffrax asks."""
-        return self.solver.root_finder
-
     def init(self, terms, t0, t1, y0, args):
         return self.solver.init(terms, t0, t1, y0, args)
 
@@ -363,20 +357,6 @@ class TakingImpactSpeeds(
     so_far: Any = None  # Peaks
     damped: bool = eqx.field(static=True, default=False)
     events: int = eqx.field(static=True, default=0)
-
-    @property
-    def interpolation_cls(self):
-        return self.solver.interpolation_cls
-
-    @property
-    def scan_kind(self):
-        """How an explicit solver goes through its stages; diffrax asks."""
-        return self.solver.scan_kind
-
-    @property
-    def root_finder(self):
-        """How an implicit solver finds its stages; diffrax asks."""
-        return self.solver.root_finder
 
     def init(self, terms, t0, t1, y0, args):
         contacts = self.motion.contacts(args[0], t0, y0)
