@@ -39,7 +39,23 @@ GONE = b"jaxclear: the kernel of this program has been dropped; compile the prog
 # Code of an internal error in XLA's foreign function interface.
 INTERNAL = 13
 
-FUNCTION = """
+# An internal error of XLA's, with its message.
+ERROR = f"""
+define internal ptr @error(ptr %frame, ptr %message) {{
+entry:
+  %given = alloca {{ i64, ptr, ptr, i32 }}
+  %told = insertvalue {{ i64, ptr, ptr, i32 }} {{ i64 28, ptr null, ptr null, i32 {INTERNAL} }},
+    ptr %message, 2
+  store {{ i64, ptr, ptr, i32 }} %told, ptr %given
+  %interface_place = getelementptr i8, ptr %frame, i64 16
+  %interface = load ptr, ptr %interface_place
+  %create_place = getelementptr i8, ptr %interface, i64 48
+  %create = load ptr, ptr %create_place
+  %made = call ptr %create(ptr %given)
+  ret ptr %made
+}}
+"""
+FUNCTION = """{error}
 @message = internal constant [{length} x i8] c"{message}\\00"
 define ptr @{name}(ptr %frame) {{
 entry:
@@ -105,13 +121,7 @@ leave:
 probe_anew:
   br label %probe
 missing:
-  %given = alloca {{ i64, ptr, ptr, i32 }}
-  store {{ i64, ptr, ptr, i32 }} {{ i64 28, ptr null, ptr @message, i32 {internal} }}, ptr %given
-  %interface_place = getelementptr i8, ptr %frame, i64 16
-  %interface = load ptr, ptr %interface_place
-  %create_place = getelementptr i8, ptr %interface, i64 48
-  %create = load ptr, ptr %create_place
-  %made = call ptr %create(ptr %given)
+  %made = call ptr @error(ptr %frame, ptr @message)
   ret ptr %made
 }}
 define void @{name}.enter(ptr %pair, i64 %number, i64 %address) {{
@@ -146,7 +156,7 @@ def known_to_xla() -> Any:
         mask=PLACES - 1,
         length=len(GONE) + 1,
         message=GONE.decode(),
-        internal=INTERNAL,
+        error=ERROR,
     )
     engine = object_code.compiled(text)
     register("cpu", engine)
@@ -220,9 +230,8 @@ def size() -> int:
 
 
 # Offsets are in bytes.
-HANDLER = """
-define ptr @{name}(ptr %frame) {{
-entry:
+# What XLA's frame holds: the places of arrays and results, and the sizes of the first array.
+ARRAYS = """\
   %arguments_place = getelementptr i8, ptr %frame, i64 72
   %arguments = load ptr, ptr %arguments_place
   %results_place = getelementptr i8, ptr %frame, i64 112
@@ -231,7 +240,11 @@ entry:
   %rank_place = getelementptr i8, ptr %first, i64 32
   %rank = load i64, ptr %rank_place
   %sizes_place = getelementptr i8, ptr %first, i64 40
-  %sizes = load ptr, ptr %sizes_place
+  %sizes = load ptr, ptr %sizes_place"""
+HANDLER = """
+define ptr @{name}(ptr %frame) {{
+entry:
+{sizes}
   %outer = sub i64 %rank, 1
   br label %count
 count:
@@ -420,7 +433,9 @@ def frame(
             f"  %k{i} = getelementptr ptr, ptr %big, i64 %j{i}",
             f"  store ptr %i{i}, ptr %k{i}",
         ]
-    handler = HANDLER.format(name=name, arrays=1 + len(in_memory), loads="\n".join(loads))
+    handler = HANDLER.format(
+        name=name, sizes=ARRAYS, arrays=1 + len(in_memory), loads="\n".join(loads)
+    )
     samples = SAMPLES.format(
         name=name,
         inputs=max(width * lanes, 1),

@@ -29,37 +29,16 @@ STRUCTURES = (
 FAILED = "jaxclear: the driver of the GPU has not launched a kernel."
 ELSEWHERE = "jaxclear: a kernel was called on a GPU that was not there when it was compiled."
 
-HANDLER = """
+HANDLER = """{error}
 @failed = internal constant [{failed_length} x i8] c"{failed}\\00"
 @elsewhere = internal constant [{elsewhere_length} x i8] c"{elsewhere}\\00"
-define internal ptr @error(ptr %frame, ptr %message) {{
-entry:
-  %given = alloca {{ i64, ptr, ptr, i32 }}
-  %none = insertvalue {{ i64, ptr, ptr, i32 }} {{ i64 28, ptr null, ptr null, i32 {internal} }},
-    ptr %message, 2
-  store {{ i64, ptr, ptr, i32 }} %none, ptr %given
-  %interface_place = getelementptr i8, ptr %frame, i64 16
-  %interface = load ptr, ptr %interface_place
-  %create_place = getelementptr i8, ptr %interface, i64 48
-  %create = load ptr, ptr %create_place
-  %made = call ptr %create(ptr %given)
-  ret ptr %made
-}}
 define ptr @{name}(ptr %frame) {{
 entry:
   %asked = alloca {{ i64, ptr, ptr, ptr }}
   %context_place = alloca ptr
   %samples_place = alloca i64
   %given = alloca [{count} x ptr]
-  %arguments_place = getelementptr i8, ptr %frame, i64 72
-  %arguments = load ptr, ptr %arguments_place
-  %results_place = getelementptr i8, ptr %frame, i64 112
-  %results = load ptr, ptr %results_place
-  %first = load ptr, ptr %arguments
-  %rank_place = getelementptr i8, ptr %first, i64 32
-  %rank = load i64, ptr %rank_place
-  %sizes_place = getelementptr i8, ptr %first, i64 40
-  %sizes = load ptr, ptr %sizes_place
+{sizes}
   %last = sub i64 %rank, 1
   %size_place = getelementptr i64, ptr %sizes, i64 %last
   %samples = load i64, ptr %size_place
@@ -165,7 +144,8 @@ def handler_text(
         failed_length=len(FAILED) + 1,
         elsewhere=ELSEWHERE,
         elsewhere_length=len(ELSEWHERE) + 1,
-        internal=dispatch.INTERNAL,
+        error=dispatch.ERROR,
+        sizes=dispatch.ARRAYS,
         count=1 + len(order),
         context_of=places.context_of,
         functions="\n".join(functions),

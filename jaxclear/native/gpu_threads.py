@@ -9,7 +9,7 @@ refused (`Unsupported`).
 The flag that stops kernels is not there on a device: a kernel of many threads ends by itself, soon.
 
 Compiled for the processor and gone through thread by thread, the same text is what tests compare
-with the kernels that they stand in for (tests/native/test_gpu_threads.py).
+with the kernels that they stand in for (tests/native/test_gpu.py).
 """
 
 import re
@@ -45,41 +45,25 @@ _FLAG = re.compile(rf"  (%\S+) = load volatile i64, ptr {STOP_FLAG}")
 _HEAD = "define internal void @NAME.loop("
 
 # Numbers that stand apart by so many, copied, and made nan.
-APART = """define internal void @NAME.copy(ptr %to, i64 %far, ptr %from, i64 %wide, i64 %count) {
-entry:
-  br label %more
-more:
-  %k = phi i64 [ 0, %entry ], [ %next, %one ]
-  %going = icmp slt i64 %k, %count
-  br i1 %going, label %one, label %done
-one:
-  %there = mul i64 %k, %wide
+APART = [
+    kernels.over_numbers(
+        "copy(ptr %to, i64 %far, ptr %from, i64 %wide, i64 %count)",
+        "%count",
+        """  %there = mul i64 %k, %wide
   %source = getelementptr double, ptr %from, i64 %there
   %number = load double, ptr %source
   %here = mul i64 %k, %far
   %target = getelementptr double, ptr %to, i64 %here
-  store double %number, ptr %target
-  %next = add i64 %k, 1
-  br label %more
-done:
-  ret void
-}
-define internal void @NAME.spoil.apart(ptr %array, i64 %numbers, i64 %far) {
-entry:
-  br label %more
-more:
-  %k = phi i64 [ 0, %entry ], [ %next, %one ]
-  %going = icmp slt i64 %k, %numbers
-  br i1 %going, label %one, label %done
-one:
-  %here = mul i64 %k, %far
+  store double %number, ptr %target""",
+    ),
+    kernels.over_numbers(
+        "spoil.apart(ptr %array, i64 %numbers, i64 %far)",
+        "%numbers",
+        """  %here = mul i64 %k, %far
   %place = getelementptr double, ptr %array, i64 %here
-  store double 0x7FF8000000000000, ptr %place
-  %next = add i64 %k, 1
-  br label %more
-done:
-  ret void
-}"""
+  store double 0x7FF8000000000000, ptr %place""",
+    ),
+]
 
 # The thread's number among all, and its samples' pointers.
 _ON_DEVICE = """declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
@@ -154,7 +138,7 @@ def text_of(program: Program, checked: bool = False, on_host: bool = False) -> s
     named = f"ptr noalias %in, ptr noalias %out, i64 %samples{', ' if own else ''}{own}"
     thread = "\n".join(_thread(lines.split("\n"), steps))
     loop = f"{head}{named}) alwaysinline {{\nentry:{thread}{end}"
-    return "\n".join([before, APART, loop, behind, _entry(steps, on_host)])
+    return "\n".join([before, *APART, loop, behind, _entry(steps, on_host)])
 
 
 def _thread(lines: list[str], steps: list[bool]) -> list[str]:

@@ -265,22 +265,32 @@ def keep(kernel: Kernel, module: Any) -> None:
         _LATEST.append(module.keepalives)
 
 
-# Fills an array with nan, which nobody takes for an answer.
-SPOIL = """define internal void @NAME.spoil(ptr %array, i64 %numbers) {
+def over_numbers(head: str, count: str, lines: str) -> str:
+    """LLVM code of a function of this head that goes through so many numbers: what it does with the
+    one at `%k`."""
+    return f"""define internal void @NAME.{head} {{
 entry:
   br label %more
 more:
   %k = phi i64 [ 0, %entry ], [ %next, %one ]
-  %going = icmp slt i64 %k, %numbers
+  %going = icmp slt i64 %k, {count}
   br i1 %going, label %one, label %done
 one:
-  %place = getelementptr double, ptr %array, i64 %k
-  store double 0x7FF8000000000000, ptr %place
+{lines}
   %next = add i64 %k, 1
   br label %more
 done:
   ret void
-}"""
+}}"""
+
+
+# Fills an array with nan, which nobody takes for an answer.
+SPOIL = over_numbers(
+    "spoil(ptr %array, i64 %numbers)",
+    "%numbers",
+    """  %place = getelementptr double, ptr %array, i64 %k
+  store double 0x7FF8000000000000, ptr %place""",
+)
 
 
 def array_starts(writer: Writer, slot: int) -> list[str]:
