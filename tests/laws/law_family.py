@@ -116,6 +116,9 @@ def assert_finite_derivatives(function, law, arguments):
     rows = jnp.asarray(np.array(arguments, dtype=float))
     results = jax.jit(jax.vmap(everything))(rows)
     assert_finite(results, type(law).__name__)
+    single = jax.jit(everything)(rows[0])
+    for one, all_ in zip(jax.tree.leaves(single), jax.tree.leaves(results), strict=False):
+        np.testing.assert_allclose(one, all_[0], rtol=1e-12, atol=1e-300)
     pulled = sum(
         jnp.sum(leaf, axis=tuple(range(1, leaf.ndim))) for leaf in jax.tree.leaves(results[1])
     )

@@ -116,10 +116,11 @@ def planetary(teeth=None):
     return tied({"inner": inner, "outer": outer})
 
 
-def test_a_planetary_set_turns_as_willis_says():
+@pytest.mark.parametrize("teeth", [None, TEETH])
+def test_a_planetary_set_turns_as_willis_says(teeth):
     sun, planet = 0.03, 0.015
     ring = sun + 2 * planet
-    run = jc.simulate(planetary(TEETH), 0.3, save=4, balance=True, integrator=STEPS)
+    run = jc.simulate(planetary(teeth=teeth), 0.3, save=4, balance=True, integrator=STEPS)
 
     def energy(s, c):
         p = -sun / planet * (s - c)
