@@ -134,7 +134,7 @@ class Adaptive(AbstractIntegrator):
         rtol, atol = on_host((self.rtol, self.atol))
         of: Any = jnp if is_traced((share, rtol, atol)) else np
         finer = share**FINER_TOLERANCE * LOOSEST / of.maximum(rtol, LOOSEST)
-        finer = of.minimum(1.0, of.maximum(finer, ROUNDING / rtol))
+        finer = of.where(share < 1, of.minimum(1.0, of.maximum(finer, ROUNDING / rtol)), 1.0)
         if not is_traced(finer) and finer > ROUNDED_OFF:
             return None
         sizes = on_device(finer * rtol), on_device(finer * atol)
