@@ -10,6 +10,9 @@ rk4 whose derivatives are taken apart there (`saltation`), those through rigid c
 finer parts where it is differentiated (`variational`). Where nothing opens (ideal joints, permanent
 contact) the derivative of the discrete run converges to that of the motion, and passes: forwards
 through the steps, backwards as so many of these as numbers move.
+
+A derivative has a companion, as values have: the same in other steps, or at a tighter tolerance.
+Where that tells it to be off it is nan.
 """
 
 import functools
