@@ -63,7 +63,7 @@ LATE = {
     "optax",
     "scipy",
 }
-LATE |= {"dask", "distributed", "filelock", "k3d", "mujoco", "yaml", "zarr", "SALib"}
+LATE |= {"dask", "distributed", "filelock", "k3d", "mujoco", "yaml", "zarr"}
 # The one class that its kind does not describe: gravity acts on every body, not on markers.
 ASKED_BY_NAME = {"Gravity"}
 NOTHING_NAMES = {"utils", "util", "helpers", "helper", "misc", "common", "core", "manager"}
