@@ -16,7 +16,7 @@ import itertools
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -40,65 +40,63 @@ RUNGS: dict[str, Any] = {
 LAWS = (jc.flank.Nordin, jc.flank.Stop, jc.flank.ElastoBacklash)
 
 
-class Parts(NamedTuple):
-    """What a feature adds to the drive."""
-
-    bodies: dict[str, Any] = {}
-    connections: dict[str, Any] = {}
-    loads: dict[str, Any] = {}
-    couplings: dict[str, Any] = {}
-    gear: dict[str, Any] = {}
+# What a feature adds to the drive: by field of a mechanism, and as arguments of its "gear".
+Parts = dict[str, dict[str, Any]]
 
 
 def _cam_parts() -> Parts:
     rate, preload = 400.0, 4.0
-    return Parts(
-        bodies={"follower": jc.Body(0.15, 1e-4)},
-        connections={"F": jc.Connection(jc.joint.Prismatic(), "ground", "follower", axis="y")},
-        loads={"return spring": jc.load.JointSpring("F", rate, rest=-preload / rate, damping=0.5)},
-        couplings={
+    return {
+        "bodies": {"follower": jc.Body(0.15, 1e-4)},
+        "connections": {"F": jc.Connection(jc.joint.Prismatic(), "ground", "follower", axis="y")},
+        "loads": {
+            "return spring": jc.load.JointSpring("F", rate, rest=-preload / rate, damping=0.5)
+        },
+        "couplings": {
             "cam": jc.coupling.Cam(
                 "A", "F", lambda a: 4e-3 * (1 - jnp.cos(12 * a)), stiffness=1e5, damping=20.0
             )
         },
-    )
+    }
 
 
 # Each feature's parts by a number that only tells variants apart, and the number that is varied.
 FEATURES: dict[str, tuple[Callable[[int], Parts], Callable[[jc.Mechanism], Any]]] = {
     "play": (
-        lambda k: Parts(gear={"play": jc.clearance.Backlash(6e-3, law=LAWS[k % len(LAWS)]())}),
+        lambda k: {"gear": {"play": jc.clearance.Backlash(6e-3, law=LAWS[k % len(LAWS)]())}},
         lambda rig: rig.couplings["gear"].play.play,
     ),
     "efficiency": (
-        lambda k: Parts(gear={"efficiency": jc.coupling.Efficiency(0.7, 0.5, presliding=3e-3)}),
+        lambda _: {"gear": {"efficiency": jc.coupling.Efficiency(0.7, 0.5, presliding=3e-3)}},
         lambda rig: rig.couplings["gear"].efficiency.forwards,
     ),
     "stop": (
-        lambda k: Parts(loads={"stop": jc.load.JointStop("A", None, 0.06, stiffness=800.0, damping=2.0)}),
+        lambda _: {
+            "loads": {"stop": jc.load.JointStop("A", None, 0.06, stiffness=800.0, damping=2.0)}
+        },
         lambda rig: rig.loads["stop"].upper,
     ),
     "one-way": (
-        lambda k: Parts(
-            bodies={"flywheel": jc.Body(1.0, 0.08)},
-            connections={"W": jc.Connection(jc.joint.Revolute(), "ground", "flywheel")},
-            couplings={"freewheel": jc.coupling.OneWay("A", "W", stiffness=500.0, damping=1.0)},
-        ),
+        lambda _: {
+            "bodies": {"flywheel": jc.Body(1.0, 0.08)},
+            "connections": {"W": jc.Connection(jc.joint.Revolute(), "ground", "flywheel")},
+            "couplings": {"freewheel": jc.coupling.OneWay("A", "W", stiffness=500.0, damping=1.0)},
+        },
         lambda rig: rig.bodies["flywheel"].inertia,
     ),
-    "cam": (lambda k: _cam_parts(), lambda rig: rig.bodies["follower"].mass),
+    "cam": (lambda _: _cam_parts(), lambda rig: rig.bodies["follower"].mass),
     "dry friction": (
-        lambda k: Parts(loads={"friction": jc.load.JointFriction("A", 1.2, presliding=1e-3)}),
+        lambda _: {"loads": {"friction": jc.load.JointFriction("A", 1.2, presliding=1e-3)}},
         lambda rig: rig.loads["friction"].torque,
     ),
     "servo limit": (
-        lambda k: Parts(
-            loads={
+        lambda _: {
+            "loads": {
                 "servo": jc.load.Servo(
                     "A", lambda t: 0.3 * jnp.sin(9.0 * t), 60.0, kd=2.0, torque_limit=3.0
                 )
             }
-        ),
+        },
         lambda rig: rig.loads["servo"].torque_limit,
     ),
 }
@@ -107,7 +105,7 @@ FEATURES: dict[str, tuple[Callable[[int], Parts], Callable[[jc.Mechanism], Any]]
 def drive(first: str, second: str, variant: int) -> jc.Mechanism:
     """The drive with two features."""
     parts = [FEATURES[name][0](variant) for name in (first, second)]
-    merged = lambda kind: {key: x for own in parts for key, x in getattr(own, kind).items()}
+    merged = lambda kind: {key: x for own in parts for key, x in own.get(kind, {}).items()}
     motor = jc.coupling.Motor(5e-4)
     gear = jc.coupling.Gear(motor, "A", 20.0, stiffness=900.0, damping=1.5, **merged("gear"))
     swinging = lambda t: 0.25 * jnp.sin(12.0 * t) + 0.05 * jnp.sin(31.0 * t)

@@ -189,9 +189,7 @@ def compared(
     return known
 
 
-def _shares(
-    step: Scalar | None, times: Float[Array, " saves"], order: int
-) -> tuple[Array, Array]:
+def _shares(step: Scalar | None, times: Float[Array, " saves"], order: int) -> tuple[Array, Array]:
     """(1 and the shares of a step [s] that others are, how large an error of this order is in them
     beside it): steps end at all these times [s], so they are not as long as they are asked for. Of
     steps that a tolerance decides (None) errors are taken to fall no faster than with the step."""
