@@ -278,6 +278,10 @@ class AbstractWearMap(AbstractQuantified):
     def areas(self) -> Float[Array, "around along"]:
         """Area of each cell [m2]."""
 
+    def path(self, features: Float[Array, " n"]) -> Any:
+        """How far [cells] a contact has moved in an event with these location features."""
+        return 0.0
+
     def over_three(self, depth: Float[Array, "around along"]) -> Float[Array, "around along"]:
         """Mean depth over each cell and those beside it, three to a side; beyond a last row it is
         as deep as there."""
@@ -327,6 +331,9 @@ class CylinderMap(AbstractWearMap):
         return (
             jnp.full(self.cells, 1.0) * (2 * jnp.pi * self.radius / around) * (self.length / along)
         )
+
+    def path(self, features):
+        return 2.0 * arc(safe_sqrt(features[0] ** 2 + features[1] ** 2)) / self._cell
 
     def angles(self) -> Float[Array, " around"]:
         """Direction of the centre of each cell [rad]."""
