@@ -226,11 +226,10 @@ class Wearing(AbstractQuantified):
     `acceleration` multiplies the worn volume: one simulated cycle standing for many (linear
     extrapolation, as in cycle-jump schemes). `worn_radius`: whether what the contact law takes from
     the geometry, its stiffness say, is that of the radius as worn at the contact, not as made.
-    `updates`: how often in a run the surface is worn at the most, evenly (None: at every saving
-    time), where more states are saved than wear asks for; a worn depth asks for some hundred in a
-    turn. Replicas wear it more often in proportion, so that an error of that is part of the one
-    told; below some fifty in a turn they may agree on a wrong depth. A run whose steps are counted
-    (`steps_per_save`) wears it at each saving time.
+    The surface is updated whenever a contact has moved by half a cell, and at the saving times;
+    companion runs halve that path, so that its error is part of the estimate. `updates`: the most
+    updates of the surface in a run (None: no bound); a depth may then be wrong by more than the
+    estimate. A run whose steps are counted (`steps_per_save`) updates it at each saving time.
     """
 
     law: AbstractWearLaw
