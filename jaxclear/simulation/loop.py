@@ -342,13 +342,14 @@ def _between_updates(
             carry, pending = settled(carry, pending, due)
             moved, lost, more = turn.motion(carry, span._replace(start=time, stop=end))
             path, taken = longest_path(system, lost), end - time
-            fits = ~(path > 2.0 * limits.path) | (taken <= (1 + SLIVER) * limits.shortest)
             change = jnp.where(path > 0, limits.path / jnp.where(path > 0, path, 1.0), LONGER)
             wanted = taken * jnp.clip(change, SHORTER, LONGER)
+            wanted = jnp.clip(wanted, limits.shortest, limits.longest)
+            # What cannot be shorter is taken as it is.
+            fits = ~(path > 2.0 * limits.path) | (end_of_part(time, wanted, span.stop) >= end)
             # A part that a saving time has cut off says nothing of longer ones.
             cut_off = fits & (end >= span.stop)
             wanted = jnp.where(cut_off, jnp.maximum(wanted, length), wanted)
-            wanted = jnp.clip(wanted, limits.shortest, limits.longest)
             chosen = lambda new, old: jnp.where(fits, new, old)
             # Worn surfaces are the same in both.
             after = jax.tree.map(
