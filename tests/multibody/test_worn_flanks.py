@@ -71,8 +71,9 @@ def test_the_play_is_as_worn_at_the_last_update():
     share = 0.1
     run = jc.simulate(one_way(worn_play(share=share)), DURATION, save=21, verify=False)
     seen = expected(DURATION * 99 / 100, share)
+    # The spring follows the growing play with the lag of its damper.
     twist = -run.coupling("g").twist[-1]
-    np.testing.assert_allclose(twist, 0.5e-3 + TORQUE / 2e3 + seen / RADIUS, atol=1e-8)
+    np.testing.assert_allclose(twist, 0.5e-3 + TORQUE / 2e3 + seen / RADIUS, atol=1e-7)
 
 
 def test_a_run_begins_between_flanks_as_worn():
