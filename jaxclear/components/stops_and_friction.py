@@ -37,9 +37,9 @@ class JointStop(AbstractCoordinateLoad):
     derivatives of a run pass through it, and the share of the speed that comes back hangs on
     :math:`d/\sqrt{k m}` alone. Without a `damping` it follows from the restitution, for the inertia
     m along the coordinate as the mechanism stands. With a `depth` the damper sets in over it
-    instead, as a cubic step (Adams' IMPACT with exponent 1): a stop that what strikes goes into less deep damps
-    less. A stiff stop needs short steps; `MoreauJean` and `NonColliding` take one as rigid that
-    their steps do not resolve.
+    instead, as a cubic step (Adams' IMPACT with exponent 1): a stop that what strikes goes into
+    less deep damps less. A stiff stop needs short steps; `MoreauJean` and `NonColliding` take one
+    as rigid that their steps do not resolve.
 
     Source: the bounded damper of Modelica's ElastoBacklash2 (Modelica Standard Library 4.0).
     """
