@@ -212,9 +212,14 @@ class MonteCarlo(AbstractAnswer):
     def statistic(self, function: Callable[[np.ndarray], float], response: str) -> Statistic:
         """Any smooth function of a sample (samples,), such as `scipy.stats.skew`, with its error.
         Raises `ValueError` where the response has infinite values, as lives may."""
+        return self._jackknifed(function, response)
+
+    def _jackknifed(
+        self, function: Callable[..., float], response: str, grouped: bool = False
+    ) -> Statistic:
         values, group = self.good(response)
         refuse_endless(self.problem, {response: values}, "mean or deviation")
-        return jackknifed(function, values, group, skewed=function is not np.mean)
+        return jackknifed(function, values, group, function is not np.mean, grouped)
 
     def mean(self, response: str) -> Statistic:
         """Mean of a response."""
@@ -222,7 +227,7 @@ class MonteCarlo(AbstractAnswer):
 
     def standard_deviation(self, response: str) -> Statistic:
         """Standard deviation of a response."""
-        return self.statistic(deviation, response).in_unit(self._unit(response))
+        return self._jackknifed(deviation, response, grouped=True).in_unit(self._unit(response))
 
     def _unit(self, response: str) -> str:
         return self.problem.units()[response]
@@ -245,7 +250,7 @@ class MonteCarlo(AbstractAnswer):
         """Cpk [1] between limits (low, high), None for no limit: distance of the mean from the
         nearer one, in three standard deviations."""
         check_limits({response: limits}, self.responses)
-        return self.statistic(capability(*limits), response)
+        return self._jackknifed(capability(*limits), response, grouped=True)
 
     def tolerance_interval(
         self,

@@ -1,7 +1,6 @@
 """Replicas tell how far a study's numbers are off by its steps: beside closed forms, an ODE solver
 of scipy, and a problem whose paths part."""
 
-import dataclasses
 import re
 
 import equinox as eqx
@@ -12,11 +11,9 @@ import scipy
 
 import jaxclear as jc
 from jaxclear.ground.printing import with_error
-from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.plot.studies import _warned_samples
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.campaign import threads
-from jaxclear.studies.campaign.samples import Samples
 from jaxclear.studies.ledger.batch import evaluate_chunk
 from jaxclear.studies.ledger.pieces import PIECES
 from jaxclear.studies.replicas import MOST_REPLICAS
@@ -367,26 +364,6 @@ def test_a_campaign_may_go_without_and_have_them_later(tmp_path):
     assert found.sample.replicas is None and "Not verified" in found.sentence()
     assert "Not verified" in jc.open_campaign(tmp_path).sentence()
     assert jc.campaign(asked, 8, folder=tmp_path).sample.replicas.count == 8
-
-
-def test_a_folder_whose_checks_are_gone_goes_on(tmp_path, monkeypatch):
-    """Runs of an earlier version kept figures that no run has any more."""
-    asked, write = falling(), Samples.write
-
-    def as_before(self, number, values, found):
-        none = np.zeros((len(values), 2))
-        gone = Figure(none, none, ("B", "C"))
-        checks = Checks.of({Check.IMPACT_STEP: gone} | dict(found.checks.figures))
-        write(self, number, values, dataclasses.replace(found, checks=checks))
-
-    how = {"folder": tmp_path, "scramblings": 4, "chunk": 4}
-    with monkeypatch.context() as patch:
-        patch.setattr(type(asked), "most_together", lambda _: 4)
-        patch.setattr(Samples, "write", as_before)
-        jc.campaign(asked, 8, **how)
-    found = jc.campaign(asked, 32, **how).sample
-    assert found.checks.figures[Check.IMPACT_STEP].worst.shape == (32, 2)
-    assert not len(found.warned)
 
 
 def test_a_kept_study_of_derivatives_keeps_replicas_beside_what_it_asked_before(tmp_path):
