@@ -143,15 +143,6 @@ class JointFriction(AbstractProblem):
         inside = sp.norm(sticks) <= bound
         return [jnp.where(inside, x, shrunk * y) for x, y in zip(sticks, slides, strict=True)]
 
-    def moved_by(self, change: Float[Array, " k"]) -> Any:
-        """The largest friction [N] that would by itself move a joint as much as this change of all
-        moves it."""
-        rows = zip(self.delassus, self.softest, strict=True)
-        moved = [
-            sp.dot(row, change) / jnp.maximum(row[i], least) for i, (row, least) in enumerate(rows)
-        ]
-        return jnp.max(jnp.abs(jnp.stack(moved)))
-
     def residual(self, z, w):
         """Largest entry of the natural map of the boxes, T - proj(T - s / W_kk) [N]."""
         total = jnp.zeros(len(self.ratios))
@@ -211,7 +202,7 @@ class BoxedGaussSeidel(AbstractSolver):
             largest = jnp.where(largest > 0, largest, 1.0)
             change = jnp.max(jnp.abs(friction - before)) / largest
             if problem.components() > 1:
-                moved = problem.moved_by(friction - before) / largest
+                moved = _moved(problem, friction - before) / largest
                 idle = within & (change > DRIFTS * last) & (moved <= self.tolerance)
                 change = jnp.where(idle, moved, change)
             return friction, total, change, sweeps + 1
@@ -235,6 +226,13 @@ class BoxedGaussSeidel(AbstractSolver):
                 friction = friction.at[i].set(x)
             largest = jnp.maximum(largest, bound)
         return friction, total, largest, all_within
+
+
+def _moved(problem: JointFriction, change: Array) -> Any:
+    """The largest friction [N] that would by itself move its joint as this change of all does."""
+    stiff = [jnp.maximum(row[i], problem.softest[i]) for i, row in enumerate(problem.delassus)]
+    moved = [sp.dot(row, change) / x for row, x in zip(problem.delassus, stiff, strict=True)]
+    return jnp.max(jnp.abs(jnp.stack(moved)))
 
 
 def _within(x, low, high, relaxation):
