@@ -36,8 +36,6 @@ FUNCTION = "the function"
 CLASS, TOLD = "class ", "told"
 # Names by which a class tells of its fields; beside those that begin and end in a line.
 OF_FIELDS = ("_fields", "_field_defaults")
-# Where what is read like a value has its function: `property`, `functools.cached_property`.
-OF_PROPERTIES = ("fget", "func")
 # Functions of a class that make a thing, whose numbers are told, or show it.
 OF_NO_NUMBER = {
     f"__{name}__"
@@ -174,7 +172,8 @@ def _attributes(thing: Any) -> dict[str, Any]:
     held = dict(getattr(thing, "__dict__", {}))
     for owner in type(thing).__mro__:
         slots = (n for n, own in vars(owner).items() if isinstance(own, MemberDescriptorType))
-        held |= {name: getattr(thing, name) for name in slots if hasattr(thing, name)}
+        # A slot that has no value counts as None.
+        held |= {name: getattr(thing, name, None) for name in slots}
     return {f".{name}": value for name, value in held.items()}
 
 
@@ -188,10 +187,12 @@ def _tell_class(kind: type, found: dict[str, str], inside: tuple[int, ...]) -> s
         found[path] = TOLD
         for name in vars(owner):
             member = inspect.getattr_static(owner, name)
-            member = next(
-                (getattr(member, own) for own in OF_PROPERTIES if hasattr(member, own)),
-                getattr(owner, name, None),
-            )
+            if isinstance(member, property):
+                member = member.fget
+            elif isinstance(member, functools.cached_property):
+                member = member.func
+            else:
+                member = getattr(owner, name, None)
             special = name.startswith("__") and name.endswith("__")
             if (function := _function(member)) is not None:
                 if name not in OF_NO_NUMBER:
