@@ -21,6 +21,7 @@ __all__ = [
     "STILL",
     "Pose",
     "Twist",
+    "frame_in_plane",
     "frame_with_axis",
     "quaternion_from_rotation",
     "quaternion_rate",
@@ -162,3 +163,15 @@ def frame_with_axis(axis: tuple) -> sp.Mat:
     a = 1.0 / (1.0 + z)
     b = -x * y * a
     return ((1.0 - x * x * a, b, x), (b, 1.0 - y * y * a, y), (-x, -y, z))
+
+
+def frame_in_plane(axis: tuple) -> sp.Mat:
+    """A rotation whose third column is the given axis, of 2 or 3 numbers [any length] and not along
+    z; its first column lies in the x-y plane, a quarter turn ahead of the axis, as in `AXES`.
+    """
+    x, y, z = axis if len(axis) == 3 else (*axis, 0)
+    flat = jnp.sqrt(x * x + y * y)
+    first: sp.Vec = (-y / flat, x / flat, 0)
+    length = flat if len(axis) == 2 else jnp.sqrt(flat * flat + z * z)
+    third = tuple(0 if sp.is_zero(part) else part / length for part in (x, y, z))
+    return sp.transpose((first, sp.cross(third, first) if len(axis) == 3 else (0, 0, 1), third))

@@ -44,7 +44,12 @@ from jaxclear.ground.warning import asked, shape_of, warn
 from jaxclear.ground.wording import listed, meant
 from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.contact_point import check_followed
-from jaxclear.multibody.meshes import drawn_pose, markers, moves_apart
+from jaxclear.multibody.meshes import (
+    drawn_pose,
+    markers,
+    moves_apart,
+    rolls_on_its_carriers_base,
+)
 from jaxclear.multibody.pose_rows import check_rows
 from jaxclear.multibody.topology import MOTOR, Topology, coordinate_joint, motors
 
@@ -455,7 +460,10 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
         _check_moves(name, coupling, bodies, connections)
         if not is_traced((coupling, bodies, connections)):
             try:
-                coupling.check(drawn_pose(coupling, bodies, connections))
+                drawn = drawn_pose(coupling, bodies, connections)
+                coupling.check(drawn)
+                if rolls_on_its_carriers_base(coupling, connections):
+                    coupling.check_rolling(drawn)
             except ValueError as error:
                 raise ValueError(f'coupling "{name}" {error}') from None
             _warn_of_wheels_apart(name, coupling, topology, bodies, connections)

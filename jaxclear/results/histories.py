@@ -132,45 +132,6 @@ class MarkerHistory(AbstractHistory):
         gravity = sp.stack(self.body.history.model().system.gravity)
         return jnp.einsum("tji,tj->ti", self.rotation, self.acceleration - gravity)
 
-    def __getitem__(self, index: Any) -> Any:
-        return _as_array(self)[index]
-
-    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
-        return np.array(_as_array(self), dtype)
-
-    def __jax_array__(self) -> Array:
-        return _as_array(self)
-
-    def __iter__(self) -> Any:
-        return iter(_as_array(self))
-
-    def __len__(self) -> int:
-        return len(self.position)
-
-    def __add__(self, other: Any) -> Array:
-        return _as_array(self) + other
-
-    def __sub__(self, other: Any) -> Array:
-        return _as_array(self) - other
-
-    def __rsub__(self, other: Any) -> Array:
-        return other - _as_array(self)
-
-    def __mul__(self, other: Any) -> Array:
-        return _as_array(self) * other
-
-    __radd__, __rmul__ = __add__, __mul__
-
-
-def _as_array(marker: MarkerHistory) -> Array:
-    """The array that was returned in the version before, with a warning."""
-    warn(
-        "marker(...) has position, velocity and acceleration; the array that it was is its "
-        "position, and goes with the next version.",
-        DeprecationWarning,
-    )
-    return marker.position
-
 
 def marker(read: Callable[[str], Any], body: str | Marker, at: Any) -> MarkerHistory:
     """A marker, or a point `at` [m] of a body whose motion is `read` by its name."""

@@ -47,7 +47,6 @@ REACHES = {
     "places": ("motion", "places in gaps"),
     "forces": ("forces", "peak forces", "wear", "worn depth"),
     "peak forces": ("peak forces",),
-    "swinging forces": ("peak forces", "wear", "worn depth"),
     "wear": ("wear", "worn depth"),
     "worn depth": ("worn depth",),
     "places in gaps": ("places in gaps", "wear", "worn depth"),

@@ -9,7 +9,6 @@ import pytest
 import jaxclear as jc
 from jaxclear.commands import four_bar
 from jaxclear.formulations.contact_rates import contact_rates
-from jaxclear.integrators.checks import Check
 from jaxclear.studies.usual_integrator import usual_integrator
 from tests.rigs.loaded_bearing import loaded_bearing, losses
 
@@ -85,9 +84,7 @@ def test_impacts_shorter_than_usual_steps_get_shorter_ones():
     assert float(asked.integrator.step) < float(jc.integrator.FixedStep().step)
     assert 'an impact in joint "B" is over within' in asked.why_integrator
     run = jc.simulate(rig, 0.05, integrator=asked.integrator, save=51)
-    assert {check for check, flag in run.invariants.beyond().items() if flag} <= {
-        Check.PLACE_IN_GAP
-    }
+    assert not any(run.invariants.beyond().values())
 
 
 def test_rates_of_a_driven_mechanism_are_those_of_its_start():

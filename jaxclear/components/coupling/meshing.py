@@ -247,6 +247,14 @@ class Rack(AbstractBodyCoupling):
                 "pinion's axis."
             )
 
+    def check_rolling(self, drawn):
+        if abs(float(self._place(drawn)[1])) < PARALLEL * float(self.radius):
+            raise ValueError(
+                f'rolls on what joint "{self.rack}" slides along, and both markers of that joint '
+                "lie on the wheel's axis, so that it is not known on which side. Put them where "
+                "the wheel touches: at (0, -radius) of the ground and of the cart, say."
+            )
+
     def _cosine(self):
         return 1.0 if self.pressure_angle is None else jnp.cos(self.pressure_angle)
 

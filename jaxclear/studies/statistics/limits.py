@@ -124,9 +124,11 @@ def normal_interval(
 ) -> ToleranceInterval:
     """Of a normal response."""
     factor = normal_factor(len(values), content, confidence, side == "both")
-    limit = lambda sign: jackknifed(
-        lambda own: own.mean() + sign * factor * deviation(own), values, group, skewed=True
-    )
+
+    def limit(sign: float) -> Statistic:
+        at = lambda own, parts: own.mean() + sign * factor * deviation(own, parts)
+        return jackknifed(at, values, group, skewed=True, grouped=True)
+
     return _sided(limit(-1.0), limit(1.0), content, confidence, side)
 
 
