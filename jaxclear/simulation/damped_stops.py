@@ -50,7 +50,7 @@ def with_damped_stops(
     system = found_over_steps(model_of(mechanism, formulation).system)
     q, v = unpack_motion(system, jnp.concatenate([coordinates, speeds]))
     motions = kinematics.link_motions(system, q, v, time)
-    at = coordinates_of(system, motions, Followed())
+    at = coordinates_of(system, motions, time, Followed())
     loads = dict(mechanism.loads)
     for name in names:
         stop: Any = loads[name]
