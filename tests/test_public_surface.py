@@ -125,7 +125,7 @@ INNER |= {"AbstractMechanismProblem"}
 # Laws of which a number says which acts, in the sample of an identification; what sensors are.
 INNER |= {"ChosenDissipation", "ChosenFriction", "AbstractSignal"}
 # A load as steps see it that find its force themselves.
-INNER |= {"OverStep"}
+INNER |= {"OverStep", "StopOfRatio"}
 
 
 def family_classes():

@@ -45,10 +45,10 @@ class JointStop(AbstractCoordinateLoad):
     The bound of the damper lets the force begin at 0 however fast the stop is met, so that
     derivatives of a run pass through it, and the share of the speed that comes back hangs on
     :math:`d/\sqrt{k m}` alone. Without a `damping` it follows from the restitution, for the inertia
-    m along the coordinate where a run starts. With a `depth` the damper sets in over it instead, as
-    a cubic step (Adams' IMPACT with exponent 1): a stop that what strikes goes into less deep damps
-    less. A stiff stop needs short steps; `MoreauJean` and `NonColliding` take one as rigid that
-    their steps do not resolve.
+    m along the coordinate as the mechanism stands. With a `depth` the damper sets in over it
+    instead, as a cubic step (Adams' IMPACT with exponent 1): a stop that what strikes goes into
+    less deep damps less. A stiff stop needs short steps; `MoreauJean` and `NonColliding` take one
+    as rigid that their steps do not resolve.
 
     Source: the bounded damper of Modelica's ElastoBacklash2 (Modelica Standard Library 4.0).
     """

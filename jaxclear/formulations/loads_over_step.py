@@ -23,6 +23,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.laws.rebound import restitution_of
 from jaxclear.multibody import constraints, kinematics
+from jaxclear.multibody.damped_stops import coordinate_row
 from jaxclear.multibody.forces import Acting, Forces, as_pressed, give, seen_at
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.mechanism import Mechanism
@@ -190,19 +191,8 @@ def _twist(system: System, motions: tuple[Motion, ...], own: Transmission) -> Co
 def _coordinate(
     system: System, motions: tuple[Motion, ...], name: str, followed: Followed
 ) -> Coordinate:
-    branch = system.topology.branch_of(name)
-    if name in system.geared:
-        ratio = system.geared[name].ratio
-        joint = _coordinate(system, motions, system.geared[name].joint, followed).row
-        row = {j: sp.mul(ratio, entry) for j, entry in joint.items()}
-    elif branch is not None:
-        row = {branch.speeds.start: 1}
-    else:
-        own = system.measured[name]
-        pose, rates = kinematics.relative_motion(own.closure, motions)[1], own.joint.speeds_at
-        (row,) = kinematics.relative_jacobian(system, motions, own.closure, pose, rates)
     now = seen_at(system, motions, name, followed)
-    return Coordinate(now.position, now.speed, row)
+    return Coordinate(now.position, now.speed, coordinate_row(system, motions, name))
 
 
 def coordinates_at(

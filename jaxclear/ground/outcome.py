@@ -45,7 +45,7 @@ class Unknown(AbstractOutcome):
     )
     STEPS_DECIDE = (
         1,
-        "in steps of another length it is another, or none: take shorter steps.",
+        "in steps of another length it is another, or none: take shorter steps or a tighter rtol.",
     )
     GROWN = (
         2,

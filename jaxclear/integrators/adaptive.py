@@ -48,8 +48,8 @@ from jaxclear.multibody.state import within_bounds
 from jaxclear.multibody.system import longest_arm
 from jaxclear.native import size_of, with_fast_loops
 
-# Share of the time at which a step is given up: a few roundings, below which time stands still.
-SMALLEST_STEP = 1e-14
+# Share of the time at which a step is given up: four roundings, below which time stands still.
+SMALLEST_STEP = 4 * float(np.finfo(float).eps)
 # Evaluations of forces in a step of Dormand and Prince's kind: the last is the next one's first.
 USUAL_STAGES = 6
 # Power of a step's share by which tolerances follow: of the order of the usual solvers.
@@ -89,10 +89,11 @@ class Adaptive(AbstractIntegrator):
 
     First derivatives through contacts are those of the motion (within 1.2 % at the usual tolerance,
     measured through up to seven impacts; 3 % in a slider-crank at 5000 rpm): steps end at touches
-    and releases, and know how these move (`saltation`). Their error is not controlled: tighten
-    `rtol` to see it. Where impacts have made them grow so much that the tolerance no longer
-    determines them they are nan, and where steps do not resolve them (at rest in a contact, or on a
-    stiff spring, they grow: hold `largest_step`); a tighter `rtol` goes further. Not with implicit
+    and releases, and know how these move (`saltation`). They are compared with those at a sixteenth
+    of the tolerance, and nan where these tell an error beyond a hundredth (through the lift-off of
+    a cam, say); where impacts have made them grow so much that the tolerance no longer determines
+    them; and where steps do not resolve them (at rest in a contact, or on a stiff spring, they
+    grow: hold `largest_step`). A tighter `rtol` goes further. Not with implicit
     solvers and `MuntheKaas` (it keeps rotations on their group), where `jaxclear.sensitivity` is
     the way.
 
@@ -134,7 +135,7 @@ class Adaptive(AbstractIntegrator):
         rtol, atol = on_host((self.rtol, self.atol))
         of: Any = jnp if is_traced((share, rtol, atol)) else np
         finer = share**FINER_TOLERANCE * LOOSEST / of.maximum(rtol, LOOSEST)
-        finer = of.minimum(1.0, of.maximum(finer, ROUNDING / rtol))
+        finer = of.where(share < 1, of.minimum(1.0, of.maximum(finer, ROUNDING / rtol)), 1.0)
         if not is_traced(finer) and finer > ROUNDED_OFF:
             return None
         sizes = on_device(finer * rtol), on_device(finer * atol)

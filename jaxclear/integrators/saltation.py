@@ -299,8 +299,20 @@ def passed(model: Motion, here: tuple, ways: tuple, acting: tuple, asked: bool) 
         depths = lambda *here: model.depths(*here, before)
         falls, deeper = falling(model, here, before, flow), pushed(depths, here, ways)[1]
     late = jnp.where(before != after, -safe_divide(deeper, falls), 0.0)
-    rate = lambda shares: model.rates(arrays, shares, time, y)
-    state = state + jax.jvp(rate, (before,), ((before - after) * late,))[1]
+    places = jnp.arange(len(late))
+
+    # Rates are not linear in shares: friction follows the size of a force. So each that changes is
+    # gone over by itself.
+    def one(carry):
+        acting, flow, state = carry
+        first = places == jnp.min(jnp.where(acting != after, places, len(places)))
+        acting = jnp.where(first, after, acting)
+        behind = model.rates(arrays, acting, time, y)
+        moving = jnp.sum(jnp.where(first, late, 0.0))
+        return acting, behind, state + moving * (flow - behind)
+
+    changes = lambda carry: jnp.any(carry[0] != after)
+    state = jax.lax.while_loop(changes, one, (before, flow, state))[2]
     if not asked:
         return Passed(state, late, None)
     along = lambda time, y: seen(arrays, time, y).rates

@@ -10,6 +10,9 @@ rk4 whose derivatives are taken apart there (`saltation`), those through rigid c
 finer parts where it is differentiated (`variational`). Where nothing opens (ideal joints, permanent
 contact) the derivative of the discrete run converges to that of the motion, and passes: forwards
 through the steps, backwards as so many of these as numbers move.
+
+A derivative has a companion, as values have: the same in other steps, or at a tighter tolerance.
+Where that tells it to be off it is nan.
 """
 
 import functools
@@ -24,6 +27,7 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
+from jaxclear.errors.estimates import HALF
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, is_traced
@@ -129,8 +133,8 @@ ROUNDING = 1e-12
 
 def is_compared(mechanism: Mechanism, integrator: AbstractIntegrator) -> bool:
     """Whether derivatives of runs of a mechanism, as its formulation sees it, are taken in other
-    steps as well: where these have a length of their own."""
-    return integrator.asked_step() is not None and not refusal(mechanism, integrator)
+    steps as well: where these can be finer."""
+    return integrator.with_finer_steps(HALF) is not None and not refusal(mechanism, integrator)
 
 
 def in_other_steps(integrator: Any, share: Any) -> Any:
@@ -185,9 +189,12 @@ def compared(
     return known
 
 
-def _shares(step: Scalar, times: Float[Array, " saves"], order: int) -> tuple[Array, Array]:
+def _shares(step: Scalar | None, times: Float[Array, " saves"], order: int) -> tuple[Array, Array]:
     """(1 and the shares of a step [s] that others are, how large an error of this order is in them
-    beside it): steps end at all these times [s], so they are not as long as they are asked for."""
+    beside it): steps end at all these times [s], so they are not as long as they are asked for. Of
+    steps that a tolerance decides (None) errors are taken to fall no faster than with the step."""
+    if step is None:
+        return jnp.array([1.0, HALF]), jnp.array([HALF])
     count = lambda step: jnp.maximum(jnp.ceil(jnp.diff(times) / step * (1 - SLIVER)), 1.0)
     own = count(step)
     longer, shorter = (jnp.asarray(shares[order]) for shares in (LONGER, SHORTER))

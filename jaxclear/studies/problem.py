@@ -268,7 +268,7 @@ class Problem(AbstractMechanismProblem):
         JAX may map, compile and differentiate it. A derivative through contacts that open and close
         is not that of the motion, and raises `ValueError`; with `discrete_derivatives` it is passed
         on, as the derivative of the discrete run. Other derivatives are compared with those in
-        steps of other lengths, where steps have one, and nan where these tell an error beyond a
+        steps of other lengths or at a tighter tolerance, and nan where these tell an error beyond a
         hundredth; `jaxclear.why_unknown` says why.
         """
         check_double_precision()
