@@ -13,6 +13,7 @@ import numpy as np
 from jaxclear.components.acting import AbstractStateLoad
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.quantity import constant
 from jaxclear.ground.wording import listed, public_name
 from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody.forces import coordinate_effect, effect_of
@@ -31,6 +32,7 @@ STABLE = 2.78
 def told_of_the_end(trajectory: Trajectory) -> str:
     """Why a run of one mechanism ended, with a sentence more where it is known why its state is not
     finite."""
+    trajectory = constant(trajectory)
     if int(trajectory.outcome) == Outcome.TOO_MANY_STEPS:
         return f"{trajectory.result} {_of_springs(trajectory.mechanism)}".rstrip()
     if int(trajectory.outcome) not in (Outcome.NOT_FINITE, Outcome.STEP_TOO_SMALL):
