@@ -30,7 +30,6 @@ from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, ver
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
 from jaxclear.simulation import progress
-from jaxclear.simulation.damped_stops import with_damped_stops
 from jaxclear.simulation.error_weights import error_weights
 from jaxclear.simulation.initial_state import Past
 from jaxclear.simulation.invariants import contact_names, judged, sunk_in
@@ -125,7 +124,6 @@ def run(
     are not counted."""
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
     mechanism = held_as_needed(mechanism, integrator.opens_loops)
-    mechanism = with_damped_stops(mechanism, formulation, coordinates, speeds, times[0])
     model = model_of(mechanism, formulation, extras.balance)
     model = dataclasses.replace(model, events=extras.events, discrete=extras.discrete)
     layout = model.layout
