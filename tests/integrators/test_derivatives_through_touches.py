@@ -230,7 +230,7 @@ def test_of_two_equal_bodies_one_takes_over_from_the_other():
     """(1, 0, 1, 0) by places and speeds, where codes without the instant of the impact say (0.75,
     0.25, 0.91, 0.08) (../refdata/diff_contact_gradients, two balls). One body is the other's
     bearing; of a rigid wall, which is approached as the contact time shrinks. By the ring's place
-    it is 0, the rest of parts that cancel: of that a hundredth is not determined, and it may be nan.
+    it is 0, the rest of parts that cancel, whose hundredth no tolerance determines: it may be nan.
     """
     clearance, end, omega = 1e-3, 0.012, 1e5
     bearing = jc.clearance.PlanarJournalBearing(
