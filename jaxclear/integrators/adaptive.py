@@ -48,8 +48,8 @@ from jaxclear.multibody.state import within_bounds
 from jaxclear.multibody.system import longest_arm
 from jaxclear.native import size_of, with_fast_loops
 
-# Share of the time at which a step is given up: a few roundings, below which time stands still.
-SMALLEST_STEP = 1e-14
+# Share of the time at which a step is given up: four roundings, below which time stands still.
+SMALLEST_STEP = 4 * float(np.finfo(float).eps)
 # Evaluations of forces in a step of Dormand and Prince's kind: the last is the next one's first.
 USUAL_STAGES = 6
 # Power of a step's share by which tolerances follow: of the order of the usual solvers.

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground.outcome import AbstractOutcome
 from jaxclear.ground.printing import AbstractShown
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import constant, is_traced, on_numbers
 from jaxclear.ground.table import as_table
 
 
@@ -37,7 +37,7 @@ class Outcome(AbstractOutcome):
         "here.",
     )
     TOO_MANY_STEPS = 2, "The allowed number of steps between two saved times was used up."
-    NOT_FINITE = 3, "The state became infinite or not a number."
+    NOT_FINITE = 3, "The state grew without bound, or became no number."
     ENERGY_GAINED = (
         4,
         "The mechanism gained energy that nothing gave it: the steps are too long for its contacts "
@@ -340,10 +340,11 @@ class Checks(AbstractShown):
             for check, worst, place, _ in self.rows()
         }
 
+    @on_numbers
     def rows(self) -> list[tuple[Check, float, str, float]]:
         """(check, worst figure, its place, when [s]) of each figure of one run."""
         out = []
-        for check, figure in self.figures.items():
+        for check, figure in constant(self).figures.items():
             worst = np.asarray(figure.worst)
             at = int(np.argmax(worst))
             out.append((check, float(worst[at]), figure.places[at], float(figure.time[at])))
@@ -386,6 +387,8 @@ class Checks(AbstractShown):
     def _shown(self):
         if not self.named:
             return "This run had nothing to check."
+        if is_traced(constant(self)):
+            return "the checks of traced runs"
         return (self.table().drop(columns="time [s]"),)
 
 

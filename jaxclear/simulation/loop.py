@@ -31,7 +31,6 @@ from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, ver
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
 from jaxclear.simulation import progress
-from jaxclear.simulation.damped_stops import with_damped_stops
 from jaxclear.simulation.error_weights import error_weights
 from jaxclear.simulation.initial_state import Past
 from jaxclear.simulation.invariants import contact_names, judged, sunk_in
@@ -58,6 +57,10 @@ NOT_THROUGH_SWEEPS = (
     "friction in ideal joints with steps_per_save: take forward mode (jax.jvp, jax.jacfwd), or "
     "leave steps_per_save out."
 )
+
+
+# A coordinate or speed so large is off by rounding by a radian, or a metre.
+BOUNDLESS = 1 / np.finfo(float).eps
 
 
 class Extras(NamedTuple):
@@ -139,7 +142,6 @@ def run(
     are not counted."""
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
     mechanism = held_as_needed(mechanism, integrator.opens_loops)
-    mechanism = with_damped_stops(mechanism, formulation, coordinates, speeds, times[0])
     model = model_of(mechanism, formulation, extras.balance)
     model = dataclasses.replace(model, events=extras.events, discrete=extras.discrete)
     layout = model.layout
@@ -294,7 +296,8 @@ class _Turn:
         ahead = self._ahead(span, running, now.peaks)
         begun = sampled(model, span.start, now.state)
         result = self.advance(self.arrays, now.read, ahead, begun, now.warm_start)
-        sound = jnp.all(jnp.isfinite(result.state))
+        moving = result.state[: layout.memory_start]
+        sound = jnp.all(jnp.isfinite(result.state)) & jnp.all(abs(moving) < BOUNDLESS)
         reached = closure_coordinates.anchored(model.system, layout, span.stop, result.state)
         state = jnp.where(running & sound, reached, now.state)
         # What is not held to a tolerance (worn volumes, energies) can be lost while the steps still

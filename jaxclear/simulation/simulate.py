@@ -36,6 +36,7 @@ from jaxclear.simulation.derivatives import (
     is_compared,
     order_of,
     run_where_alike,
+    until_the_end,
 )
 from jaxclear.simulation.initial_state import Beginning, beginning, state_of
 from jaxclear.simulation.load_steps import LoadSteps, judged_by, load_steps
@@ -293,7 +294,7 @@ def _simulated(
 
         with stoppable():
             found = again(Replica(integrator, saved))
-            found = judged_by(passed, diagnosed(guarded(found, integrator)))
+            found = judged_by(passed, until_the_end(diagnosed(guarded(found, integrator))))
         found = verified(found, integrator, again, how.verify, asked)
     return dataclasses.replace(found, doubts=(doubt,)) if doubt else found
 
