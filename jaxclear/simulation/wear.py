@@ -180,11 +180,7 @@ def pending_wear(system: System, layout: Layout, state: Array) -> Pending:
 
 
 def worn_so_far(
-    system: System,
-    layout: Layout,
-    now: tuple[Worn, Any, Pending],
-    state: Array,
-    due: Any = None,
+    system: System, layout: Layout, now: tuple[Worn, Any, Pending], state: Array, due: Any = None
 ) -> tuple[Worn, Any, Pending]:
     """(depth maps, as gaps read them, what is pending) once surfaces are worn by all that was lost
     up to a state, where they are `due` (None: they are): cell by cell, for a kernel. None where no
