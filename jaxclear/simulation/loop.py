@@ -24,8 +24,10 @@ from jaxclear.ground.grouping import packed, unpacked
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator, Interval
 from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.events import Events, Peaks, newest, together
-from jaxclear.multibody import closure_coordinates
+from jaxclear.multibody import closure_coordinates, kinematics
+from jaxclear.multibody.damped_stops import loads_to_settle, with_settled_loads
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
+from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, readings, rubbing_joints, wear_maps
 from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, verdict, while_loop
 from jaxclear.results.state_history import StateHistory
@@ -118,6 +120,11 @@ LONG: Any = Carry._make(name in ("worn", "read") for name in Carry._fields)
 LONG_CARRY = (LONG, True, False)
 
 
+# Within this [s] friction comes whose bristle follows from the inertia: from rest a way is off by
+# some 2 of it beside the time of a push, and steps that hold are as long.
+DELAY = 5e-5
+
+
 class Left(NamedTuple):
     """What a turn leaves, and what is left of all: states, worn surfaces as gaps saw them, events
     (None: nobody asks)."""
@@ -142,6 +149,14 @@ def run(
     are not counted."""
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
     mechanism = held_as_needed(mechanism, integrator.opens_loops)
+    if loads_to_settle(mechanism) and not formulation.forces_are_means:
+        system, step = model_of(mechanism, formulation).system, integrator.asked_step()
+        if integrator.steps_between_saves is not None:
+            step = jnp.max(jnp.diff(times)) / integrator.steps_between_saves
+        motion = unpack_motion(system, jnp.concatenate([coordinates, speeds]))
+        motions = kinematics.link_motions(system, *motion, times[0])
+        delay = DELAY if step is None else jnp.maximum(DELAY, step)
+        mechanism = with_settled_loads(mechanism, system, motions, delay, times)
     model = model_of(mechanism, formulation, extras.balance)
     model = dataclasses.replace(model, events=extras.events, discrete=extras.discrete)
     layout = model.layout
