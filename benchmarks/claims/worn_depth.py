@@ -3,9 +3,9 @@
 Walls worn by given volumes: a pin pressed one way, rigid (the area between two circles, in closed
 form) and elastic, a tilted journal, a ball; and what a run tells of cells that are too few. Then a
 turn of the planar four-bar, as it is designed. Then the four-bar with three-dimensional clearance:
-deepest cell, volume, and CPU time beside the same run without wear, and what hangs on its saving
-times. And the 3RSR's socket, after a settled cycle and after a million. The order is that between
-three numbers of cells.
+deepest cell, volume, and CPU time beside the same run without wear. And the 3RSR's socket, after a
+settled cycle and after a million. The order is that between three numbers of cells. Last what hangs
+on saving times, of five kinds of surface.
 """
 
 import itertools
@@ -40,8 +40,8 @@ IN_PLANE = (36, 72, 144, 288, 576)
 SPAN, SAVES, GRIDS = 1.26, 631, ((18, 5), (36, 10), (72, 20), (144, 80), (144, 320))
 # Cells along that a tilted journal's scar needs, which is about a millimetre of 30.
 AROUND, ROWS = 144, (40, 80, 160, 320)
-# Saving times over 0.5 s of it; the last are those that others are held against.
-SPAN_OF_SAVES, COUNTS, STEP = 0.5, (126, 251, 501, 1001, 2001, 4001, 8001), 5e-6
+# Saving times.
+COUNTS = (2, 21, 501, 2001)
 
 # Of the 3RSR: cells of azimuth and of elevation after a cycle, the most of them after a million;
 # cycles that it settles in, saving times of a cycle, and by how many cycles a million stand for.
@@ -54,6 +54,7 @@ PARTS = {
     "four-bar": "worn depth: the four-bar",
     "along": "worn depth: the four-bar, finer along",
     "3RSR": "worn depth: the 3RSR",
+    "saves": "worn depth: by saving times",
 }
 
 
@@ -209,24 +210,54 @@ def along(rows: tuple[int, ...]) -> list[dict[str, Any]]:
     return with_orders(found, ["deepest cell [um]"])
 
 
+def with_saves() -> dict[str, tuple[Any, float, Any, str, str]]:
+    """By kind of surface: mechanism, duration [s], integrator, joint and surface."""
+    turn, steps = 2 * math.pi / 10, jc.integrator.ImplicitStep(1e-4)
+    return {
+        "journal, tilted": (four_bar("spatial"), 2 * turn, steps, "B", "bearing"),
+        "journal, planar": (four_bar("planar"), 2 * turn, steps, "B", "bearing"),
+        "journal of a slider-crank": (
+            jc.scenes.slider_crank(wear=True),
+            0.1,
+            jc.integrator.FixedStep(1e-5),
+            "B",
+            "bearing",
+        ),
+        "ball": (parallel_3rsr(), 0.2, jc.integrator.NonColliding(2e-4), "S1", "socket"),
+        "guide": (jc.scenes.guide("wearing"), 0.5, jc.integrator.NonColliding(1e-4), "P", "guide"),
+    }
+
+
 def by_saves(counts: tuple[int, ...]) -> list[dict[str, Any]]:
-    """The four-bar's joint at so many saving times, beside the last of them: its deepest cell, and
-    what other cells have lost."""
-    rig, integrator = four_bar("spatial", cells=GRIDS[-1]), jc.integrator.FixedStep(STEP)
-    depths = [
-        np.asarray(
-            jc.simulate(rig, SPAN_OF_SAVES, save=count, integrator=integrator).worn["B"]["bearing"]
+    """Surfaces in runs of so many saving times, beside one that saves, and so wears, at each step:
+    deepest cell beside the volume, what cells have lost elsewhere, and CPU time beside 501 saves.
+    Motions differ a little, as steps end at saving times, so depths are those of a volume of 1."""
+    rows = []
+    for kind, (rig, duration, integrator, joint, surface) in with_saves().items():
+        steps = round(duration / integrator.step)
+        run = lambda save, how=(rig, duration, integrator): jc.simulate(
+            how[0], how[1], save=save, integrator=how[2], verify=False
         )
-        for count in counts
-    ]
-    return [
-        {
-            "saving times": count,
-            "deepest cell over that of the last": float(depth.max() / depths[-1].max()),
-            "moved elsewhere": float(0.5 * np.abs(depth - depths[-1]).sum() / depths[-1].sum()),
-        }
-        for count, depth in zip(counts, depths, strict=True)
-    ]
+
+        def shape(save, run=run, of=(joint, surface)):
+            depth = np.asarray(run(save).worn[of[0]][of[1]])
+            return depth / depth.sum()
+
+        fine = shape(steps + 1)
+        spent = side_by_side({save: lambda save=save, run=run: run(save).worn for save in counts})
+        for save in counts:
+            depth = shape(save)
+            rows.append(
+                {
+                    "surface": kind,
+                    "saving times": save,
+                    "deepest cell, off [%]": 100 * float(depth.max() / fine.max() - 1),
+                    "moved elsewhere [%]": 50 * float(np.abs(depth - fine).sum()),
+                    "CPU, over 501 saving times": spent[save][1] / spent[501][1],
+                }
+            )
+            print(rows[-1], flush=True)
+    return rows
 
 
 def parallel(cells: tuple[int, ...]) -> list[dict[str, Any]]:
@@ -282,6 +313,7 @@ def main() -> None:
             "four-bar": four_bar_rows,
             "along": along_rows,
             "3RSR": parallel_rows,
+            "saves": save_rows,
         }[part]
         measured(options)
     sign("benchmarks.claims.worn_depth", options.json, [PARTS[part] for part in asked])
@@ -297,6 +329,11 @@ def parallel_rows(options: Any) -> None:
     """Of the 3RSR."""
     cells = BALL_CELLS[:4] if options.quick else BALL_CELLS
     report(PARTS["3RSR"], parallel(cells), options)
+
+
+def save_rows(options: Any) -> None:
+    """Of saving times."""
+    report(PARTS["saves"], by_saves(COUNTS), options)
 
 
 def given_rows(options: Any) -> None:
@@ -323,8 +360,6 @@ def four_bar_rows(options: Any) -> None:
         name = type(integrator).__name__
         report(f"worn depth: the four-bar, {name}", runs(grids, integrator), options)
     along_rows(options)
-    counts = COUNTS[:3] if options.quick else COUNTS
-    report("worn depth: the four-bar, by saving times", by_saves(counts), options)
 
 
 if __name__ == "__main__":
