@@ -282,8 +282,7 @@ def _first_largest(values: list, free: Float[Array, " m"]) -> Float[Array, " m"]
     m = len(values)
     if m > LARGEST_WRITTEN_OUT:
         ahead = OFF_THE_TIES ** jnp.arange(m, 0, -1)
-        best = jnp.argmax(jnp.where(free > 0, sp.stack(values) * ahead, -jnp.inf))
-        return (jnp.arange(m) == best).astype(float)
+        return _at_largest(jnp.where(free > 0, sp.stack(values) * ahead, -jnp.inf)).astype(float)
     held = [jnp.where(free[i] > 0, value, -jnp.inf) for i, value in enumerate(values)]
     largest, best = held[0], jnp.zeros((), int)
     for i in range(1, m):
@@ -291,6 +290,12 @@ def _first_largest(values: list, free: Float[Array, " m"]) -> Float[Array, " m"]
         largest = jnp.where(larger, held[i], largest)
         best = jnp.where(larger, i, best)
     return (jnp.arange(m) == best).astype(float)
+
+
+def _at_largest(values: Float[Array, " m"]) -> Bool[Array, " m"]:
+    """True at the first of the largest values; by what kernels know."""
+    places = jnp.arange(len(values))
+    return places == jnp.min(jnp.where(values >= jnp.max(values), places, len(values) - 1))
 
 
 # A row whose part across the rows before it is this share of it, or less, follows from them: far
@@ -347,18 +352,19 @@ def of_rank(
     row is zero where fewer are independent."""
     scaled = rows * scales
     largest = jnp.max(jnp.sum(scaled * scaled, axis=1), initial=0.0)
-    chosen, parts = [], []
-    for _ in range(rank):
+
+    def choose(rest, _):
+        scaled, targets = rest
         squares = jnp.sum(scaled * scaled, axis=1)
-        here = jnp.argmax(squares)
-        new = squares[here] > DEPENDENT**2 * largest
-        inverse = safe_divide(1.0, safe_sqrt(jnp.where(new, squares[here], 0.0)))
-        direction, part = scaled[here] * inverse, targets[here] * inverse
+        here = _at_largest(squares)
+        square, target = jnp.max(squares), jnp.sum(jnp.where(here, targets, 0.0))
+        inverse = safe_divide(
+            1.0, safe_sqrt(jnp.where(square > DEPENDENT**2 * largest, square, 0.0))
+        )
+        row = jnp.sum(jnp.where(here[:, None], scaled, 0.0), axis=0)
+        direction, part = row * inverse, target * inverse
         along = scaled @ direction
-        scaled = scaled - along[:, None] * direction
-        targets = targets - along * part
-        chosen.append(direction / scales)
-        parts.append(part)
-    if not chosen:
-        return rows[:0], targets[:0]
-    return jnp.stack(chosen), jnp.stack(parts)
+        rest = scaled - along[:, None] * direction, targets - along * part
+        return rest, (direction / scales, part)
+
+    return jax.lax.scan(choose, (scaled, targets), length=rank)[1]
