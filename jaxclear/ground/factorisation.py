@@ -324,8 +324,8 @@ def least_change(
         return along, row - jnp.sum(along[:, None] * basis, axis=0)
 
     def add(carry, entry):
-        basis, parts = carry
-        row, target, place = entry
+        basis, parts, met, place = carry
+        row, target = entry
         first, rest = across(row, basis)
         second, rest = across(rest, basis)
         length = safe_sqrt(jnp.sum(rest * rest))
@@ -334,11 +334,12 @@ def least_change(
         part = (target - jnp.sum((first + second) * parts)) * inverse
         here = place == jnp.arange(m)
         basis = jnp.where(here[:, None], rest * inverse, basis)
-        return (basis, jnp.where(here, part, parts)), new
+        return (basis, jnp.where(here, part, parts), jnp.where(here, new, met), place + 1), None
 
-    start = (jnp.zeros_like(scaled), jnp.zeros_like(targets))
-    (basis, parts), new = jax.lax.scan(add, start, (scaled, targets, jnp.arange(m)))
-    return Change(scales * jnp.sum(parts[:, None] * basis, axis=0), new)
+    # All is carried: kernels leave nothing by turns within a loop.
+    start = jnp.zeros_like(scaled), jnp.zeros_like(targets), jnp.zeros(m, bool), jnp.zeros((), int)
+    (basis, parts, met, _), _ = jax.lax.scan(add, start, (scaled, targets))
+    return Change(scales * jnp.sum(parts[:, None] * basis, axis=0), met)
 
 
 def of_rank(
@@ -353,8 +354,8 @@ def of_rank(
     scaled = rows * scales
     largest = jnp.max(jnp.sum(scaled * scaled, axis=1), initial=0.0)
 
-    def choose(rest, _):
-        scaled, targets = rest
+    def choose(carry, _):
+        scaled, targets, chosen, parts, place = carry
         squares = jnp.sum(scaled * scaled, axis=1)
         here = _at_largest(squares)
         square, target = jnp.max(squares), jnp.sum(jnp.where(here, targets, 0.0))
@@ -365,6 +366,9 @@ def of_rank(
         direction, part = row * inverse, target * inverse
         along = scaled @ direction
         rest = scaled - along[:, None] * direction, targets - along * part
-        return rest, (direction / scales, part)
+        now = place == jnp.arange(rank)
+        chosen = jnp.where(now[:, None], direction / scales, chosen)
+        return (*rest, chosen, jnp.where(now, part, parts), place + 1), None
 
-    return jax.lax.scan(choose, (scaled, targets), length=rank)[1]
+    none = jnp.zeros((rank, len(scales))), jnp.zeros(rank), jnp.zeros((), int)
+    return jax.lax.scan(choose, (scaled, targets, *none), length=rank)[0][2:4]

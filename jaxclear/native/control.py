@@ -253,8 +253,8 @@ def _scan(writer, equation, *arguments):
     refuse_memory(*carry, *rows)
     rows = list(map(in_registers, rows))
     long = p["length"] > LONGEST_WRITTEN_OUT
-    # A row of the turn is chosen among all.
-    few = sum(row.size for row in rows) <= LONGEST_IN_REGISTERS
+    # A row of the turn is chosen among all, which costs no more than what a turn carries.
+    few = sum(row.size for row in rows) <= max(LONGEST_IN_REGISTERS, sum(x.size for x in carry))
     as_a_loop = len(equation.outvars) == carried and not p["reverse"] and (few or not long)
     if as_a_loop and (long or p["length"] * size_of(p["jaxpr"]) > LARGEST_WRITTEN_OUT):
         return _counted_loop(writer, p["jaxpr"], fixed, carry, rows, p["length"], kinds)
