@@ -34,7 +34,7 @@ def over_rows(function: Callable, *rows: Any) -> Any:
     """As `jax.vmap(function)(*rows)`. Derivatives of long functions are taken row by row."""
     first = jax.tree.map(lambda each: jax.ShapeDtypeStruct(each.shape[1:], each.dtype), rows)
     traced = jax.jit(function)
-    if _is_short(traced, first):
+    if _is_short(traced, first, SHORT):
         return jax.vmap(traced)(*rows)
     one = jax.vmap(lambda row: once(traced, *row))
     count = len(jax.tree.leaves(rows)[0])
@@ -58,7 +58,9 @@ def one_row(function: Callable, *numbers: Any) -> Any:
     """As `function(*numbers)`, a kernel where that is long: XLA takes a millisecond and more to
     compile each of its operations."""
     traced = jax.jit(function)
-    return (traced if _is_short(traced, numbers) else functools.partial(once, traced))(*numbers)
+    return (traced if _is_short(traced, numbers, SHORT) else functools.partial(once, traced))(
+        *numbers
+    )
 
 
 def in_one(function: Callable, *numbers: Any) -> Any:
@@ -79,7 +81,7 @@ def _kernel_if_above(operations: int, function: Callable, numbers: Any) -> Any:
     return (traced if _is_short(traced, numbers, operations) else long)(*numbers)
 
 
-def _is_short(function: Callable, numbers: Any, operations: int = SHORT) -> bool:
+def _is_short(function: Callable, numbers: Any, operations: int) -> bool:
     return operations_of(jax.make_jaxpr(function)(*numbers).jaxpr) <= operations
 
 
