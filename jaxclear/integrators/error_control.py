@@ -23,10 +23,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 
 from jaxclear.formulations.impact_speed import ContactMotion, Passage, end_at_passage
+from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, constant
-from jaxclear.ground.tangents import where_wanted
+from jaxclear.ground.tangents import moved, pushed, where_wanted
 from jaxclear.integrators.events import noted, nothing, nothing_met, peaks, risen, since
 from jaxclear.integrators.saltation import Equations, Step, closed
 from jaxclear.native import while_loop
@@ -197,11 +200,11 @@ def solve(
     state: Any,
     args: Any,
     most: int,
-    ended: Callable = lambda state: state,
+    ended: Callable = lambda state, _: state,
 ) -> Solved:
     """As `diffrax.diffeqsolve` over a `span` (start, end, first step) [s], in `most` steps tried:
-    the same steps to rounding, each `ended(state)`. How long steps are is no part of derivatives:
-    of the motion these are the same, whatever its steps."""
+    the same steps to rounding, each `ended(state, args)`. How long steps are is no part of
+    derivatives: of the motion these are the same, whatever its steps."""
     begin, end, first = span
     order = solver.error_order(term)
     controller = constant(controller)
@@ -220,13 +223,106 @@ def solve(
         error = jax.tree.map(lambda each: jnp.where(jnp.isnan(each), jnp.inf, each), error)
         tried = constant((*at, y, args, error))
         adapted = controller.adapt_step_size(*tried, order, now.control)
-        return _after(now, ended(y), after, adapted, end)
+        return _after(now, ended(y, args), after, adapted, end)
 
     none = jnp.zeros((), int)
     first_turn = _Turn(begin, until, state, kept, control, none, none, True, wish)
     last = while_loop(more, turn, first_turn)
     steps = last.accepted, last.rejected
     return Solved(last.start, last.state, last.kept, *steps, ~last.fine, last.wish)
+
+
+def solve_with_derivatives(
+    term: diffrax.AbstractTerm,
+    solver: Stages,
+    controller: diffrax.PIDController,
+    span: tuple[Scalar, Scalar, Scalar],
+    state: Any,
+    args: Any,
+    most: int,
+    ended: Callable,
+    ends: tuple[int, int],
+) -> Solved:
+    """As `solve`, and a derivative is solved for together with the motion, by an error control of
+    its own (`WithDerivatives`): where a spring sets in within a step that resolves the motion, or
+    at rest, steps that the motion allows are too long for it. nan where that does not reach the
+    end."""
+    rate = lambda args, time, y: term.vf(time, y, args)
+    count = len(state)
+
+    numbers, rest = eqx.partition(controller, eqx.is_array)
+
+    def alone(numbers, *given):
+        return solve(term, solver, eqx.combine(numbers, rest), *given, most, ended)
+
+    @jax.custom_jvp
+    def solved(*numbers):
+        return alone(*numbers)
+
+    def moving(numbers, tangents):
+        controls, span, state, args = numbers
+        _, (start_way, stop_way, _), way, args_way = tangents
+        still = SymbolicZero.from_primal_value(span[0])
+        found = alone(*numbers)
+
+        def pair(time, both, _):
+            numbers, ways = (args, time, both[:count]), (args_way, still, both[count:])
+            return jnp.concatenate(pushed(rate, numbers, ways))
+
+        def ended_pair(both, _):
+            return jnp.concatenate(pushed(ended, (both[:count], args), (both[count:], args_way)))
+
+        # At times that do not move, and back.
+        way = moved(way) - moved(start_way) * rate(args, span[0], state)
+        own = WithDerivatives(eqx.combine(controls, rest), ends)
+        both = jnp.concatenate([state, way])
+        pairs = solve(diffrax.ODETerm(pair), solver, own, span, both, None, most, ended_pair)
+        way = pairs.state[count:] + moved(stop_way) * rate(args, span[1], found.state)
+        way = jnp.where(pairs.time < span[1], Unknown.UNRESOLVED.number, way)
+        still = jax.tree.map(_no_tangent, found)
+        return found, still._replace(time=moved(stop_way), state=way)
+
+    solved.defjvp(moving, symbolic_zeros=True)
+    return solved(numbers, span, state, args)
+
+
+def _no_tangent(number: Any) -> Any:
+    number = jnp.asarray(number)
+    floating = jnp.issubdtype(number.dtype, jnp.inexact)
+    return jnp.zeros_like(number) if floating else np.zeros(number.shape, jax.dtypes.float0)
+
+
+# Steps shorter than so many of the shortest are not made shorter for a derivative, half of whose
+# digits are right then: as it sets in its error is as large as itself, however short the step.
+FOR_DERIVATIVES = 1e7
+
+
+class WithDerivatives(eqx.Module):
+    """`controller` of the first half of a state, whose second half is a derivative of it: of its
+    coordinates and speeds, which have such `ends`, by the same relative error, beside the largest
+    of their kind."""
+
+    controller: diffrax.PIDController
+    ends: tuple[int, int] = eqx.field(static=True)
+
+    def init(self, *arguments):
+        return self.controller.init(*arguments)
+
+    def adapt_step_size(self, t0, t1, y0, y1, args, error, order, state):
+        own, count = self.controller, len(error) // 2
+        sizes = jnp.maximum(abs(y0), abs(y1))
+        largest = lambda each: jnp.max(abs(each), initial=0.0)
+        n, m = (count + end for end in self.ends)
+        kinds = [
+            safe_divide(largest(error[k]), largest(sizes[k]))
+            for k in (slice(count, n), slice(n, m))
+        ]
+        off = functools.reduce(jnp.maximum, kinds) / own.rtol
+        off = jnp.where(jnp.isfinite(off) & (t1 - t0 > FOR_DERIVATIVES * own.dtmin), off, 0.0)
+        # As if the motion were as far off.
+        allowed = own.atol + own.rtol * sizes[:count]
+        error = jnp.maximum(abs(error[:count]), off * allowed)
+        return own.adapt_step_size(t0, t1, y0[:count], y1[:count], args, error, order, state)
 
 
 def _after(now, y, after, adapted, end):
