@@ -36,7 +36,6 @@ from jaxclear.integrators.error_control import (
     StandingAtBounds,
     TakingImpactSpeeds,
     solve,
-    solve_with_derivatives,
     stepped_by_hand,
 )
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas, state_group
@@ -85,16 +84,14 @@ class Adaptive(AbstractIntegrator):
     Solvers that are no explicit tableau run in diffrax's loop, and hand on the mean of their steps.
     In a batch all samples wait for the slowest.
 
-    Without contacts a derivative is solved for together with the motion, by an error control of its
-    own. First derivatives through contacts are those of the motion (within 1.2 % at the usual
-    tolerance, measured through up to seven impacts; 3 % in a slider-crank at 5000 rpm): steps end
-    at touches and releases, and know how these move (`saltation`). They are nan where impacts have
-    made them grow so much that the tolerance no longer determines them, and where steps do not
-    resolve them (at rest in a contact, or on a stiff spring beside one, they grow: hold
-    `largest_step`). All are compared with those at a sixteenth of the tolerance, and nan where
-    these tell an error beyond a hundredth. A tighter `rtol` goes further. Through contacts not with
-    implicit solvers and `MuntheKaas` (it keeps rotations on their group), where
-    `jaxclear.sensitivity` is the way.
+    A derivative is solved for together with the motion, in steps that are short enough for it too.
+    First derivatives through contacts are those of the motion (within 1.2 % at the usual tolerance,
+    measured through up to seven impacts; 3 % in a slider-crank at 5000 rpm): steps end at touches
+    and releases, and know how these move (`saltation`). They are nan where impacts have made them
+    grow so much that the tolerance no longer determines them. All are compared with those at a
+    sixteenth of the tolerance, and nan where these tell an error beyond a hundredth. A tighter
+    `rtol` goes further. Through contacts not with implicit solvers and `MuntheKaas` (it keeps
+    rotations on their group), where `jaxclear.sensitivity` is the way.
 
     Stiff scenes (large friction over tiny transition speeds) may prefer
     diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)); of stiff couplings beside
@@ -184,7 +181,7 @@ class Adaptive(AbstractIntegrator):
         """How long a step may be [s]; 0: not known. Where contacts may close, the mean of steps;
         and the growth of derivatives."""
         through = model.layout.contacts and self.through_contacts
-        return jnp.zeros(()), jnp.zeros(4) if through else None
+        return jnp.zeros(()), jnp.zeros(3) if through else None
 
     def advance(self, model, interval, state, warm_start):
         interval = interval._replace(
@@ -303,9 +300,8 @@ class Adaptive(AbstractIntegrator):
         """Where a solver ends, and why where that is before the end; of its own steps each is
         `ended(state, args)`. `ends`: of the coordinates and of the speeds in a state."""
         if stepped_by_hand(self.solver) is not None:
-            both = functools.partial(solve_with_derivatives, ends=ends)
-            go = solve if isinstance(controller, EndingAtTouches) else both
-            found = go(term, solver, controller, span, state, args, self.most_steps, ended)
+            given = term, solver, controller, span, state, args, self.most_steps, ended, ends
+            found = solve(*given)
             short = jnp.where(found.time < span[1], Outcome.TOO_MANY_STEPS, Outcome.REACHED)
             return found, jnp.where(found.too_small, Outcome.STEP_TOO_SMALL, short)
         start, stop, first = span

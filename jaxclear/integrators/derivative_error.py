@@ -2,13 +2,7 @@
 
 A loop carries zeros beside the state, whose derivatives tell how much touches move: impacts make
 derivatives grow, and with them what errors of the motion make of them.
-
-Nor do steps that resolve a motion resolve its derivative: a controller sees the errors of the
-motion alone. Where that is at rest steps grow beyond what a stiff contact lets stand, and a
-derivative, which is at rest nowhere, grows with every one of them: from 1e-5 to 1e57 in a second.
-So the largest share of a derivative that is the error of a step is followed along a run. None of
-this is in a program of which no derivative is asked. (Without contacts a derivative has an error
-control of its own, `error_control.solve_with_derivatives`.)
+None of this is in a program of which no derivative is asked.
 """
 
 from collections.abc import Callable
@@ -27,10 +21,6 @@ NO_SECOND = (
     "a second derivative through contacts that open and close is not known: take differences of "
     "first derivatives (jax.jvp, jax.jacfwd, jax.grad)."
 )
-# Of the derivative of a step its error estimate may be so large a share: beyond, steps that resolve
-# the motion do not resolve its neighbours (at rest they grow longer than a contact's period, and
-# derivatives with them).
-MOST_ERROR = 0.01
 # Beside a run the motion is differentiated as long as its places are no farther from the run's than
 # this share of the narrowest gap: contacts are then pressed in the same directions.
 PARTED = 0.03
@@ -48,14 +38,13 @@ TRUSTED_IMPACTS = 1e-2
 
 def trusted(found: Any, growth: Array, limit: Scalar) -> Any:
     """What was found of a run; its derivative is nan where touches move more than `limit` times as
-    much as the first of them did, and where a step did not resolve it.
+    much as the first of them did.
 
-    `growth`: zeros, whose derivatives tell how many touches moved, by how much [s] the first few of
-    them and all of them did at most, and of which share the largest error of a step was."""
+    `growth`: zeros, whose derivatives tell how many touches moved, and by how much [s] the first
+    few of them and all of them did at most."""
 
     grown = lambda growth, limit: growth[2] <= limit * growth[1]
-    found = _where(grown, Unknown.GROWN, found, growth, limit)
-    return _where(lambda growth: growth[3] <= MOST_ERROR, Unknown.UNRESOLVED, found, growth)
+    return _where(grown, Unknown.GROWN, found, growth, limit)
 
 
 def trusted_impacts(found: Any, growth: Array) -> Any:
