@@ -327,9 +327,6 @@ def test_a_record_is_read_from_files(tmp_path):
         jc.Measurement.read_csv(file, time="t", signals={"b": sensors()["a"]})
     with pytest.raises(ValueError, match='no unit "h" of time'):
         jc.Measurement.read_csv(file, time="t", signals={"a": sensors()["a"]}, time_unit="h")
-    tree = pandas.read_csv(file).set_index("t").to_xarray()
-    again = jc.Measurement.from_dataset(tree, {"a": sensors()["a"]}, time="t")
-    np.testing.assert_allclose(again.time, data.time)
     assert len(data.part(0.1, 0.2).time) == 101
 
 

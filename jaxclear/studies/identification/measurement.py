@@ -93,22 +93,6 @@ class Measurement(AbstractShown):
         own = dict(zip(signals, values, strict=True))
         return cls(UNITS[time_unit] * at, own, signals, turn)
 
-    @classmethod
-    def from_dataset(
-        cls,
-        dataset: Any,
-        signals: Mapping[str, AbstractSensor],
-        *,
-        time: str = "time",
-        turn: str | float | None = None,
-    ) -> "Measurement":
-        """A record from an xarray Dataset: its variables of `signals`, {variable: sensor}, over the
-        coordinate `time` [s]."""
-        for column in (time, *signals):
-            check_known("variable", column, map(str, dataset.variables), " in the Dataset")
-        values = {name: dataset[name].to_numpy() for name in signals}
-        return cls(dataset[time].to_numpy(), values, signals, turn)
-
     @property
     def rate(self) -> float:
         """Sampling rate [Hz]."""
