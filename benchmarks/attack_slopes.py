@@ -154,7 +154,7 @@ def reference(case: Case) -> tuple[dict, dict, dict] | str:
                 return answers
             found.append(answers)
         for name in found[0][0]:
-            tight, loose = (_extrapolated(own[name][1:], at) for own, at in found)
+            tight, loose = (extrapolated(own[name][1:], at) for own, at in found)
             slopes[name] = tight[0]
             doubts[name] = np.maximum(tight[1], abs(tight[0] - loose[0]))
             values[name] = found[0][0][name][0]
@@ -180,7 +180,7 @@ def _answers(asked: jc.Problem) -> tuple[dict, np.ndarray] | str:
     return {name: np.array([r.responses[name] for r in results]) for name in names}, nominal
 
 
-def _extrapolated(responses: np.ndarray, at: Any) -> tuple[np.ndarray, np.ndarray]:
+def extrapolated(responses: np.ndarray, at: Any) -> tuple[np.ndarray, np.ndarray]:
     """(slopes, how far they hang on the shares), from responses by share, number and sign."""
     pairs = responses.reshape(len(SHARES), len(at), 2)
     steps = np.asarray(SHARES)[:, None] * np.asarray(at)
@@ -240,14 +240,14 @@ def _judged(where: tuple[int, str, str], known: tuple, told: tuple, limit: float
                 least = LEAST_OF_PLACES if name == "place" else LEAST
                 scale = max(scale, least * abs(values[name] / at[k]))
             numbers = slope, float(of_name[k]), float(doubts[name][k]), float(scale)
-            verdict = _verdict(*numbers, limit)
+            verdict = judge(*numbers, limit)
             if verdict == Verdict.WRONG and name in warned:
                 verdict = Verdict.SAID
             rows.append(Row(*where, name, variable, verdict, *numbers))
     return rows
 
 
-def _verdict(slope: float, known: float, doubt: float, scale: float, limit: float) -> Verdict:
+def judge(slope: float, known: float, doubt: float, scale: float, limit: float) -> Verdict:
     """Verdict on a slope that nothing was said of."""
     if not np.isfinite(slope):
         return Verdict.REFUSED

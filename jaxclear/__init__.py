@@ -78,9 +78,6 @@ if TYPE_CHECKING:
 
 __version__ = installed("jaxclear")
 
-# The name under which the laws of cylinders used to stand.
-conformal = contact
-
 __all__ = [
     "AbstractFunctionOfTime",
     "AbstractLifeResponse",
@@ -98,7 +95,6 @@ __all__ = [
     "FunctionProblem",
     "Heating",
     "ImportedSoft",
-    "LifeEnd",
     "LifeProblem",
     "LifeUntil",
     "Marker",
@@ -224,7 +220,7 @@ def _named(*names: str) -> None:
             left += [(f"{path}.{name}", getattr(place, name)) for name in place.__all__]
 
 
-_named(*(name for name in (*__all__, "conformal") if name not in _LATER))
+_named(*(name for name in __all__ if name not in _LATER))
 sys.modules |= {f"{__name__}.{name}": _Later(f"{__name__}.{name}") for name in _MODULES_LATER}
 # What the package is made of before more of it is asked for.
 LOADED = frozenset(name for name in sys.modules if name.partition(".")[0] == __name__)

@@ -3,19 +3,18 @@ ask what of whom, how long things may be. Each rule lists all that is against it
 """
 
 import ast
-import dataclasses
 import functools
 import importlib
 import inspect
 import pkgutil
 from graphlib import CycleError, TopologicalSorter
-from itertools import chain
 from pathlib import Path
 
 import equinox as eqx
 import pytest
 
 import jaxclear
+from benchmarks.claims import house
 
 ROOT = Path(jaxclear.__file__).parent
 # Floors from below; rooms on one floor do not import each other.
@@ -51,9 +50,7 @@ STUDIES = (
     "identification",
     "campaign",
 )
-LONGEST_FILE, LONGEST_FUNCTION, MOST_ARGUMENTS, LONGEST_LINE = 600, 80, 9, 100
-# What users call with names; each argument is a question that many ask.
-FRONT_DOORS = {("simulation/simulate.py", "simulate"): 10}
+LONGEST_FILE, LONGEST_FUNCTION, LONGEST_LINE = 800, 80, 100
 # Libraries that a run does without: loaded when a table, a data set or a kernel is asked for.
 LATE = {
     "jaxlie",
@@ -66,7 +63,7 @@ LATE = {
     "optax",
     "scipy",
 }
-LATE |= {"dask", "distributed", "filelock", "k3d", "mujoco", "yaml", "zarr", "SALib"}
+LATE |= {"dask", "distributed", "filelock", "k3d", "mujoco", "yaml", "zarr"}
 # The one class that its kind does not describe: gravity acts on every body, not on markers.
 ASKED_BY_NAME = {"Gravity"}
 NOTHING_NAMES = {"utils", "util", "helpers", "helper", "misc", "common", "core", "manager"}
@@ -225,19 +222,31 @@ def test_files_are_short_and_well_named():
     holds(rule)
 
 
-def test_functions_are_short_and_take_few_arguments():
-    def rule(path):
-        for function in functions(path):
-            lines = function.end_lineno - function.lineno + 1
-            if lines > LONGEST_FUNCTION:
-                yield f"{function.name} has {lines} lines"
-            given = function.args
-            names = {a.arg for a in chain(given.posonlyargs, given.args, given.kwonlyargs)}
-            most = FRONT_DOORS.get((identify(path), function.name), MOST_ARGUMENTS)
-            if len(names - {"self", "cls"}) > most:
-                yield f"{function.name} takes more than {most} arguments"
+def test_functions_are_short():
+    """A docstring may be as long as it must."""
+    assert not [place for place, lines in house.functions() if lines > LONGEST_FUNCTION]
 
-    holds(rule)
+
+def test_the_package_keeps_to_its_number_of_code_lines():
+    """What a capability adds is taken away elsewhere."""
+    _, limit = house.LIMITS["code [lines]"]
+    lines = sum(map(house.count_code_lines, FILES))
+    assert lines <= limit, (
+        f"jaxclear has {lines} lines of code (docstrings, comments, imports and blank lines are "
+        f"free), {lines - limit} more than [tool.jaxclear] max_code_lines = {limit} in "
+        "pyproject.toml. Remove as many: what the change replaces, an option that no page, scene "
+        "or command uses, a function that only forwards. Raise the number only by agreement."
+    )
+
+
+def test_code_lines_are_what_neither_explains_nor_imports(tmp_path):
+    file = tmp_path / "counted.py"
+    file.write_text(
+        '"""A docstring\nof two lines."""\n\nimport ast\nfrom os import (\n    path,\n)\n\n'
+        '# a comment\nTEXT = """a text\n# is code"""  # in two lines\n\n\n'
+        'def double(x):\n    """A docstring."""\n    return (\n\n        2 * x\n    )\n'
+    )
+    assert house.count_code_lines(file) == 6
 
 
 def test_modules_open_with_what_they_decide():
@@ -276,11 +285,6 @@ def test_classes_are_abstract_or_final():
         if parent.__module__.startswith("jaxclear") and not parent.__name__.startswith("Abstract")
     ]
     assert not against
-
-
-def test_abstract_classes_have_no_fields():
-    abstract = [kind for kind in CLASSES.values() if kind.__name__.startswith("Abstract")]
-    assert not [kind.__name__ for kind in abstract if dataclasses.fields(kind)]
 
 
 def test_no_super_and_no_hasattr():

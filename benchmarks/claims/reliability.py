@@ -90,7 +90,7 @@ def limit_states(names, seeds: int) -> list[dict]:
         nearest = np.clip(found.probability, reference["low"], reference["high"])
         form = found.estimates["form"].value
         ask = lambda seed, problem=problem, limit=limit: jc.reliability(
-            problem, limit, accuracy=ACCURACY, most_runs=MOST_RUNS, seed=seed
+            problem, limit, variation=ACCURACY, most_runs=MOST_RUNS, seed=seed
         )
         rows.append(
             {

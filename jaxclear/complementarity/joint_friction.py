@@ -24,6 +24,9 @@ from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
 
+# A change of friction that is larger than this share of the one before does not die away.
+DRIFTS = 0.9
+
 
 class Caught(NamedTuple):
     """A ball whose friction holds it up to this `share` [1] of what it carries."""
@@ -87,8 +90,9 @@ class JointFriction(AbstractProblem):
 
     def improved(
         self, k: int, friction: Float[Array, " k"], load: Any, relaxation: Any
-    ) -> tuple[list, Any]:
-        """(components of T_k as the others' friction asks for them, the bound of their size)."""
+    ) -> tuple[list, Any, Any]:
+        """(components of T_k as the others' friction asks for them, the bound of their size,
+        whether they are within it)."""
         rule, place = self.ratios[k], self.place(k)
         if isinstance(rule, (Caught, Opposed)):
             return self._on_ball(k, friction, rule)
@@ -97,13 +101,14 @@ class JointFriction(AbstractProblem):
             stiff = jnp.maximum(self.delassus[i][i], self.softest[i])
             wanted = friction[i] - self.slip(i, friction) / stiff
             found = jnp.clip(wanted, rule.low, rule.high)
-            return [found], jnp.abs(found)
+            return [found], jnp.abs(found), found == wanted
         low, high = (share * load for share in rule)
         stiff = jnp.maximum(self.delassus[i][i], self.softest[i])
         wanted = friction[i] - self.slip(i, friction) / stiff
-        return [_within(wanted, low, high, relaxation)], jnp.maximum(low, high)
+        found = _within(wanted, low, high, relaxation)
+        return [found], jnp.maximum(low, high), found == wanted
 
-    def _on_ball(self, k: int, friction: Float[Array, " k"], rule: Any) -> tuple[list, Any]:
+    def _on_ball(self, k: int, friction: Float[Array, " k"], rule: Any) -> tuple[list, Any, Any]:
         """A ball that would stick with friction inside the disc sticks; one that would not is moved
         against its slip onto the disc's edge."""
         (force,) = self.carried(k, friction, (0.0,) * 3)
@@ -117,7 +122,8 @@ class JointFriction(AbstractProblem):
         else:
             bound = rule.share * size
             found = self._caught(k, friction, frame, bound)
-        return [sp.dot(found, column) for column in zip(*frame, strict=True)], bound
+        within = sp.norm(found) < bound
+        return [sp.dot(found, column) for column in zip(*frame, strict=True)], bound, within
 
     def _caught(self, k: int, friction: Float[Array, " k"], frame: tuple, bound: Any) -> list:
         own = range(self.place(k).start, self.place(k).stop)
@@ -146,7 +152,7 @@ class JointFriction(AbstractProblem):
         left = [jnp.zeros(())]
         for k, pair in enumerate(self.ratios):
             if pair is not None:
-                found, _ = self.improved(k, z, total[k], None)
+                found, *_ = self.improved(k, z, total[k], None)
                 left += [z[self.place(k).start + i] - x for i, x in enumerate(found)]
         return jnp.max(jnp.abs(jnp.stack(left)))
 
@@ -154,6 +160,10 @@ class JointFriction(AbstractProblem):
 class BoxedGaussSeidel(AbstractSolver):
     """Sweeps over the joints, each put into its box with the newest friction of the others, until
     friction changes by less than `tolerance` of its bound.
+
+    Joints of a loop that stick share what holds it, in no unique way. Their slips agree as well as
+    the loop is closed, and sweeps pass that difference on from joint to joint without end: where
+    friction within its bounds changes as much as in the sweep before, and moves nothing, they end.
 
     `relaxation` rounds the corners of the boxes over that share of their width (Chen & Harker 1993,
     SIAM J. Matrix Anal. Appl. 14, 1168, doi:10.1137/0614081): exact as it vanishes. Plain
@@ -187,9 +197,14 @@ class BoxedGaussSeidel(AbstractSolver):
             return (carry[2] > self.tolerance) & (carry[3] < self.most_sweeps)
 
         def improve(carry):
-            before, total, _, sweeps = carry
-            friction, total, largest = self._sweep(problem, before, total)
-            change = jnp.max(jnp.abs(friction - before)) / jnp.where(largest > 0, largest, 1.0)
+            before, total, last, sweeps = carry
+            friction, total, largest, within = self._sweep(problem, before, total)
+            largest = jnp.where(largest > 0, largest, 1.0)
+            change = jnp.max(jnp.abs(friction - before)) / largest
+            if problem.components() > 1:
+                moved = _moved(problem, friction - before) / largest
+                idle = within & (change > DRIFTS * last) & (moved <= self.tolerance)
+                change = jnp.where(idle, moved, change)
             return friction, total, change, sweeps + 1
 
         first = (start, loads, jnp.asarray(jnp.inf), jnp.zeros((), int))
@@ -197,18 +212,27 @@ class BoxedGaussSeidel(AbstractSolver):
         return Iterate(friction, change, sweeps)
 
     def _sweep(self, problem: JointFriction, friction: Array, total: Array):
-        """(friction, loads, the largest bound) after a sweep."""
-        largest = jnp.zeros(())
+        """(friction, loads, the largest bound, whether all that has changed is within its bounds)
+        after a sweep."""
+        largest, all_within = jnp.zeros(()), jnp.asarray(True)
         for k, pair in enumerate(problem.ratios):
             if pair is None:
                 continue
             load = problem.load(k, friction, problem.shares(k, friction, total[k]))
             total = total.at[k].set(load)
-            found, bound = problem.improved(k, friction, load, self.relaxation)
-            for i, x in enumerate(found):
-                friction = friction.at[problem.place(k).start + i].set(x)
+            found, bound, within = problem.improved(k, friction, load, self.relaxation)
+            for i, x in enumerate(found, problem.place(k).start):
+                all_within &= within | (friction[i] == x)
+                friction = friction.at[i].set(x)
             largest = jnp.maximum(largest, bound)
-        return friction, total, largest
+        return friction, total, largest, all_within
+
+
+def _moved(problem: JointFriction, change: Array) -> Any:
+    """The largest friction [N] that would by itself move its joint as this change of all does."""
+    stiff = [jnp.maximum(row[i], problem.softest[i]) for i, row in enumerate(problem.delassus)]
+    moved = [sp.dot(row, change) / x for row, x in zip(problem.delassus, stiff, strict=True)]
+    return jnp.max(jnp.abs(jnp.stack(moved)))
 
 
 def _within(x, low, high, relaxation):

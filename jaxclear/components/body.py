@@ -14,7 +14,14 @@ import numpy as np
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.pose import AXES, Pose, frame_with_axis, rotation_from_quaternion
+from jaxclear.ground.pose import (
+    AXES,
+    Pose,
+    frame_in_plane,
+    frame_with_axis,
+    rotation_from_quaternion,
+    rotation_z,
+)
 from jaxclear.ground.printing import in_a_line, number_in_words
 from jaxclear.ground.quantity import (
     AbstractQuantified,
@@ -98,23 +105,39 @@ class Body(AbstractQuantified):
 class Marker(AbstractQuantified):
     """A frame fixed on a body: origin `at` [m] in the body frame, z axis along `axis`.
 
-    `axis` is "x", "y", "z", "-x", "-y" or "-z" (known before tracing, costs nothing) or three
-    numbers; `quaternion` (w, x, y, z) instead gives the whole orientation.
+    Along an axis in the body's x-y plane the frame's x axis lies in that plane, a quarter turn
+    ahead, as it does along "x" and "y": so parts that are joined in the plane stay in it.
+
+    Args:
+        body: name of the body, or "ground".
+        at: origin [m], 2 or 3 numbers; the body's origin by default.
+        axis: "x", "y", "z", "-x", "-y" or "-z" (known before tracing, costs nothing), or the
+            direction as numbers of any length: 2 in the x-y plane, or 3. "z" by default.
+        quaternion: the whole orientation (w, x, y, z), in place of an axis.
+        angle: turns the frame about the body's z axis [rad], so that an inclination is one number
+            that can vary; None by default, which costs nothing.
+
+    Raises:
+        ValueError: for an axis or a quaternion that is zero, for both of them, or for an axis of
+            numbers along -z.
     """
 
     body: str = eqx.field(static=True)
     at: tuple | None = vector(None, "m", "origin in the body frame", counts=(2, 3))
+    # Of an axis of numbers "x" where it lies in the plane, "z" elsewhere.
     named_axis: str = eqx.field(static=True, default="z")
     axis: tuple | None = vector(
-        None, "1", "direction of the marker's z axis in the body frame", counts=(3,)
+        None, "1", "direction of the marker's z axis in the body frame", counts=(2, 3)
     )
     quaternion: tuple | None = vector(
         None, "1", "orientation in the body frame, scalar first", counts=(4,)
     )
+    angle: Scalar | None = quantity(None, "rad", "turn of the frame about the body's z axis")
 
-    def __init__(self, body: str, at=None, axis="z", quaternion=None):
-        self.body, self.at, self.quaternion = body, at, quaternion
-        self.named_axis, self.axis = (axis, None) if isinstance(axis, str) else ("z", axis)
+    def __init__(self, body: str, at=None, axis="z", quaternion=None, angle=None):
+        self.body, self.at, self.quaternion, self.angle = body, at, quaternion, angle
+        named = isinstance(axis, str)
+        self.named_axis, self.axis = (axis, None) if named else (_plane_of(axis), axis)
 
     def __check_init__(self):
         if self.named_axis not in AXES:
@@ -135,7 +158,7 @@ class Marker(AbstractQuantified):
         if (
             self.axis is not None
             and concrete(self.axis[0]) == 0 == concrete(self.axis[1])
-            and not self.axis[2] > 0
+            and not self.axis[-1] > 0
         ):
             raise ValueError(
                 f'the axis of a marker on "{self.body}" points along -z, where no frame is near: '
@@ -147,10 +170,22 @@ class Marker(AbstractQuantified):
         if self.quaternion is not None:
             rotation = rotation_from_quaternion(self.quaternion)
         elif self.axis is not None:
-            rotation = frame_with_axis(self.axis)
+            rotation = (frame_in_plane if self.named_axis == "x" else frame_with_axis)(self.axis)
         else:
             rotation = AXES[self.named_axis]
+        if self.angle is not None:
+            rotation = sp.product(rotation_z(self.angle), rotation)
         return Pose(rotation, sp.vec3(self.at))
+
+
+def _plane_of(axis: Any) -> str:
+    """ "x" for the numbers of a direction in the x-y plane, "z" for anything else."""
+    try:
+        x, y, z = (*axis, 0.0)[:3]
+        flat = concrete(z) == 0 and not concrete(x) == 0 == concrete(y)
+    except (TypeError, ValueError):
+        return "z"
+    return "x" if flat else "z"
 
 
 @in_a_line.register
@@ -161,6 +196,8 @@ def _(marker: Marker, unit: Any = None) -> str:
     axis = axis if marker.axis is None else f" along {number_in_words(marker.axis)}"
     turn = marker.quaternion
     turned = "" if turn is None else f" turned by {number_in_words(turn)}"
+    if marker.angle is not None:
+        turned += f" turned by {number_in_words(marker.angle)} rad about z"
     return f'"{marker.body}"{place}{axis}{turned}'
 
 
@@ -202,6 +239,15 @@ class Connection(AbstractQuantified):
                 f"a joint with a marker on {places} is given an axis beside it; put the axis into "
                 "the markers. A body's name beside a marker takes its axis."
             )
+        in_plane = any(own.axis is not None and own.named_axis == "x" for own in markers)
+        behind = [own for own in markers if own.named_axis in ("-x", "-y")]
+        if in_plane and behind:
+            named = behind[0].named_axis
+            raise ValueError(
+                f'a joint on "{behind[0].body}" goes along "{named}" there, and along numbers on '
+                "the other body, against which that frame is turned over; write the numbers as a "
+                f'turn: axis="{named}" and the angle about z.'
+            )
         turned = _orientation(markers[0]) if markers else {"axis": "z" if axis is None else axis}
         self.joint = joint
         self.parent = parent if isinstance(parent, Marker) else Marker(parent, at, **turned)
@@ -211,5 +257,6 @@ class Connection(AbstractQuantified):
 def _orientation(marker: Marker) -> dict[str, Any]:
     """The arguments that turn another marker as this one is turned."""
     if marker.quaternion is not None:
-        return {"quaternion": marker.quaternion}
-    return {"axis": marker.named_axis if marker.axis is None else marker.axis}
+        return {"quaternion": marker.quaternion, "angle": marker.angle}
+    axis = marker.named_axis if marker.axis is None else marker.axis
+    return {"axis": axis, "angle": marker.angle}

@@ -4,9 +4,12 @@ Steps with percussions or set-valued friction find their forces themselves, from
 `dry_friction`; elsewhere they are springs with a damper.
 """
 
+import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from jaxclear.components.acting import (
@@ -16,30 +19,38 @@ from jaxclear.components.acting import (
     LoadState,
     Side,
 )
+from jaxclear.components.function_of_time import (
+    check_function_of_time,
+    number_or_function,
+    value_at,
+)
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, smooth_sign, smooth_step
-from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity
 from jaxclear.laws.transmission import holding, one_sided
+
+
+def _number_function_or_pressed(given: Any) -> Any:
+    return given if isinstance(given, Pressed) else number_or_function(given)
 
 
 class JointStop(AbstractCoordinateLoad):
     r"""Stops of a joint that turns or slides, ideal or with clearance. What runs into `lower` or
     `upper` comes back with the share `restitution` of its speed.
 
-    In `MoreauJean` a stop with a restitution is rigid, and gives it in one step; in `NonColliding`
-    it is rigid, and what runs into it stays (with a load that presses). Elsewhere, and without a
-    restitution, it is a spring and a damper that push the coordinate back where it is by
-    :math:`\delta` beyond, and never pull:
+    In `MoreauJean` and `NonColliding` a stop with a restitution is rigid, and gives it in one step.
+    Elsewhere, and without a restitution, it is a spring and a damper that push the coordinate back
+    where it is by :math:`\delta` beyond, and never pull:
 
     .. math:: F = \min(\max(0,\ k\,\delta + d\,\dot\delta),\ 2\,k\,\delta).
 
     The bound of the damper lets the force begin at 0 however fast the stop is met, so that
     derivatives of a run pass through it, and the share of the speed that comes back hangs on
     :math:`d/\sqrt{k m}` alone. Without a `damping` it follows from the restitution, for the inertia
-    m along the coordinate where a run starts. With a `depth` the damper sets in over it instead, as
-    a cubic step (Adams' IMPACT with exponent 1): a stop that what strikes goes into less deep damps
-    less. A stiff stop needs short steps; `MoreauJean` and `NonColliding` take one as rigid that
-    their steps do not resolve.
+    m along the coordinate as the mechanism stands. With a `depth` the damper sets in over it
+    instead, as a cubic step (Adams' IMPACT with exponent 1): a stop that what strikes goes into
+    less deep damps less. A stiff stop needs short steps; `MoreauJean` and `NonColliding` take one
+    as rigid that their steps do not resolve.
 
     Source: the bounded damper of Modelica's ElastoBacklash2 (Modelica Standard Library 4.0).
     """
@@ -115,6 +126,29 @@ class JointStop(AbstractCoordinateLoad):
         return push, stored, (push - spring) * rate
 
 
+# Of a bristle that is not given: its deflection [rad, m], as of asperities (Armstrong-Helouvry,
+# Dupont & Canudas de Wit 1994, Automatica 30, 1083, doi:10.1016/0005-1098(94)90209-7), and its
+# damping time [s] where no run has settled it.
+DEFLECTION, SETTLING = 1e-6, 1e-2
+# What a friction takes from a joint that nobody knows before a run [m/s^2, rad/s^2]: as mu = 1 does
+# from what its weight presses. And the least speed at which any is full.
+UNKNOWN, SLOWEST = 10.0, 1e-9
+
+
+class Pressed(AbstractQuantified):
+    """Friction of a clutch or a brake that a force presses, in proportion to its size.
+
+    Args:
+        by: name of a load on the coordinate of a joint, or of a coupling that has play or stiffness
+            or is a force (`OneWay`, `Rope`); its force is that of `run.transmitted(by)`.
+        factor: friction for a unit of that force [m; 1 where both are of one unit], >= 0: the
+            friction coefficient, times the number of faces and their mean radius.
+    """
+
+    by: str = eqx.field(static=True)
+    factor: Scalar = quantity(unit="m", meaning="friction for a unit of force", at_least=0)
+
+
 class JointFriction(AbstractStateLoad):
     r"""Dry friction of a joint that turns or slides, ideal or with clearance, as a torque
     :math:`\tau` [N m] whatever the joint carries: of a gear or a seal. It holds what is driven by
@@ -126,10 +160,17 @@ class JointFriction(AbstractStateLoad):
     .. math:: F = -\operatorname{clip}(\tau\,(z + t_0\,\dot q)/z_0,\ \pm\tau), \qquad
         \dot z = \dot q \text{ within } \pm z_0,
 
-    so that a joint at rest stands by up to :math:`z_0` beside where it came to rest; the steps must
-    resolve the spring :math:`\tau/z_0`. With a `transition_speed` :math:`v_0` it is a function of
+    so that a joint at rest stands by up to :math:`z_0` beside where it came to rest. Where
+    `presliding` and `settling_time` are not given friction comes within 50 us, or within a step
+    where steps have a length: :math:`t_0/z_0` is the inverse of the speed that :math:`\tau` takes
+    from the joint in that time, for the inertia along its coordinate where a run starts, and
+    :math:`z_0` is 1e-6 (rad, m) or what that damps critically; derivatives of `Adaptive` then want
+    an `rtol` of 1e-7. With a `transition_speed`
+    :math:`v_0` it is a function of
     the speed instead, :math:`F = -\tau\tanh(\dot q/v_0)`, in every integrator, and creeps under a
-    steady load. Friction by what the joint carries is that of `joint.PlainBearing` and
+    steady load. The friction of a clutch or a brake ends and begins with what presses it: a
+    function of time, of which what is below 0 counts as 0, or `Pressed`, the force of another load
+    or coupling. Friction by what the joint carries is that of `joint.PlainBearing` and
     `joint.Slideway`. In closed loops what each of several such loads holds at rest is not unique
     (Wojtyra 2017, Multibody Syst. Dyn. 39, 337, doi:10.1007/s11044-016-9535-6): one of the many
     answers is told.
@@ -141,8 +182,11 @@ class JointFriction(AbstractStateLoad):
     """
 
     connection: str = eqx.field(static=True)
-    torque: Scalar = quantity(
-        unit="N m", meaning="friction when it slides (N for a sliding joint)", at_least=0
+    torque: Scalar | Callable | Pressed = quantity(
+        unit="N m",
+        meaning="friction when it slides (N for a sliding joint), or a function of time",
+        converter=_number_function_or_pressed,
+        at_least=0,
     )
     transition_speed: Scalar | None = quantity(
         None,
@@ -151,15 +195,19 @@ class JointFriction(AbstractStateLoad):
         "holds)",
         above=0,
     )
-    presliding: Scalar = quantity(
-        1e-4,
+    presliding: Scalar | None = quantity(
+        None,
         "rad",
-        "deflection z_0 at which the bristle yields (m for a sliding joint)",
+        "deflection z_0 at which the bristle yields (m if sliding; None: from the inertia)",
         above=0,
         kw_only=True,
     )
-    settling_time: Scalar = quantity(
-        1e-2, "s", "damping time t_0 of the bristle", above=0, kw_only=True
+    settling_time: Scalar | None = quantity(
+        None,
+        "s",
+        "damping time t_0 of the bristle (None: 0.01 beside a presliding, else from the inertia)",
+        above=0,
+        kw_only=True,
     )
 
     def coordinates(self):
@@ -168,22 +216,69 @@ class JointFriction(AbstractStateLoad):
     def states(self):
         if self.transition_speed is not None:
             return ()
-        return (LoadState("bristle", "rad", most=self.presliding),)
+        return (LoadState("bristle", "rad", most=self._yields),)
+
+    def __check_init__(self):
+        check_function_of_time(self, "torque")
 
     def effect(self, time, positions, speeds, states):
-        (speed,) = speeds
+        (speed,), torque = speeds, value_at(self._torque, time)
         if self.transition_speed is not None:
-            force = -self.torque * smooth_sign(jnp.asarray(speed, float), self.transition_speed)
+            force = -torque * smooth_sign(jnp.asarray(speed, float), self.transition_speed)
             return CoordinateEffect((force,), (), 0, -force * speed, 0)
-        own = holding(states[0], speed, self.presliding, self.settling_time)
-        friction = self.torque * own.share
-        elastic = jnp.clip(states[0] / self.presliding, -1.0, 1.0)
-        stored = 0.5 * self.torque * self.presliding * elastic * elastic
-        wound = jnp.where(jnp.abs(elastic) < 1, self.torque * elastic * own.rate, 0.0)
+        own = holding(states[0], speed, self._yields, self._settles)
+        friction = torque * own.share
+        if callable(self.torque):
+            # What the bristle stores changes with what presses it: all counts as lost.
+            return CoordinateEffect((-friction,), (own.rate,), 0, friction * speed, 0)
+        elastic = jnp.clip(states[0] / self._yields, -1.0, 1.0)
+        stored = 0.5 * torque * self._yields * elastic * elastic
+        wound = jnp.where(jnp.abs(elastic) < 1, torque * elastic * own.rate, 0.0)
         return CoordinateEffect((-friction,), (own.rate,), stored, friction * speed - wound, 0)
 
     def reads_position(self):
         return False
 
+    @property
+    def _yields(self):
+        return DEFLECTION if self.presliding is None else self.presliding
+
+    @property
+    def _settles(self):
+        return SETTLING if self.settling_time is None else self.settling_time
+
+    def needs_inertia(self):
+        return self.presliding is None and self.transition_speed is None
+
+    def for_inertia(self, inertia, delay, times):
+        most: Any = self.torque
+        if isinstance(most, Pressed):
+            most = UNKNOWN * inertia
+        elif callable(most):
+            most = jnp.max(jax.vmap(self._pressed)(times))
+        speed = jnp.maximum(most / inertia * delay, SLOWEST)
+        if self.settling_time is not None:
+            return dataclasses.replace(self, presliding=speed * self.settling_time)
+        deflection = jnp.maximum(4 * speed * delay, DEFLECTION)
+        return dataclasses.replace(self, presliding=deflection, settling_time=deflection / speed)
+
+    def _pressed(self, time):
+        """Friction at a time, by a function of it."""
+        function: Any = self.torque
+        return positive_part(jnp.asarray(function(time), float))
+
+    @property
+    def _torque(self):
+        return self._pressed if callable(self.torque) else self.torque
+
     def dry_friction(self):
-        return self.torque if self.transition_speed is None else None
+        return self._torque if self.transition_speed is None else None
+
+    def pressed_by(self):
+        return self.torque.by if isinstance(self.torque, Pressed) else None
+
+    def under(self, force):
+        # As a function of time, so that what the bristle stores is none of a number's.
+        pressed: Any = self.torque
+        torque = pressed.factor * jnp.abs(jnp.asarray(force, float))
+        return eqx.tree_at(lambda own: own.torque, self, lambda time: torque)

@@ -1,7 +1,8 @@
 """The standard answers of a run, and how far two runs of one mechanism are apart in them.
 
 Places are judged beside the longest way of a body, or a hundred times the widest gap if that is
-more: bodies that go less far only move within their gaps. Places in gaps are judged beside the
+more: bodies that go less far only move within their gaps; what stands still is judged beside its
+size. Places in gaps are judged beside the
 clearance, forces beside the largest of all joints, wear beside the surface that wears most; all of
 them as the finest run tells them, as errors are shares of what an answer is.
 """
@@ -27,8 +28,9 @@ from jaxclear.results.trajectory import Trajectory
 
 # A body that goes less far than so many of the widest gap is judged beside that.
 GAPS = 100.0
-# Share of the longest arm, and of a radian, by which rounding moves what is at rest.
-AT_REST = 1e-9
+# Bodies that move by less than this share of the longest arm, and of a radian, are judged beside
+# it: a thousandth, the tightest promise, is what Adaptive's absolute tolerance lets through.
+AT_REST = 1e-6
 # Share of the energy turned over below which friction takes nothing that a user would read.
 LEAST_LOSS = 1e-3
 # Worn depth, beside the root of its surface's area, below which nothing wears: a thousand million
@@ -111,7 +113,7 @@ def _observed(run: Trajectory) -> Observables:
     mean = stacked([histories.contact_impulse(history, name)[-1] / duration for name in joints])
     peaks = None
     if run.extremes is not None and not run.formulation.forces_are_means:
-        peaks = stacked([PeakContactForce(name)(run) for name in joints])
+        peaks = stacked([PeakContactForce(name)(run) for name in run.mechanism.topology.clearances])
     lost, turned = None, None
     if history.balanced:
         energies = histories.energies(history)
@@ -179,11 +181,14 @@ def apart(
     ]
     found += _gaps_apart(run, one, other)
     joints = run.formulation.contact_joints(run.mechanism)
-    of_joints = (("mean contact force", "mean_force"), ("peak contact force", "peak_force"))
-    for answer, part in of_joints:
+    of_joints = (
+        ("mean contact force", "mean_force", joints),
+        ("peak contact force", "peak_force", run.mechanism.topology.clearances),
+    )
+    for answer, part, names in of_joints:
         forces = [getattr(each, part) for each in (one, other, finest)]
         if forces[0] is not None and len(forces[0]):
-            found += _by_place(answer, part, "N", joints, *forces)
+            found += _by_place(answer, part, "N", names, *forces)
     if one.friction_loss is not None:
         loss, less, last = (float(np.asarray(each.friction_loss)) for each in (one, other, finest))
         scale = max(last, LEAST_LOSS * float(np.asarray(finest.turnover))) or max(loss, less)

@@ -187,7 +187,8 @@ def _end(side: str, other: str) -> Getter:
 
     def told(connection: Connection) -> Any:
         marker, beside = getattr(connection, side), getattr(connection, other)
-        plain = all(end.quaternion is None and _axis(end) == "z" for end in (marker, beside))
+        turned = [end.quaternion is not None or end.angle is not None for end in (marker, beside)]
+        plain = not any(turned) and _axis(marker) == "z" == _axis(beside)
         return marker.body if plain and marker.at is None else marker
 
     return told
@@ -209,7 +210,7 @@ def _expansion(heating: Heating) -> Any:
 
 EXPANSION = {"unit": "1/K", "meaning": "coefficient of linear expansion"}
 NUMBERS_BY_NAME = ByName(Numbers({"unit": "1"}))
-DIRECTION = Choice((Text(), Numbers({"unit": "1"}, (3,))))
+DIRECTION = Choice((Text(), Numbers({"unit": "1"}, (2, 3))))
 END = Choice((Text(), Part((Marker,), spelled_out=True)))
 # What stands where a mechanism does not say how its loops are held.
 AS_NEEDED = "default"

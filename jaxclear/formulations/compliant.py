@@ -32,6 +32,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_alike
 from jaxclear.ground.grouping import unstacked
 from jaxclear.multibody import contact_point, kinematics
+from jaxclear.multibody.damped_stops import with_damped_stops, with_damping_ratios
 from jaxclear.multibody.forces import (
     Forces,
     applied_forces,
@@ -63,7 +64,8 @@ def _work_rates(model: Model, time: Any, entries: list, mean: list) -> list:
         q, v = unpack_motion(system, [*coordinates, *speeds])
         motions = kinematics.link_motions(system, q, v, time)
         reports = contact_reports(system, motions, memories, model.worn)
-        return applied_forces(system, motions, reports, q, v, time, followed)
+        damped = with_damped_stops(system, motions)
+        return applied_forces(damped, motions, reports, q, v, time, followed)
 
     start = at(entries[layout.coordinates : layout.memory_start])
     middle = at(mean)
@@ -126,6 +128,9 @@ class CompliantContact(AbstractFormulation):
 
     def seen(self, mechanism):
         return mechanism
+
+    def prepared(self, system):
+        return with_damping_ratios(system)
 
     def impulses(self, system):
         return tuple((name, 1) for name in (*system.bearings, *rubbing_joints(system)))
@@ -379,7 +384,8 @@ def _acting(
     memories = _with_shares(unpack_memories(layout, entries), shares)
     reports = contact_reports(system, motions, memories, model.worn)
     followed = unpack_followed(layout, entries, flanks)
-    forces = applied_forces(system, motions, reports, q, v, time, followed)
+    damped = with_damped_stops(system, motions)
+    forces = applied_forces(damped, motions, reports, q, v, time, followed)
     return forces, q, v, entries[layout.coordinates : layout.memory_start]
 
 

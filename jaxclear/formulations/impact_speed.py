@@ -147,7 +147,9 @@ def end_at_passage(
 ) -> Scalar:
     """The share of a step at which it would have ended where a contact first closes or parts in it;
     1 where none goes more than `beyond` [m] beyond its wall, or only within a time `least` [s] of
-    one of its ends: such a passage hides no later one of another contact.
+    its end: such a passage hides no earlier one of another contact. No share is shorter than that
+    time: a contact that starts short of its wall by less is beyond it there, and does not count as
+    it started for a longer step.
 
     Signs of the rates at the ends do not tell of a touch between them: a journal that has touched,
     parted and passed the middle of its bearing comes nearer to the wall at both. So the halves of
@@ -170,8 +172,8 @@ def end_at_passage(
     path = tuple(jnp.where(soon, a, b) for a, b in zip(early, late, strict=True))
     last = jnp.where(soon, summit_early, summit_late)
     within = passage(path, 0.5 * beyond, last, jnp.any(soon | then))
-    shares = 0.5 * (within + jnp.where(soon, 0.0, 1.0))
-    told = (soon | then) & (jnp.minimum(shares, 1 - shares) * length > least)
+    shares = jnp.maximum(0.5 * (within + jnp.where(soon, 0.0, 1.0)), safe_divide(least, length))
+    told = (soon | then) & ((1 - shares) * length > least)
     return jnp.min(jnp.where(told, shares, 1.0), initial=1.0)
 
 

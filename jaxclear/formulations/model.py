@@ -14,6 +14,7 @@ from jaxclear.ground.grouping import unstacked
 from jaxclear.ground.pose import Pose
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.contact_point import JointReport
+from jaxclear.multibody.damped_stops import with_damped_stops
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.loops import Baumgarte
 from jaxclear.multibody.state import Followed, Layout, unpack_followed
@@ -77,7 +78,8 @@ class Instant(NamedTuple):
     def forces(self, reports: dict[str, JointReport]) -> Forces:
         """Everything that acts, the clearance joints as reported."""
         motion = (self.motions, reports, self.q, self.v, self.time)
-        return applied_forces(self.model.system, *motion, self.followed)
+        system = with_damped_stops(self.model.system, self.motions)
+        return applied_forces(system, *motion, self.followed)
 
     @property
     def speeds(self) -> list:

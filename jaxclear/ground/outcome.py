@@ -45,7 +45,7 @@ class Unknown(AbstractOutcome):
     )
     STEPS_DECIDE = (
         1,
-        "in steps of another length it is another, or none: take shorter steps.",
+        "in steps of another length it is another, or none: take shorter steps or a tighter rtol.",
     )
     GROWN = (
         2,
@@ -54,8 +54,8 @@ class Unknown(AbstractOutcome):
     )
     UNRESOLVED = (
         3,
-        "steps that resolve the motion do not resolve it, as at rest on a stiff spring or contact: "
-        "hold Adaptive's largest_step, or take a tighter rtol.",
+        "the steps that it asks for are too many or too short: allow Adaptive more most_steps, or "
+        "take jaxclear.sensitivity.",
     )
     PARTED = (
         4,
@@ -76,6 +76,11 @@ class Unknown(AbstractOutcome):
         7,
         "the integral of a controller stands still at its torque limit, and how that instant moves "
         "is not followed: give it a period, or no torque_limit, or take jaxclear.sensitivity.",
+    )
+
+    NOT_REACHED = (
+        8,
+        "the run ended before the instant whose derivative it is; its result says why.",
     )
 
     @property

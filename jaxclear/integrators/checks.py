@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground.outcome import AbstractOutcome
 from jaxclear.ground.printing import AbstractShown
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import constant, is_traced, on_numbers
 from jaxclear.ground.table import as_table
 
 
@@ -37,7 +37,7 @@ class Outcome(AbstractOutcome):
         "here.",
     )
     TOO_MANY_STEPS = 2, "The allowed number of steps between two saved times was used up."
-    NOT_FINITE = 3, "The state became infinite or not a number."
+    NOT_FINITE = 3, "The state grew without bound, or became no number."
     ENERGY_GAINED = (
         4,
         "The mechanism gained energy that nothing gave it: the steps are too long for its contacts "
@@ -101,8 +101,8 @@ class Outcome(AbstractOutcome):
 
 NEVER = (np.inf, Outcome.REACHED)
 # What a figure is told for.
-LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfaces", "mechanism"
-JOINTS, LOADS, RUBBING, COLLARS = "joints", "loads and drives", "joints that rub", "collars"
+LOOPS, CONTACTS, SURFACES, WHOLE = "loops", "contacts", "surfaces", "mechanism"
+LOADS, RUBBING, COLLARS = "loads and drives", "joints that rub", "collars"
 TOUCHING = "joints that always touch"
 UNHELD = "joints that always touch and that nothing holds along their axis"
 SLIDING = "journals that nothing holds along their axis"
@@ -132,16 +132,10 @@ class AbstractCheck(enum.IntEnum):
         return member
 
 
-def _gone(code: int, label: str, limit: float, concerns: str, of: str = CONTACTS) -> tuple:
-    """A check of earlier versions, of which kept runs and folders tell: no run asks it any more."""
-    place = "" if of == WHOLE else ' in "{place}"'
-    sentence = f"{label}{place}: {{figure:.2g}} (limit {{limit:g}}), told by an earlier version"
-    return code, label, limit, concerns, of, sentence
-
-
 @enum.unique
 class Check(AbstractCheck):
-    """The figures of all runs, each beside its limit."""
+    """The figures of all runs, each beside its limit. The codes 1 to 6, 9 to 20 and 22 to 24 were
+    those of earlier versions, and are not used again."""
 
     # Residual of a loop's closure beside its own shortest part, at the saving times.
     LOOP_DRIFT = (
@@ -258,45 +252,6 @@ class Check(AbstractCheck):
         'to follow its force through the gap of joint "{place}" would take {figure:.2g} of it '
         "(limit {limit:g}): take integrator.ImplicitStep",
     )
-    # Of versions up to 0.29.
-    HALVED_MEAN_FORCES = _gone(3, "halved steps: mean force", 0.1, "motion", SPEEDS)
-    HALVED_MOTION = _gone(11, "halved steps: motion", 0.015, "motion", WHOLE)
-    HALVED_CONTACT_FORCES = _gone(18, "halved steps: mean contact force", 0.1, "forces", JOINTS)
-    HALVED_FORCES = _gone(4, "halved steps: force", 0.1, "swinging forces", SPEEDS)
-    HALVED_WEAR = _gone(5, "halved steps: wear", 0.05, "wear", SURFACES)
-    WEAR_BY_SAVES = _gone(14, "saving times: worn depth", 0.02, "worn depth", SURFACES)
-    PLACE_IN_GAP = _gone(12, "second look: place in gap", 0.03, "places in gaps")
-    BODY_PLACES = _gone(19, "second look: places of bodies", 0.001, "places", WHOLE)
-    MEAN_FORCE = _gone(13, "second look: mean force", 0.05, "forces")
-    PARTED_FORCE = _gone(17, "second look: mean force of parted paths", 0.01, "forces")
-    DEEPEST = _gone(20, "second look: deepest indentation", 0.07, "peak forces")
-    PEAK_FORCE = _gone(23, "second look: largest contact force", 0.1, "peak forces")
-    FRICTION_LOSS = _gone(16, "second look: friction loss", 0.02, "wear", WHOLE)
-    BRISTLE_LOSS = _gone(24, "second look: friction loss of bristles", 0.01, "wear", WHOLE)
-    CONTACT_STEP = _gone(6, "contact step", 0.85, "forces")
-    IMPACT_STEP = _gone(2, "impact step", 0.35, "motion")
-    REBOUND_STEP = _gone(10, "rebound step", 0.08, "motion")
-    LARGEST_FORCE = _gone(22, "largest contact force", NEVER[0], "peak forces")
-    FRICTION_STEP = _gone(1, "friction step", 0.0125, "motion")
-    DAMPER_STEP = _gone(15, "damper step", 0.75, "swinging forces")
-    CREEP_STEP = _gone(9, "creep step", 0.1, "wear")
-
-
-# Those that runs are asked.
-LIVE = (
-    Check.LOOP_DRIFT,
-    Check.LOOP_DRIFT_IN_GAPS,
-    Check.ENERGY_GAIN,
-    Check.INDENTATION,
-    Check.LOAD_STEP,
-    Check.WEAR_BY_CELLS,
-    Check.COULOMB_FRICTION,
-    Check.COLLAR_FORCE,
-    Check.UNHELD_FORCE,
-    Check.JOURNAL_REACH,
-    Check.INDETERMINATE_FORCE,
-    Check.GAP_MOTION,
-)
 
 
 # So large a figure is that of a run which grew without bound.
@@ -385,10 +340,11 @@ class Checks(AbstractShown):
             for check, worst, place, _ in self.rows()
         }
 
+    @on_numbers
     def rows(self) -> list[tuple[Check, float, str, float]]:
         """(check, worst figure, its place, when [s]) of each figure of one run."""
         out = []
-        for check, figure in self.figures.items():
+        for check, figure in constant(self).figures.items():
             worst = np.asarray(figure.worst)
             at = int(np.argmax(worst))
             out.append((check, float(worst[at]), figure.places[at], float(figure.time[at])))
@@ -431,6 +387,8 @@ class Checks(AbstractShown):
     def _shown(self):
         if not self.named:
             return "This run had nothing to check."
+        if is_traced(constant(self)):
+            return "the checks of traced runs"
         return (self.table().drop(columns="time [s]"),)
 
 

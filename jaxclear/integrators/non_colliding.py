@@ -32,12 +32,12 @@ class NonColliding(AbstractIntegrator):
     (`Check.GAP_MOTION`). Midpoint rule, order 2 in smooth motion and 1 across stick
     and slip; coordinates on groups move by exponentials. Steps should end where loads jump.
 
-    What runs into a stop (`load.JointStop`) stays at it; dry friction (`load.JointFriction`)
-    sticks; the play of couplings is seated (`clearance.Backlash`).
+    A stop (`load.JointStop`) is rigid, and gives its restitution back within a step; dry friction
+    (`load.JointFriction`) sticks; the play of couplings is seated (`clearance.Backlash`).
 
     `most_sweeps` over the joints at most, until friction changes by less than `tolerance` of its
     bound; where they end far from that (a guide about to lock itself), the run ends and says so.
-    Steps in which joints that share a closed loop come to rest together may take thousands.
+    Joints of a closed loop that stick together share what holds it in no unique way.
     `relaxation` rounds Coulomb's law over this share of the bound: a joint then creeps, and the
     error is of its order (None: exact). `regularised` takes a friction law as the function of the
     sliding speed that it is, for comparison: the joint creeps, and steps must be short beside the

@@ -86,12 +86,43 @@ def carried(connection: Connection) -> Part:
     return Part(child, True, parent.body)
 
 
+def meshing_parts(
+    coupling: AbstractBodyCoupling, connections: dict[str, Connection]
+) -> tuple[Part, ...]:
+    """What the joints of a coupling carry. Against the joint of its own carrier a wheel moves on
+    the part that carries both: the planet on a fixed sun, the rolling wheel on the ground."""
+    parts = tuple(carried(connections[name]) for name in coupling.joints())
+    bodies = [part.marker.body for part in parts]
+    if len(parts) == 1 or bodies[0] == bodies[1]:
+        return parts
+    across = [bodies[1 - i] == part.inner for i, part in enumerate(parts)]
+    pairs = list(zip(coupling.joints(), parts, reversed(across), strict=True))
+    return tuple(
+        _other_side(connections[name], part) if is_carrier and not all(across) else part
+        for name, part, is_carrier in pairs
+    )
+
+
+def _other_side(connection: Connection, part: Part) -> Part:
+    """The part against which a joint moves this one."""
+    marker = connection.parent if part.is_child else connection.child
+    return Part(marker, not part.is_child, part.marker.body)
+
+
+def rolls_on_its_carriers_base(
+    coupling: AbstractBodyCoupling, connections: dict[str, Connection]
+) -> bool:
+    """Whether one of its joints moves the carrier of what the other carries."""
+    sides = [carried(connections[name]).is_child for name in coupling.joints()]
+    return sides != [part.is_child for part in meshing_parts(coupling, connections)]
+
+
 def markers(coupling: AbstractBodyCoupling, connections: dict[str, Connection]) -> tuple:
     """The two markers that mesh."""
     own = [connections[name] for name in coupling.joints()]
     if len(own) == 1:
         return own[0].parent, own[0].child
-    return tuple(carried(connection).marker for connection in own)
+    return tuple(part.marker for part in meshing_parts(coupling, connections))
 
 
 def drawn_pose(
@@ -160,7 +191,7 @@ def mesh(
 ) -> Mesh:
     """The reading of a coupling of bodies."""
     drawn = drawn_pose(coupling, bodies, connections)
-    parts = [carried(connections[name]) for name in coupling.joints()]
+    parts = list(meshing_parts(coupling, connections))
     if len(coupling.angles(drawn)) == 1:
         return Mesh(coupling, drawn, (_single(coupling, parts, topology, bodies, connections),))
     depths = [_depth(topology, part.marker.body) for part in parts]
@@ -212,10 +243,11 @@ def _count(
         place = joint.units.index("rad")
         side = 1.0 if part.is_child else -1.0
         return Count(side, joint.home[place], topology.branches.index(branch), place)
+    if part.inner != GROUND:
+        return None
     body = part.marker.body
     link: Any = topology.index(body)
-    afloat = topology.branches[link].connection is None
-    if part.inner != GROUND or not afloat or len(bodies[body].inertia) > 1:
+    if topology.branches[link].connection is not None or len(bodies[body].inertia) > 1:
         return None
     # A body that floats in the plane turns about the ground's z axis.
     drawn = _drawn(bodies, connections)[body]

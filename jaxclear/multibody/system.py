@@ -28,7 +28,7 @@ from jaxclear.ground.pose import REST, Pose
 from jaxclear.multibody.contact_point import fitted_laws
 from jaxclear.multibody.loops import TURN, WAY, Closure, CoordinateSum, SummedCoordinate
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.meshes import carried, drawn_pose, markers, mesh
+from jaxclear.multibody.meshes import drawn_pose, markers, mesh, meshing_parts
 from jaxclear.multibody.pose_rows import CoordinateOf, closing_rows, reading_of
 from jaxclear.multibody.topology import (
     Branch,
@@ -271,7 +271,7 @@ def _driving_end(mechanism: Mechanism, name: str, scale: Any) -> DrivingEnd | No
         return DrivingEnd(motor, slope, coupling.efficiency)
     first = coupling.joints()[0]
     drawn = drawn_pose(coupling, mechanism.bodies, mechanism.connections)
-    side = 1.0 if carried(mechanism.connections[first]).is_child else -1.0
+    side = 1.0 if meshing_parts(coupling, mechanism.connections)[0].is_child else -1.0
     slope = side * coupling.radii(drawn)[0] / scale
     return DrivingEnd(first, slope, coupling.efficiency)
 

@@ -7,7 +7,6 @@ Each saved instant is a file of its own (.vtu, VTK's unstructured grid), and `ru
 with their times.
 """
 
-import functools
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -19,7 +18,6 @@ from jaxclear.components.body import GROUND
 from jaxclear.components.joint.base import drive_of
 from jaxclear.ground.arguments import check_count
 from jaxclear.ground.datasets import provenance
-from jaxclear.ground.warning import warn
 from jaxclear.multibody.topology import coordinate_units, turns
 from jaxclear.results import histories, transmissions
 from jaxclear.results.relative_motion import marker_frame
@@ -65,7 +63,7 @@ def of_run(history: StateHistory, worn: dict, attributes: dict, flat: bool) -> A
     if not flat:
         root = {"/": xarray.Dataset(coords=coordinates, attrs=said)}
         below = {"/".join(path): xarray.Dataset(own) for path, own in nodes.items()}
-        return _tree_class().from_dict(root | below)
+        return xarray.DataTree.from_dict(root | below)
     columns = {}
     for path, own in nodes.items():
         above = ".".join(path)
@@ -133,47 +131,6 @@ def _single_coordinates(history: StateHistory) -> dict[str, str]:
     known |= {*mechanism.topology.motors}
     units = {name: coordinate_units(mechanism, name) for name in moving}
     return {name: own[0] for name, own in units.items() if len(own) == 1 and name in known}
-
-
-@functools.cache
-def _tree_class() -> Any:
-    """The class of a run's tree; xarray is loaded where data are asked for."""
-    import xarray
-
-    class RunTree(xarray.DataTree):
-        """An xarray DataTree by body, joint and surface, whose root for one version answers to
-        "crank.com" as to "crank/com", with a warning."""
-
-        __slots__ = ()
-
-        def __getitem__(self, key: Any) -> Any:
-            path = self._path_of(key)
-            if path is None:
-                return xarray.DataTree.__getitem__(self, key)
-            warn(
-                f'the data of a run are a tree: "{key}" is now "{path}", and its flat name goes '
-                "with the next version. run.to_dataset(flat=True) has all flat names.",
-                DeprecationWarning,
-            )
-            return xarray.DataTree.__getitem__(self, path)
-
-        def __contains__(self, key: object) -> bool:
-            return xarray.DataTree.__contains__(self, key) or self._path_of(key) is not None
-
-        def __reduce__(self) -> tuple:
-            return xarray.DataTree.from_dict, (self.to_dict(),)
-
-        def _path_of(self, key: Any) -> str | None:
-            """The path that a flat name stands for; None for one that stands for none."""
-            if not isinstance(key, str) or "." not in key:
-                return None
-            for path, node in self.subtree_with_keys:
-                for field in node.data_vars:
-                    if key == f"{path.replace('/', '.')}.{field}":
-                        return f"{path}/{field}"
-            return None
-
-    return RunTree
 
 
 class _Solid(NamedTuple):

@@ -24,7 +24,7 @@ from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.ground.printing import AbstractShown
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import is_traced, on_numbers
 from jaxclear.ground.table import as_table
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import public_name
@@ -97,9 +97,9 @@ class BodyHistory(AbstractHistory):
         return _accelerations(self.history)[self.name][1]
 
     @property
-    def quaternion(self) -> np.ndarray:
-        """Orientation as unit quaternions, scalar first."""
-        return quaternion_from_rotation(np.asarray(self.rotation))
+    def quaternion(self) -> Float[Array, "time 4"]:
+        """Orientation as unit quaternions, scalar first and not negative."""
+        return quaternion_from_rotation(self.rotation)
 
 
 class MarkerHistory(AbstractHistory):
@@ -131,45 +131,6 @@ class MarkerHistory(AbstractHistory):
         gravity, so that one at rest reads g upwards."""
         gravity = sp.stack(self.body.history.model().system.gravity)
         return jnp.einsum("tji,tj->ti", self.rotation, self.acceleration - gravity)
-
-    def __getitem__(self, index: Any) -> Any:
-        return _as_array(self)[index]
-
-    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
-        return np.array(_as_array(self), dtype)
-
-    def __jax_array__(self) -> Array:
-        return _as_array(self)
-
-    def __iter__(self) -> Any:
-        return iter(_as_array(self))
-
-    def __len__(self) -> int:
-        return len(self.position)
-
-    def __add__(self, other: Any) -> Array:
-        return _as_array(self) + other
-
-    def __sub__(self, other: Any) -> Array:
-        return _as_array(self) - other
-
-    def __rsub__(self, other: Any) -> Array:
-        return other - _as_array(self)
-
-    def __mul__(self, other: Any) -> Array:
-        return _as_array(self) * other
-
-    __radd__, __rmul__ = __add__, __mul__
-
-
-def _as_array(marker: MarkerHistory) -> Array:
-    """The array that was returned in the version before, with a warning."""
-    warn(
-        "marker(...) has position, velocity and acceleration; the array that it was is its "
-        "position, and goes with the next version.",
-        DeprecationWarning,
-    )
-    return marker.position
 
 
 def marker(read: Callable[[str], Any], body: str | Marker, at: Any) -> MarkerHistory:
@@ -208,6 +169,7 @@ class ContactHistory(AbstractHistory):
     torque: Float[Array, "time 3"] = measured("N m")
     names: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
 
+    @on_numbers
     def table(self) -> Any:
         """A pandas table over time [s], a column for each number, labelled with its unit."""
         columns = {"time [s]": np.asarray(self.time)}
@@ -354,20 +316,27 @@ def reaction(history: StateHistory, name: str) -> ReactionHistory:
         if isinstance(own, AbstractBodyCoupling) and own.motor is None
     ]
     check_known(name, [*history.mechanism.connections, *meshing], "joint")
-    redundancy = history.mechanism.topology.redundancy
-    unique = redundancy is None or name not in redundancy.joints
-    if not unique:
-        # A force in equilibrium with itself has no power in any motion, nor along a drive.
-        given = (
-            f' What its drive gives is: run.transmitted("{name}").'
-            if name in history.mechanism.driven
-            else ""
-        )
-        warn(
-            f'the reaction of joint "{name}" is not unique: the loops are {redundancy} A body that '
-            f"gives, or a joint with clearance in place of one of them, would tell which.{given}",
-        )
+    kind = "coupling" if name in couplings else "joint"
+    unique = is_unique(history, name, f'the reaction of {kind} "{name}"')
     return dataclasses.replace(_reaction(history, name), unique=unique)
+
+
+def is_unique(history: StateHistory, name: str, what: str) -> bool:
+    """Whether overconstrained loops determine the reaction of a joint, or what a coupling
+    transmits; warns where they do not."""
+    mechanism = history.mechanism
+    redundancy = mechanism.topology.redundancy
+    if redundancy is None or name not in redundancy.joints:
+        return True
+    # A force in equilibrium with itself has no power in any motion, nor along a drive.
+    drive = f' What its drive gives is: run.transmitted("{name}").'
+    remedy = "A body that gives, or a joint with clearance in place of one of them,"
+    remedy = "Stiffness of the couplings" if name in mechanism.couplings else remedy
+    warn(
+        f"{what} is not unique: the loops are {redundancy} {remedy} would tell which."
+        f"{drive if name in mechanism.driven else ''}",
+    )
+    return False
 
 
 @eqx.filter_jit

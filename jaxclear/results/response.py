@@ -47,7 +47,6 @@ REACHES = {
     "places": ("motion", "places in gaps"),
     "forces": ("forces", "peak forces", "wear", "worn depth"),
     "peak forces": ("peak forces",),
-    "swinging forces": ("peak forces", "wear", "worn depth"),
     "wear": ("wear", "worn depth"),
     "worn depth": ("worn depth",),
     "places in gaps": ("places in gaps", "wear", "worn depth"),
@@ -271,7 +270,8 @@ def _largest_met(run: Trajectory, joint: str) -> Scalar:
     """Largest force [N] of any step, and elastic force at the deepest indentation; 0 where none was
     kept, and of contacts whose law changes with the radius as worn."""
     extremes = run.extremes
-    if extremes is None or run.formulation.forces_are_means:
+    followed = extremes is not None and joint in extremes.contacts
+    if not followed or run.formulation.forces_are_means:
         return jnp.zeros(())
     bearing = run.history.model().system.bearings[joint]
     depths, *forces = (

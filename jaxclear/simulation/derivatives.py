@@ -10,6 +10,9 @@ rk4 whose derivatives are taken apart there (`saltation`), those through rigid c
 finer parts where it is differentiated (`variational`). Where nothing opens (ideal joints, permanent
 contact) the derivative of the discrete run converges to that of the motion, and passes: forwards
 through the steps, backwards as so many of these as numbers move.
+
+A derivative has a companion, as values have: the same in other steps, or at a tighter tolerance.
+Where that tells it to be off it is nan.
 """
 
 import functools
@@ -24,12 +27,14 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
+from jaxclear.errors.estimates import HALF
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.outcome import Unknown
-from jaxclear.ground.quantity import Scalar, is_traced
+from jaxclear.ground.quantity import Scalar, constant, is_traced
 from jaxclear.ground.tangents import pushed
 from jaxclear.ground.wording import public_name
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
+from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import by_columns
 from jaxclear.results.trajectory import Trajectory
@@ -116,6 +121,32 @@ def _refuse(sentence, primals, tangents):
     raise ValueError(sentence)
 
 
+def until_the_end(run: Trajectory) -> Trajectory:
+    """The run, whose states at saving times that it did not reach have no derivative: nan."""
+    if not is_traced(run.states):
+        return run
+    reached = (run.time <= run.ended) | (run.outcome == Outcome.REACHED)
+    states = _where_reached(run.states, constant(reached))
+    return eqx.tree_at(lambda run: run.history.states, run, states)
+
+
+@jax.custom_jvp
+def _where_reached(states: Array, reached: Array) -> Array:
+    """The states as they are."""
+    return states
+
+
+@_where_reached.defjvp
+def _not_beyond(primals, tangents):
+    known, nan = primals[1][:, None], Unknown.NOT_REACHED.number
+    forwards = lambda _, tangent: jnp.where(known, tangent, nan)
+    # What is not asked for in reverse mode stays 0.
+    backwards = lambda _, cotangent: jnp.where(known | (cotangent == 0), cotangent, nan)
+    # Of JAX's linear functions with a transpose of their own the one that `vmap` maps.
+    linear = jax.lax.custom_linear_solve
+    return primals[0], linear(lambda x: x, tangents[0], forwards, backwards)
+
+
 # The lengths of the other steps beside that of the run, by the order of its derivatives; and where
 # saving intervals have fewer than so many steps, which cannot be as many times longer.
 LONGER = {1: (1.5, 2.0), 2: (2.0,)}
@@ -129,13 +160,20 @@ ROUNDING = 1e-12
 
 def is_compared(mechanism: Mechanism, integrator: AbstractIntegrator) -> bool:
     """Whether derivatives of runs of a mechanism, as its formulation sees it, are taken in other
-    steps as well: where these have a length of their own."""
-    return integrator.asked_step() is not None and not refusal(mechanism, integrator)
+    steps as well: where these can be finer."""
+    return integrator.with_finer_steps(HALF) is not None and not refusal(mechanism, integrator)
 
 
-def in_other_steps(integrator: Any, share: Any) -> Any:
-    """The integrator in steps that share as long (None: as they are)."""
-    return integrator if share is None else integrator.with_finer_steps(share)
+def in_other_steps(integrator: Any, share: Any, times: Any) -> Any:
+    """The integrator in steps that share as long (None: as they are). Those that a tolerance
+    decides are shorter than intervals between saving `times` [s] too: at rest no tolerance makes
+    them so, and they are too long for a derivative."""
+    if share is None:
+        return integrator
+    finer = integrator.with_finer_steps(share)
+    if integrator.asked_step() is not None:
+        return finer
+    return finer.held(jnp.where(share < 1, share * jnp.max(jnp.diff(times)), jnp.inf))
 
 
 def order_of(integrator: AbstractIntegrator) -> int:
@@ -185,9 +223,12 @@ def compared(
     return known
 
 
-def _shares(step: Scalar, times: Float[Array, " saves"], order: int) -> tuple[Array, Array]:
+def _shares(step: Scalar | None, times: Float[Array, " saves"], order: int) -> tuple[Array, Array]:
     """(1 and the shares of a step [s] that others are, how large an error of this order is in them
-    beside it): steps end at all these times [s], so they are not as long as they are asked for."""
+    beside it): steps end at all these times [s], so they are not as long as they are asked for. Of
+    steps that a tolerance decides (None) errors are taken to fall no faster than with the step."""
+    if step is None:
+        return jnp.array([1.0, HALF]), jnp.array([HALF])
     count = lambda step: jnp.maximum(jnp.ceil(jnp.diff(times) / step * (1 - SLIVER)), 1.0)
     own = count(step)
     longer, shorter = (jnp.asarray(shares[order]) for shares in (LONGER, SHORTER))

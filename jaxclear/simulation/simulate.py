@@ -36,6 +36,7 @@ from jaxclear.simulation.derivatives import (
     is_compared,
     order_of,
     run_where_alike,
+    until_the_end,
 )
 from jaxclear.simulation.initial_state import Beginning, beginning, state_of
 from jaxclear.simulation.load_steps import LoadSteps, judged_by, load_steps
@@ -75,7 +76,7 @@ def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, 
     given = mechanism, coordinates, speeds, times, integrator, extras, past, updates
     whole: Any = run
     if is_compared(mechanism, integrator):
-        finer = lambda share, *own: (*own[:4], in_other_steps(own[4], share), *own[5:])
+        finer = lambda share, *own: (*own[:4], in_other_steps(own[4], share, own[3]), *own[5:])
         steps = lambda *own: (own[4].asked_step(), own[3])
         whole = compared(run, finer, run_where_alike, steps, order_of(integrator))
     found = backwards(integrator)(whole, *given)
@@ -294,7 +295,7 @@ def _simulated(
 
         with stoppable():
             found = again(Replica(integrator, saved))
-            found = judged_by(passed, diagnosed(guarded(found, integrator)))
+            found = judged_by(passed, until_the_end(diagnosed(guarded(found, integrator))))
         found = verified(found, integrator, again, how.verify, asked)
     return dataclasses.replace(found, doubts=(doubt,)) if doubt else found
 

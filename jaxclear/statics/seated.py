@@ -28,7 +28,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.pose import frame_with_axis, quaternion_from_rotation
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import with_quantities
+from jaxclear.ground.quantity import as_vector, with_quantities
 from jaxclear.ground.warning import warn
 from jaxclear.integrators import NonColliding
 from jaxclear.multibody import contact_point, kinematics
@@ -241,12 +241,11 @@ def _led_to_seat(marker: Marker, offset: np.ndarray, slope: np.ndarray) -> Marke
     place = at if np.any(at[2]) else at[:2]
     if not np.any(slope):
         # Planar markers stay so.
-        if marker.quaternion is not None:
-            return Marker(marker.body, place, quaternion=marker.quaternion)
-        axis = marker.named_axis if marker.axis is None else marker.axis
-        return Marker(marker.body, place, axis=axis)
+        return eqx.tree_at(
+            lambda own: own.at, marker, as_vector(place), is_leaf=lambda x: x is None
+        )
     lean = np.asarray(sp.dense(frame_with_axis((*slope, 1.0))), float).reshape(3, 3)
-    return Marker(marker.body, place, quaternion=quaternion_from_rotation(turn @ lean))
+    return Marker(marker.body, place, quaternion=np.asarray(quaternion_from_rotation(turn @ lean)))
 
 
 # Steps after which a rest that has not been found counts as none; forces that are left at one,

@@ -26,14 +26,8 @@ from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import answered, check_told, endless_sentences, refuse_endless
 from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
-from jaxclear.studies.sampling import (
-    OF_ONE_SIZE,
-    Drawing,
-    check_sampled,
-    checked_scramblings,
-    groups,
-)
-from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, responses_of, until_accurate
+from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
+from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, until_accurate
 from jaxclear.studies.statistics.accuracy import NumericalError, asked_of
 from jaxclear.studies.statistics.limits import (
     SIDES,
@@ -212,9 +206,14 @@ class MonteCarlo(AbstractAnswer):
     def statistic(self, function: Callable[[np.ndarray], float], response: str) -> Statistic:
         """Any smooth function of a sample (samples,), such as `scipy.stats.skew`, with its error.
         Raises `ValueError` where the response has infinite values, as lives may."""
+        return self._jackknifed(function, response)
+
+    def _jackknifed(
+        self, function: Callable[..., float], response: str, grouped: bool = False
+    ) -> Statistic:
         values, group = self.good(response)
         refuse_endless(self.problem, {response: values}, "mean or deviation")
-        return jackknifed(function, values, group, skewed=function is not np.mean)
+        return jackknifed(function, values, group, function is not np.mean, grouped)
 
     def mean(self, response: str) -> Statistic:
         """Mean of a response."""
@@ -222,7 +221,7 @@ class MonteCarlo(AbstractAnswer):
 
     def standard_deviation(self, response: str) -> Statistic:
         """Standard deviation of a response."""
-        return self.statistic(deviation, response).in_unit(self._unit(response))
+        return self._jackknifed(deviation, response, grouped=True).in_unit(self._unit(response))
 
     def _unit(self, response: str) -> str:
         return self.problem.units()[response]
@@ -245,7 +244,7 @@ class MonteCarlo(AbstractAnswer):
         """Cpk [1] between limits (low, high), None for no limit: distance of the mean from the
         nearer one, in three standard deviations."""
         check_limits({response: limits}, self.responses)
-        return self.statistic(capability(*limits), response)
+        return self._jackknifed(capability(*limits), response, grouped=True)
 
     def tolerance_interval(
         self,
@@ -312,9 +311,8 @@ def monte_carlo(
 ) -> MonteCarlo:
     """Responses over a random sample of the variables.
 
-    `sampling`: "sobol" (scrambled, quasi-random), "latin" (Latin hypercubes, as other programs draw
-    them) or "random". The sample consists of independent `scramblings` (of Latin hypercubes:
-    repetitions), by default near its root and at most 8, whose differences tell the error of every
+    `sampling`: "sobol" (scrambled, quasi-random) or "random". The sample consists of independent
+    `scramblings`, by default near its root and at most 8, whose differences tell the error of every
     statistic. `accuracy`: half of the 95 % interval of each mean, as a share of the
     response's root mean square [1], or by response in its unit; samples are then doubled until it
     is reached, and `samples` are the most. `chunk`: samples run together, by
@@ -322,23 +320,18 @@ def monte_carlo(
     are run again with finer steps, which tells `numerical_error` of every statistic. A sample that
     fails is counted, named and kept; so is one whose run warns of its own numbers.
     """
-    check_sampled(problem, samples, seed, sampling, OF_ONE_SIZE)
+    check_sampled(problem, samples, seed, sampling)
     check_flags("monte_carlo", verify=verify, progress_bar=progress_bar)
     if chunk is not None:
         check_count("chunk of monte_carlo", chunk)
     asked = asked_of(accuracy, problem.response_names)
-    if asked is not None and sampling == "latin":
-        raise ValueError(
-            "a Latin hypercube has a fixed number of samples and cannot grow until an accuracy is "
-            'reached; take sampling="sobol", or leave accuracy out.'
-        )
     first = samples if asked is None else min(samples, FIRST_SAMPLES)
     parts = checked_scramblings("monte_carlo", first, scramblings)
     chunk = chunk_size(problem, first, chunk)
     run = lambda values: evaluate_all(
         problem, jnp.asarray(values), chunk=chunk, progress_bar=progress_bar, label="Monte Carlo"
     )
-    drawing = Drawing(problem, seed, sampling, parts, samples)
+    drawing = Drawing(problem, seed, sampling, parts)
     sample, short = Grown(drawing, run, chunk), ""
     if asked is None:
         sample.to(samples)
@@ -346,13 +339,13 @@ def monte_carlo(
 
         def grown(count):
             sample.to(count)
-            return [(responses_of(problem, sample.found), groups(count, parts))]
+            return [(sample.found.reached_responses(), groups(count, parts))]
 
         short = until_accurate(problem, first_of(first, parts), samples, asked, grown)
-    found, values = sample.found, sample.values
+    found, values, reached = sample.found, sample.values, sample.found.reached_responses()
     ends = (np.asarray(found.outcome), np.asarray(found.ended))
     told = (
-        responses_of(problem, found),
+        {name: reached[name] for name in problem.response_names},
         *ends,
         seed,
         chunk,

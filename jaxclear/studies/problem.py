@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.errors.estimates import remedy_of_depths
 from jaxclear.errors.observables import GAPS
 from jaxclear.errors.verification import between, replica
 from jaxclear.ground.precision import check_double_precision
@@ -269,7 +268,7 @@ class Problem(AbstractMechanismProblem):
         JAX may map, compile and differentiate it. A derivative through contacts that open and close
         is not that of the motion, and raises `ValueError`; with `discrete_derivatives` it is passed
         on, as the derivative of the discrete run. Other derivatives are compared with those in
-        steps of other lengths, where steps have one, and nan where these tell an error beyond a
+        steps of other lengths or at a tighter tolerance, and nan where these tell an error beyond a
         hundredth; `jaxclear.why_unknown` says why.
         """
         check_double_precision()
@@ -336,8 +335,7 @@ class Problem(AbstractMechanismProblem):
         return allowed(self.accuracy, response, size)
 
     def remedy(self, response):
-        worn, remedy = needs_of(self.response[response]) == "worn depth", self.integrator.remedy
-        return remedy_of_depths(remedy) if worn else remedy
+        return self.integrator.remedy
 
     def doubts(self):
         return checked_by(self._load_steps().passed, Checks()).warnings
@@ -409,7 +407,7 @@ def _answered(problem: Problem, values: Array) -> SampleResult:
 
 def _finer(share: Any, problem: Problem, values: Array) -> tuple[Any, Array]:
     """The same in other steps."""
-    steps = in_other_steps(problem.integrator, share)
+    steps = in_other_steps(problem.integrator, share, problem.shares * problem.duration)
     return eqx.tree_at(lambda known: known.integrator, problem, steps), values
 
 

@@ -1,16 +1,17 @@
 """Which of many variables matter at all, from few runs: `jaxclear.screening`, the method of Morris.
 
-Trajectories through a grid of the unit cube move one variable at a time. The elementary effect of
-a variable is what its move changes in a response, over the share of the population that it moved
-through, so that each point stands for equally many parts whatever the distributions. Levels of the
-grid are the middles of equally likely parts: distributions without ends have no end in it.
+Trajectories through the unit cube move one variable at a time. The elementary effect of a variable
+is what its move changes in a response, over the share of the population that it moved through, so
+that each point stands for equally many parts whatever the distributions. Starts and steps are drawn
+anew for each move, from a third to two thirds of the population: steps of one length, as a grid has
+them, do not see a response that repeats itself after such a step. What leaves the cube on one side
+comes back on the other, so that all shares are equally likely before a move and after it.
 
 Source: Morris 1991, Technometrics 33, 161, doi:10.1080/00401706.1991.10484804; mu*: Campolongo,
-Cariboni & Saltelli 2007, Environ. Model. Softw. 22, 1509, doi:10.1016/j.envsoft.2006.10.004.
+Cariboni & Saltelli 2007, Environ. Model. Softw. 22, 1509, doi:10.1016/j.envsoft.2006.10.004; steps
+of different lengths: Campolongo, Saltelli & Cariboni 2011, Comput. Phys. Commun. 182, 978,
+doi:10.1016/j.cpc.2010.12.039.
 """
-
-import importlib.util
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -27,6 +28,9 @@ from jaxclear.studies.sampling import all_values, check_sampled
 from jaxclear.studies.scrambling import normal_scores
 from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed
 from jaxclear.studies.warned import told
+
+# Shares of the population [1] that a move goes through: their mean is that of Morris' steps.
+SHORTEST, LONGEST = 1 / 3, 2 / 3
 
 
 class Screening(AbstractAnswer):
@@ -69,34 +73,21 @@ class Screening(AbstractAnswer):
 
 @answering
 def screening(
-    problem: AbstractProblem,
-    trajectories: int = 16,
-    *,
-    levels: int = 4,
-    seed: int = 0,
-    chunk: int | None = None,
-    progress_bar: bool = False,
+    problem: AbstractProblem, trajectories: int = 16, *, seed: int = 0, progress_bar: bool = False
 ) -> Screening:
     """Which variables of a problem matter, by the method of Morris: `trajectories` times one run
     more than there are variables.
 
-    `levels`: points of the grid in each variable, an even number. Trajectories are independent;
-    intervals (95 %) come from the differences between them. Correlated variables are moved by their
-    own independent numbers. A move whose run failed is left out. Needs SALib:
-    `pip install "jaxclear[screening]"`. Raises `ValueError` for what cannot be asked, `ImportError`
-    without SALib.
+    Trajectories are independent; intervals (95 %) come from the differences between them.
+    Correlated variables are moved by their own independent numbers. A move whose run failed is left
+    out. Raises `ValueError` for what cannot be asked.
     """
     check_sampled(problem, trajectories, seed)
     check_count("trajectories of screening", trajectories, at_least=2)
-    check_count("levels of screening", levels, at_least=2)
     check_flags("screening", progress_bar=progress_bar)
-    if levels % 2:
-        raise ValueError(f"levels of screening is {levels}; it must be even, such as 4.")
-    if importlib.util.find_spec("SALib") is None:
-        raise ImportError('Screening draws by SALib: python -m pip install "jaxclear[screening]".')
-    shares = _trajectories(len(problem.names), trajectories, levels, seed)
+    shares = _trajectories(len(problem.names), trajectories, seed)
     values = jnp.asarray(all_values(problem, normal_scores(shares)))
-    found = evaluate_all(problem, values, chunk=chunk, progress_bar=progress_bar, label="screening")
+    found = evaluate_all(problem, values, progress_bar=progress_bar, label="screening")
     refuse_endless(problem, found.responses, "elementary effect")
     own = {name: np.asarray(found.responses[name], float) for name in problem.response_names}
     finite = np.all([np.isfinite(responses) for responses in own.values()], axis=0)
@@ -116,16 +107,17 @@ def screening(
             told_by = effects[name, variable][np.isfinite(change)]
             group = np.arange(len(told_by))
             mu_star[name, variable] = jackknifed(np.mean, np.abs(told_by), group)
-            sigma[name, variable] = jackknifed(deviation, told_by, group, skewed=True)
+            sigma[name, variable] = jackknifed(deviation, told_by, group, skewed=True, grouped=True)
     counts = len(values), int((~good).sum())
     return Screening(problem, mu_star, sigma, effects, *counts, told(problem, found.checks, good))
 
 
-def _trajectories(variables: int, count: int, levels: int, seed: int) -> np.ndarray:
+def _trajectories(variables: int, count: int, seed: int) -> np.ndarray:
     """Shares [1] of the trajectories' points, (count (variables + 1), variables)."""
-    from SALib.sample import morris
-
-    bounds = [[0.0, 1.0]] * variables
-    asked: Any = {"num_vars": variables, "names": list(map(str, range(variables)))}
-    drawn = morris.sample(asked | {"bounds": bounds}, count, num_levels=levels, seed=seed)
-    return (np.round(drawn * (levels - 1)) + 0.5) / levels
+    rng = np.random.default_rng(seed)
+    start = rng.random((count, 1, variables))
+    step = rng.uniform(SHORTEST, LONGEST, (count, 1, variables))
+    # The variable that moves first has moved at all points but the first.
+    order = rng.permuted(np.tile(np.arange(variables), (count, 1)), axis=1)[:, None]
+    moved = np.arange(variables + 1)[:, None] > order
+    return ((start + moved * step) % 1.0).reshape(-1, variables)

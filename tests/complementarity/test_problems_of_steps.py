@@ -137,3 +137,22 @@ def test_boxes_in_closed_form():
     assert BoxedGaussSeidel().solve(frictionless).z == 0.0
     lost = BoxedGaussSeidel(most_sweeps=1.0).solve(problem)
     assert lost.outcome == Outcome.LIMIT
+
+
+def test_joints_that_stick_and_contradict_each_other_by_little_stop_what_they_hold():
+    """Two clamps on one shaft, whose slips differ by 1e-9 of the speed that they stop, as those of
+    a loop do that closes to the order of a step: they share what holds it in no unique way, and
+    sweeps that passed the difference on would end after 4e8 of them."""
+    inverse, load, speed = 0.5, 10.0, 1.0
+    rows = [[inverse, inverse], [inverse, inverse]]
+    problem = JointFriction(
+        rows,
+        [speed, speed * (1 + 1e-9)],
+        ((0.4, 0.4), (0.4, 0.4)),
+        lambda *_: [(load, 0, 0)],
+        [0.0, 0.0],
+    )
+    found = BoxedGaussSeidel().iterate(problem)
+    assert int(found.sweeps) < 10 and float(found.residual) <= 1e-13
+    np.testing.assert_allclose(found.z.sum(), -speed / inverse, rtol=2e-9)
+    np.testing.assert_array_less(abs(found.z), 0.4 * load)

@@ -372,7 +372,7 @@ def asked_over_positions():
                 jc.Heating({"coupler": 11.5e-6, "crank": 23e-6}), 0.0, tolerance=40.0
             ),
         },
-        responses={"lost": jc.response.LostMotion("B")},
+        responses={"lost": jc.response.LostMotion("D")},
     )
 
 

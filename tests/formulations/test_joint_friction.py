@@ -116,18 +116,23 @@ def crank(kind, at_slider=None, guess=None, **numbers):
 
 
 @pytest.mark.slow
-def test_joints_of_a_loop_that_come_to_rest_together_do_so_in_short_steps():
+def test_joints_of_a_loop_that_come_to_rest_together_do_so_in_steps_of_any_length():
     """Where the crank turns round, three joints of one freedom rest at once, and share what holds
-    it by more sweeps than elsewhere."""
+    it in no unique way: what their slips differ by, as the loop closes to the order of the step, is
+    no reason to pass friction on from one to the next (of four of these steps that took 200 000
+    sweeps and did not end). Motion is of the first order in steps that stick."""
     jam = crank(jc.joint.PlainBearing, friction=jc.friction.Coulomb(mu_kinetic=0.5), radius=20e-3)
     ends = {}
-    for step, sweeps in ((1e-5, 20_000.0), (1e-4, 20_000.0), (1e-5, 1000.0)):
-        steps = jc.integrator.NonColliding(step, most_sweeps=sweeps)
-        ends[step, sweeps] = jc.simulate(jam, 0.06, integrator=steps, save=121, throw=False)
-    short, longer, few = ends.values()
-    assert short.succeeded and jc.integrator.NonColliding().most_sweeps >= 20_000
-    np.testing.assert_allclose(short.speed("A")[-1], longer.speed("A")[-1], rtol=2e-2)
-    assert not few.succeeded and "Allow more of them (most_sweeps)" in few.result
+    for step in (4.124626382901348e-06, 1e-5, 2.4244620170823306e-05, 3.455107294592218e-05, 1e-4):
+        steps = jc.integrator.NonColliding(step, most_sweeps=100.0)
+        run = jc.simulate(jam, 0.06, integrator=steps, save=121, throw=False)
+        assert run.succeeded, run.result
+        ends[step] = float(run.speed("A")[-1])
+    shortest, *others = ends.values()
+    np.testing.assert_allclose(others, shortest, rtol=2e-3)
+    few = jc.integrator.NonColliding(1e-5, most_sweeps=2.0)
+    run = jc.simulate(jam, 0.06, integrator=few, save=121, throw=False)
+    assert not run.succeeded and "Allow more of them (most_sweeps)" in run.result
 
 
 @pytest.mark.slow

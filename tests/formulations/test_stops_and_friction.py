@@ -30,13 +30,16 @@ def ran(rig, duration, integrator=RIGID, save=101):
     return jc.simulate(rig, duration, save=save, integrator=integrator, balance=True, verify=False)
 
 
-def test_bounces_on_a_rigid_stop_end_with_the_geometric_series_of_their_times():
+@pytest.mark.parametrize(
+    "integrator", [RIGID, jc.integrator.NonColliding(1e-4)], ids=["rigid", "permanent"]
+)
+def test_bounces_on_a_rigid_stop_end_with_the_geometric_series_of_their_times(integrator):
     """t = t_1 + 2 e v / (g (1 - e)); the stop then carries the weight."""
     share = 0.5
     stop = jc.load.JointStop("slide", upper=0.0, restitution=share)
     first = np.sqrt(2 * 0.1 / GRAVITY)
     end = first + 2 * share * GRAVITY * first / (GRAVITY * (1 - share))
-    run = ran(slide(stop, speed=0.0, pull=GRAVITY), 0.6, save=601)
+    run = ran(slide(stop, speed=0.0, pull=GRAVITY), 0.6, integrator, save=601)
     place, time = np.asarray(run.coordinate("slide")), np.asarray(run.time)
     # An instant is off by a step of each bounce, their speeds by as much.
     highest = [place[(time > a) & (time < b)].min() for a, b in ((0.15, 0.27), (0.28, 0.34))]
@@ -49,8 +52,8 @@ def test_bounces_on_a_rigid_stop_end_with_the_geometric_series_of_their_times():
     assert np.abs(balance.error).max() < 1e-10
 
 
-def test_what_runs_into_a_stop_in_permanent_contact_stays_there():
-    stop = jc.load.JointStop("slide", upper=0.0, restitution=0.5)
+def test_what_runs_into_a_stop_without_restitution_in_permanent_contact_stays_there():
+    stop = jc.load.JointStop("slide", upper=0.0, restitution=0.0)
     run = ran(slide(stop, speed=0.0, pull=GRAVITY), 0.6, PERMANENT, save=601)
     place, time = np.asarray(run.coordinate("slide")), np.asarray(run.time)
     landed = time > np.sqrt(2 * 0.1 / GRAVITY) + 1e-3
@@ -83,6 +86,60 @@ def test_a_springy_stop_gives_back_the_share_it_is_asked_for(share, stiffness):
     rig = slide(stop, jc.load.RotorInertia("slide", 3.0))
     run = ran(rig, 0.2, jc.integrator.Adaptive(), save=3)
     np.testing.assert_allclose(np.asarray(run.speed("slide"))[-1], -share * SPEED, rtol=1e-4)
+
+
+def unfolding_arm(share):
+    """An arm whose elbow a drive stretches within 0.2 s: about the shoulder, whose stop is met
+    later, its inertia goes from 0.10 to 0.42 kg m^2."""
+
+    def stretch(time):
+        part = jnp.clip(time / 0.2, 0.0, 1.0)
+        return np.pi * (1 - part * part * (3 - 2 * part))
+
+    half = jc.Body(1.0, 0.01, com=(0.2, 0.0))
+    elbow = jc.joint.Revolute(drive=jc.drive.Position(stretch))
+    joints = {
+        "shoulder": jc.Connection(jc.joint.Revolute(), "ground", "upper"),
+        "elbow": jc.Connection(elbow, jc.Marker("upper", (0.4, 0.0)), "lower"),
+    }
+    stop = jc.load.JointStop("shoulder", upper=1.5, stiffness=1e5, restitution=share)
+    return jc.Mechanism(
+        {"upper": half, "lower": half}, joints, {"stop": stop}, speeds={"shoulder": 5.0}
+    )
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        jc.integrator.Adaptive(),
+        jc.integrator.ImplicitStep(1e-4),
+        jc.integrator.FixedStep(1e-4),
+    ],
+    ids=["adaptive", "implicit", "fixed"],
+)
+def test_a_stop_gives_back_its_share_whatever_the_inertia_was_at_the_start(integrator):
+    """Newton's rule of impact. The steps of fixed length meet the stop within a hundredth of its
+    contact."""
+    share = 0.4
+    run = ran(unfolding_arm(share), 1.2, integrator, save=25)
+    speed, time = np.asarray(run.speed("shoulder")), np.asarray(run.time)
+    before, after = speed[np.searchsorted(time, 0.2)], speed[-1]
+    assert before > 0 > after
+    np.testing.assert_allclose(after, -share * before, rtol=5e-3)
+    assert np.abs(run.energy_balance().error).max() < 1e-2 * run.energy_balance().kinetic[0]
+
+
+def test_the_speed_that_a_stop_gives_back_has_the_slope_of_its_share():
+    """Of -e v by e, also where the inertia changes before the stop is met."""
+    rig = unfolding_arm(0.4)
+
+    def after(share):
+        run = jc.simulate(unfolding_arm(share), 1.2, save=25, verify=False, throw=False)
+        return run.speed("shoulder")[-1]
+
+    before = ran(rig, 1.2, jc.integrator.Adaptive(), save=25).speed("shoulder")[5]
+    slope = jax.jvp(after, (0.4,), (1.0,))[1]
+    np.testing.assert_allclose(slope, -before, rtol=1e-3)
 
 
 @pytest.mark.parametrize("ratio", [0.01, 0.3, 1.0, 4.0])
@@ -148,6 +205,60 @@ def test_friction_holds_under_a_ramp_and_breaks_away_at_its_torque(kind):
     np.testing.assert_allclose(held[1:24], 2.0 * at[1:24], atol=0.01)
     np.testing.assert_allclose(held[-1], 5.0, rtol=1e-9)
     assert np.abs(run.energy_balance().error).max() < 1e-5
+
+
+FROM_REST = {
+    "compliant": (jc.integrator.Adaptive(), 2e-3),
+    "implicit": (jc.integrator.ImplicitStep(1e-4), 5e-3),
+    "fixed": (jc.integrator.FixedStep(1e-4), 5e-3),
+    "permanent": (PERMANENT, 1e-9),
+}
+
+
+@pytest.mark.parametrize("turns", [False, True])
+@pytest.mark.parametrize("kind", FROM_REST)
+def test_what_little_more_than_its_friction_pushes_from_rest_goes_by_the_rest(kind, turns):
+    """0.5 kg (kg m^2) under 1.0 N (N m) and 0.8 of friction: 0.4 t^2 / 2, whatever the joint."""
+    integrator, accuracy = FROM_REST[kind]
+    joint = jc.joint.Revolute() if turns else jc.joint.Prismatic()
+    rig = jc.Mechanism(
+        {"part": jc.Body(0.5, 0.5)},
+        {"J": jc.Connection(joint, "ground", "part")},
+        {"push": jc.load.JointTorque("J", 1.0), "friction": jc.load.JointFriction("J", 0.8)},
+    )
+    way = float(np.ravel(ran(rig, 0.2, integrator, save=3).coordinate("J"))[-1])
+    np.testing.assert_allclose(way, 0.5 * 0.4 * 0.2**2, rtol=accuracy)
+
+
+@pytest.mark.parametrize("lightness", [1e-3, 1.0, 1e3])
+def test_friction_that_holds_takes_steps_of_one_length_whatever_it_holds(lightness):
+    """A part at rest under half of its friction stays where it is."""
+    rig = jc.Mechanism(
+        {"part": jc.Body(0.5 / lightness, 1e-3)},
+        {"J": jc.Connection(jc.joint.Prismatic(), "ground", "part", axis="x")},
+        {"pull": jc.load.JointTorque("J", 0.5), "friction": jc.load.JointFriction("J", 1.0)},
+    )
+    run = ran(rig, 0.5, jc.integrator.Adaptive(), save=3)
+    # Half of the deflection 4 a t^2 at most, of a the deceleration by friction, t = 50 us.
+    assert abs(np.asarray(run.coordinate("J"))).max() < 1.1e-5
+    assert int(run.accepted_steps) < 1e4
+
+
+def test_slopes_by_the_friction_are_those_of_set_valued_friction():
+    """Beside differences of set-valued steps of 10 us, by 2 % of the torque: -0.13574."""
+
+    def end(torque):
+        pull = jc.load.JointTorque("slide", lambda t: jnp.sin(20.0 * t))
+        rig = jc.Mechanism(
+            {"part": jc.Body(1.0, 0.1)},
+            {"slide": jc.Connection(jc.joint.Revolute(), "ground", "part")},
+            {"pull": pull, "friction": jc.load.JointFriction("slide", torque)},
+        )
+        tight = jc.integrator.Adaptive(rtol=1e-8, atol=1e-11)
+        run = jc.simulate(rig, 0.5, save=6, integrator=tight, throw=False, verify=False)
+        return run.coordinate("slide")[-1]
+
+    assert float(jax.jacfwd(end)(0.5)) == pytest.approx(-0.13574, rel=5e-3)
 
 
 def test_friction_with_a_transition_speed_creeps_in_every_step():
@@ -417,7 +528,7 @@ def test_bristles_end_at_their_bound_in_loops_of_diffrax(solver):
             {"J": jc.Connection(jc.joint.Revolute(), "ground", "part")},
             {
                 "pull": jc.load.JointTorque("J", lambda t: jnp.sin(20.0 * t)),
-                "friction": jc.load.JointFriction("J", torque),
+                "friction": jc.load.JointFriction("J", torque, presliding=1e-4),
             },
         )
         integrator = jc.integrator.Adaptive(solver)

@@ -270,19 +270,24 @@ def test_a_step_that_passes_a_wall_is_to_end_there():
 
 
 def test_a_contact_that_parts_at_the_start_of_a_step_hides_no_touch_of_another():
-    """It has parted before time could tell; the other closes in the middle of the step."""
+    """It has parted before time could tell, and counts so from the next step on, in whose middle
+    the other closes."""
     both = looked_at(lambda t: np.array([1e-9 - t, t - 0.4]), lambda t: np.array([-1.0, 1.0]))
     assert float(end_at_passage(*both, 2.0, 1e-6)) < 1e-6
-    assert float(end_at_passage(*both, 2.0, 1e-6, 1e-5)) == pytest.approx(0.2, abs=1e-6)
+    assert float(end_at_passage(*both, 2.0, 1e-6, 1e-5)) == pytest.approx(5e-6)
+    rest = looked_at(
+        lambda t: np.array([-1e-5 - t, t + 1e-5 - 0.4]), lambda t: np.array([-1.0, 1.0])
+    )
+    assert float(end_at_passage(*rest, 2.0, 1e-6, 1e-5)) == pytest.approx(0.2, abs=1e-5)
     # as does one that parts at its end
     both = looked_at(lambda t: np.array([2 - 2e-6 - t, t - 0.4]), lambda t: np.array([-1.0, 1.0]))
     assert float(end_at_passage(*both, 2.0, 1e-7, 1e-5)) == pytest.approx(0.2, abs=1e-6)
 
 
-def test_a_step_ends_at_a_touch_though_another_contact_has_just_parted():
+def test_a_step_ends_at_a_touch_though_another_contact_parts_at_its_end():
     control = diffrax.PIDController(rtol=1e-3, atol=1e-6, dtmin=1e-5)
     touches = EndingAtTouches(control, jnp.asarray(1e-6))
-    both = looked_at(lambda t: np.array([1e-9 - t, t - 0.4]), lambda t: np.array([-1.0, 1.0]))
+    both = looked_at(lambda t: np.array([2 - 2e-6 - t, t - 0.4]), lambda t: np.array([-1.0, 1.0]))
     at_rest = jnp.zeros(1)
     state = touches.init(None, 0.0, 2.0, at_rest, 2.0, None, None, 5.0)[1]
     judged = Judged(at_rest, Passage(*both))

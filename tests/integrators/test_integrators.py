@@ -143,14 +143,16 @@ def test_saving_times_may_be_given():
 
 @pytest.mark.slow
 def test_dataset_carries_units_and_names():
-    data = jc.simulate(touching_journal(), 0.02, save=5, balance=True).to_dataset()
-    assert data["journal.com"].attrs["units"] == "m" and data["B.normal_force"].dims == (
-        "time",
-        "B.contact",
-    )
-    assert float(abs(data["energy.error"]).max()) < 1e-9 and data.attrs["result"].startswith(
-        "The run reached"
-    )
+    """Each joint's forces have a dimension of contacts, which bears the joint's name where all
+    fields lie in one flat data set."""
+    run = jc.simulate(touching_journal(), 0.02, save=5, balance=True)
+    data, flat = run.to_dataset(), run.to_dataset(flat=True)
+    assert data["journal/com"].attrs["units"] == flat["journal.com"].attrs["units"] == "m"
+    assert data["B/normal_force"].dims == ("time", "contact")
+    assert flat["B.normal_force"].dims == ("time", "B.contact")
+    for found, field in ((data, "energy/error"), (flat, "energy.error")):
+        assert float(abs(found[field]).max()) < 1e-9
+        assert found.attrs["result"].startswith("The run reached")
 
 
 def test_outcomes_have_sentences_of_their_own_and_unknown_codes_none():

@@ -42,7 +42,6 @@ def test_parts_are_as_documented():
     assert isinstance(flores.dissipation, dissipation.Flores)
     assert jc.contact.Johnson().dissipation is None
     assert isinstance(jc.contact.Johnson(restitution=0.9).dissipation, dissipation.CarvalhoMartins)
-    assert jc.conformal is jc.contact
 
 
 def test_numbers_of_the_parts_are_leaves_of_the_law():

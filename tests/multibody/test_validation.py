@@ -256,7 +256,7 @@ PARTS = {
     "mass by text": (lambda: arm(mass="heavy"), "Body has mass = 'heavy'; it must be one number"),
     "mass by array": (lambda: arm(mass=np.ones(3)), r"Body has mass = an array of shape \(3,\)"),
     "axis by another name": (lambda: marker(axis="up"), 'axis of a marker on "arm" is .up.'),
-    "axis of two": (lambda: marker(axis=(0, 1)), "Marker has axis = .*; it must be 3 numbers"),
+    "axis of four": (lambda: marker(axis=(0, 1, 0, 0)), "Marker has axis = .*; it must be 2 or 3"),
     "axis of no length": (lambda: marker(axis=(0, 0, 0)), 'axis of a marker on "arm" is zero'),
     "axis along -z by numbers": (
         lambda: marker(axis=(0, 0, -2.0)),

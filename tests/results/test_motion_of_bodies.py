@@ -125,13 +125,6 @@ def test_contact_forces_that_are_means_give_mean_accelerations():
     np.testing.assert_allclose(slider.acceleration[1:, 0], gained, atol=0.02 * np.abs(gained).max())
 
 
-def test_the_position_of_a_marker_is_what_marker_was(swing):
-    marker = swing.marker("rod", (1.0, 0.0))
-    for read in (np.asarray, jnp.asarray, lambda own: own[:]):
-        with pytest.warns(DeprecationWarning, match="position, velocity and acceleration"):
-            np.testing.assert_array_equal(read(marker), marker.position)
-
-
 def test_a_marker_is_placed_once(swing):
     with pytest.raises(ValueError, match='a marker on "rod" has its place; leave `at` out'):
         swing.marker(jc.Marker("rod", (0.1, 0.0)), (0.2, 0.0))
@@ -247,19 +240,8 @@ def test_data_are_a_tree_by_body_and_joint():
     assert tree["B"].normal_force.dims == ("time", "contact")
     assert {"what", "versions"} <= set(tree.attrs) and "time" in tree["rod"].coords
     for name, column in flat.data_vars.items():
-        # The flat names of the version before.
-        assert name in tree
-        with pytest.warns(DeprecationWarning, match="flat name goes with the next version"):
-            np.testing.assert_array_equal(tree[name], column)
-    assert "crank.mass" not in tree
+        path, _, field = name.rpartition(".")
+        place = tree[path.replace(".", "/")] if path else tree
+        np.testing.assert_array_equal(place[field], column)
     for other in (pickle.loads(pickle.dumps(tree)), copy.copy(tree)):
         assert other.identical(tree)
-
-
-def test_a_marker_is_the_array_that_it_was_for_one_version(driven):
-    marker = driven.marker("crank", (CRANK, 0.0))
-    with pytest.warns(DeprecationWarning, match="position"):
-        rows = list(marker)
-    with pytest.warns(DeprecationWarning):
-        moved = marker - rows[0]
-    assert len(marker) == len(rows) and np.all(np.asarray(moved[0]) == 0.0)

@@ -34,6 +34,27 @@ def test_indices_are_the_closed_form_within_their_errors(indices):
     assert list(indices.table().columns)[::2] == ["first order", "total"]
 
 
+def test_indices_are_as_fine_as_those_of_salib():
+    """Root mean square error of 5 120 runs over ten seeds each, against the closed form: theirs
+    0.006; eight sequences of 128 points gave 0.016."""
+    sampling = pytest.importorskip("SALib.sample.sobol")
+    analysis = pytest.importorskip("SALib.analyze.sobol")
+    problem = {"num_vars": 3, "names": list("xyz"), "bounds": [[-np.pi, np.pi]] * 3}
+    exact, own, others, held = np.array([*FIRST, *TOTAL]), [], [], []
+    for seed in range(10):
+        x, y, z = sampling.sample(problem, 1024, calc_second_order=False, seed=seed).T
+        values = np.sin(x) + A * np.sin(y) ** 2 + B * z**4 * np.sin(x)
+        theirs = analysis.analyze(problem, values, calc_second_order=False, seed=seed)
+        others.append(np.array([*theirs["S1"], *theirs["ST"]]) - exact)
+        found = jc.sobol_indices(ISHIGAMI, 1024, seed=seed)
+        told = [share["response", n] for share in (found.first, found.total) for n in "xyz"]
+        own.append(np.array([one.value for one in told]) - exact)
+        held += [one.low <= e <= one.high for one, e in zip(told, exact, strict=True)]
+    rms = lambda errors: np.sqrt(np.mean(np.square(errors)))
+    assert rms(own) < 1.6 * rms(others)
+    assert sum(held) >= 52
+
+
 def test_indices_are_those_of_scipy_and_of_openturns(indices):
     def function(x):
         return np.sin(x[0]) + A * np.sin(x[1]) ** 2 + B * x[2] ** 4 * np.sin(x[0])

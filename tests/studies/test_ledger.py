@@ -1,6 +1,4 @@
-"""Folders of studies that a disk or a person has damaged, that nothing can be written into, and
-those of versions before 0.33.
-"""
+"""Folders of studies that a disk or a person has damaged, that nothing can be written into."""
 
 import errno
 import shutil
@@ -188,13 +186,3 @@ def test_a_result_that_cannot_be_written_is_said_where_something_is_new(tmp_path
     kept.add(np.zeros(1), np.zeros(1))
     with pytest.raises(Unwritable, match="Read-only file system"):
         kept.conclude(result)
-
-
-@pytest.mark.parametrize("within", ["samples.zarr", "records.zarr", "asked-1/records.zarr"])
-def test_a_folder_of_a_version_before_0_33_says_who_takes_it_over(tmp_path, within):
-    (tmp_path / within).mkdir(parents=True)
-    for asked in (lambda: jc.open_campaign(tmp_path), lambda: ask(tmp_path)):
-        with pytest.raises(ValueError, match="before 0.33; version 0.33 takes it over"):
-            asked()
-    with pytest.raises(ValueError, match="before 0.33; version 0.33 takes it over"):
-        Ledger.opened(tmp_path, "records", {})

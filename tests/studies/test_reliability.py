@@ -96,6 +96,73 @@ def test_a_sphere_is_found_by_subset_simulation():
     assert "bends around the middle" in found.sentence() and found.method == "subset"
 
 
+@pytest.mark.parametrize("limit", [2.0, 4.0, 5.0])
+def test_a_response_that_says_only_yes_or_no_is_counted(limit):
+    """A go/no-go gauge: all samples that pass tie. The sum of two normal numbers in closed form."""
+    gauge = standard(lambda a, b: jnp.where(a + b > limit, 1.0, 0.0))
+    exact = ndtr(-limit / np.sqrt(2))
+    held = 0
+    for seed in range(3):
+        found = jc.reliability(gauge, Above("response", 0.5), methods="subset", seed=seed)
+        low, high = found.interval
+        held += low <= exact <= high
+        assert 0.4 < found.probability / exact < 2.5
+        assert 0.5 < found.variation * np.sqrt(found.runs * exact) < 2.0
+    assert held >= 2
+
+
+def test_a_gauge_with_steps_is_read_down_to_its_rare_ones():
+    """Steps of 0.8 of what is normal: levels fall into ties, of which seeds are drawn."""
+    steps = standard(lambda a, b: jnp.round((a + b) / 0.8) * 0.8)
+    exact = ndtr(-6.0 / np.sqrt(2))
+    held = [
+        own.interval[0] <= exact <= own.interval[1]
+        for own in (
+            jc.reliability(steps, Above("response", 6.1), methods="subset", seed=seed)
+            for seed in range(8)
+        )
+    ]
+    assert sum(held) >= 6
+
+
+def test_nothing_is_ruled_out_below_what_samples_bound():
+    """One in 1e9 fails and nothing leads there: none of n samples says less than 3 / n."""
+    gauge = standard(lambda a, b: jnp.where(a + b > 8.5, 1.0, 0.0))
+    found = jc.reliability(gauge, Above("response", 0.5), methods="subset")
+    said = found.sentence()
+    assert "samples that are alike do not tell where the limit lies" in said
+    assert float(said.split("down to ")[1].split(".")[0]) == pytest.approx(3 / found.runs, rel=0.4)
+
+
+def test_a_region_that_no_design_point_sees_is_sampled():
+    """A plane, and a small disc off its slope that is a hundred times as likely: no search along
+    slopes leads there. Closed form: noncentral chi square."""
+    centre, radius = np.array([-3.0, -2.5]), np.sqrt(np.log(2) / 8)
+    hat = standard(
+        lambda a, b: jnp.maximum(
+            a - 5.0, jnp.exp(-8 * ((a - centre[0]) ** 2 + (b - centre[1]) ** 2)) - 0.5
+        )
+    )
+    exact = ndtr(-5.0) + stats.ncx2(2, centre @ centre).cdf(radius**2)
+    found = [jc.reliability(hat, Above("response", 0.0), seed=seed) for seed in range(6)]
+    assert sum(own.interval[0] <= exact <= own.interval[1] for own in found) >= 5
+    assert all(own.variation < 0.11 for own in found)
+    alone = [own for own in found if len(own.points) == 1]
+    assert alone and all("1 region beside the 1 design point" in o.sentence() for o in alone)
+
+
+def test_directions_without_a_design_point_have_samples():
+    """A sphere in six variables: eight design points see a fiftieth of it. Chi square."""
+    ball = standard(lambda a, b, c, d, e, f: sum(x**2 for x in (a, b, c, d, e, f)), 6)
+    exact = stats.chi2(6).sf(28.0)
+    found = [
+        jc.reliability(ball, Above("response", 28.0), methods=("form", "importance"), seed=seed)
+        for seed in range(4)
+    ]
+    assert all(own.variation <= 0.1 and own.runs < 15_000 for own in found)
+    assert sum(own.interval[0] <= exact <= own.interval[1] for own in found) >= 3
+
+
 def test_systems_of_planes_have_the_multinormal_probability():
     """Of two planes under an angle: together by scipy's bivariate distribution, either by the
     complement."""

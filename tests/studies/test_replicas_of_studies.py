@@ -1,7 +1,6 @@
 """Replicas tell how far a study's numbers are off by its steps: beside closed forms, an ODE solver
 of scipy, and a problem whose paths part."""
 
-import dataclasses
 import re
 
 import equinox as eqx
@@ -12,11 +11,9 @@ import scipy
 
 import jaxclear as jc
 from jaxclear.ground.printing import with_error
-from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.plot.studies import _warned_samples
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.campaign import threads
-from jaxclear.studies.campaign.samples import Samples
 from jaxclear.studies.ledger.batch import evaluate_chunk
 from jaxclear.studies.ledger.pieces import PIECES
 from jaxclear.studies.replicas import MOST_REPLICAS
@@ -369,26 +366,6 @@ def test_a_campaign_may_go_without_and_have_them_later(tmp_path):
     assert jc.campaign(asked, 8, folder=tmp_path).sample.replicas.count == 8
 
 
-def test_a_folder_whose_checks_are_gone_goes_on(tmp_path, monkeypatch):
-    """Runs of an earlier version kept figures that no run has any more."""
-    asked, write = falling(), Samples.write
-
-    def as_before(self, number, values, found):
-        none = np.zeros((len(values), 2))
-        gone = Figure(none, none, ("B", "C"))
-        checks = Checks.of({Check.IMPACT_STEP: gone} | dict(found.checks.figures))
-        write(self, number, values, dataclasses.replace(found, checks=checks))
-
-    how = {"folder": tmp_path, "scramblings": 4, "chunk": 4}
-    with monkeypatch.context() as patch:
-        patch.setattr(type(asked), "most_together", lambda _: 4)
-        patch.setattr(Samples, "write", as_before)
-        jc.campaign(asked, 8, **how)
-    found = jc.campaign(asked, 32, **how).sample
-    assert found.checks.figures[Check.IMPACT_STEP].worst.shape == (32, 2)
-    assert not len(found.warned)
-
-
 def test_a_kept_study_of_derivatives_keeps_replicas_beside_what_it_asked_before(tmp_path):
     asked = falling()
     how = {"sample": 8, "difference_samples": 8, "variables": "gravity"}
@@ -402,3 +379,31 @@ def test_a_kept_study_of_derivatives_keeps_replicas_beside_what_it_asked_before(
         np.testing.assert_array_equal(found.sample.replicas.responses[name], told)
     with pytest.raises(ValueError, match="sobol_indices has no verify"):
         jc.campaign(asked, 8, folder=tmp_path / "b", study=jc.sobol_indices, verify=False)
+
+
+def test_intervals_of_derivatives_hold_what_steps_do():
+    """Of the way T^2 / 2 by gravity, of its deviation the same by that of gravity; Euler's steps
+    are h T / 2 short. Chance alone leaves rounding."""
+    exact = DURATION**2 / 2
+    how = {"sample": 64, "difference_samples": 16, "of": {"way": ("mean", "standard deviation")}}
+    asked = ("gravity", "tolerance of gravity")
+    found = jc.sensitivity(falling(), asked, **how).derivatives
+    mean = found["way", "gravity"]
+    assert abs(mean.value - exact) == pytest.approx(STEP * DURATION / 2, rel=1e-6)
+    assert mean.trustworthy and abs(mean.value - exact) <= mean.error < 0.02 * exact
+    assert all(own.error < 1e-9 * exact for own in mean.estimates.values())
+    plain = jc.sensitivity(falling(), asked[:1], verify=False, **how).derivatives["way", "gravity"]
+    assert plain.value == mean.value and plain.error < 1e-9 * exact
+    # The deviation of what is drawn, by the tolerance.
+    deviation = found["standard deviation of way", "tolerance of gravity"]
+    share = float(falling().inputs.deviations()[0]) / 0.5
+    assert abs(deviation.value - share * exact) <= deviation.error
+
+
+def test_a_bias_of_a_derivative_that_replicas_do_not_tell_is_said():
+    how = {"sample": 256, "difference_samples": 16, "methods": ("regression",)}
+    found = jc.sensitivity(parting(0.1), **how).derivatives["y", "x"]
+    assert "Steps put it off by" in found.verdict and "as far as 16 replicas tell" in found.verdict
+    assert found.error == found.estimates["regression"].error
+    few = jc.sensitivity(falling(), sample=2, methods=("differences",), difference_samples=16)
+    assert "± inf" in few.derivatives["way", "gravity"].verdict

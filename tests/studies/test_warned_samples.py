@@ -98,7 +98,6 @@ def test_a_response_is_in_doubt_where_a_warning_concerns_it():
         "motion": (True, True, True, True, True, True),
         "forces": (False, True, True, True, True, True),
         "peak forces": (False, True, False, False, False, True),
-        "swinging forces": (False, True, True, True, False, True),
         "wear": (False, False, True, True, False, True),
         "worn depth": (False, False, False, True, False, True),
         "places in gaps": (False, False, True, True, False, True),
@@ -142,8 +141,8 @@ def test_a_derivative_says_which_runs_warn_and_is_not_trusted(study):
 
 def test_kinds_are_told_most_frequent_first(study):
     among = np.arange(64) < 60
-    assert in_words({Check.HALVED_WEAR: 3, Check.LOOP_DRIFT: 1}) == (
-        "halved steps: wear in 3, loop drift in 1"
+    assert in_words({Check.GAP_MOTION: 3, Check.LOOP_DRIFT: 1}) == (
+        "motion in the gap in 3, loop drift in 1"
     )
     assert counted(study.checks, among) == {
         Check.LOOP_DRIFT: int(np.isin(study.warned, np.flatnonzero(among)).sum())
@@ -207,10 +206,10 @@ def told(sentences, share, runs):
 def test_codes_are_bits_by_the_number_of_a_check(problem):
     two = {
         check: Figure(np.array([[low], [high], [0.0]]), np.zeros((3, 1)), ("a",))
-        for check, low, high in ((Check.LOOP_DRIFT, 0.0, 1.0), (Check.WEAR_BY_SAVES, 1.0, 1.0))
+        for check, low, high in ((Check.LOOP_DRIFT, 0.0, 1.0), (Check.WEAR_BY_CELLS, 1.0, 1.0))
     }
     found = codes_of(Checks.of(two), 3)
-    np.testing.assert_array_equal(found, [1 << 14, 1 | 1 << 14, 0])
+    np.testing.assert_array_equal(found, [1 << 31, 1 | 1 << 31, 0])
     # A worn depth is nothing to where a slider is.
     np.testing.assert_array_equal(concerning(problem, "slider", found), [0, 1, 0])
     assert sentences(problem, found) == ('"slider": 1 of 3 runs warn (loop drift in 1).',)

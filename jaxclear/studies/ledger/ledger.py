@@ -32,8 +32,6 @@ from jaxclear.studies.texts import first_difference, in_texts
 
 # What a folder tells of its study, with a checksum; and the result, for other programs.
 STUDY, CHECKSUM, RESULT = "study.json", "checksum", "result.zarr"
-# What lies in a folder that an earlier version wrote.
-EARLIER = ("samples.zarr", "records.zarr", "*-[0-9]*/records.zarr")
 CURRENT: ContextVar["Ledger | None"] = ContextVar("ledger of samples", default=None)
 
 
@@ -136,15 +134,9 @@ def current(ledger: Ledger | None) -> Iterator[None]:
 
 def told_of(folder: Path, mend: bool = False) -> dict[str, Any] | None:
     """What a folder tells of its study; None where there is none. Where that is damaged, None too
-    if it is to be mended, with a warning; else raises `DamagedFolder`. Raises `ValueError` for a
-    folder of an earlier version."""
+    if it is to be mended, with a warning; else raises `DamagedFolder`."""
     path = folder / STUDY
     if not path.exists():
-        if any(any(folder.glob(name)) for name in EARLIER):
-            raise ValueError(
-                f"the folder {folder} was written by a version before 0.33; version 0.33 takes it "
-                "over (ask its study there once), or give another folder."
-            )
         return None
     try:
         told = json.loads(path.read_text())

@@ -82,7 +82,7 @@ def _planes(points: list[DesignPoint], betas: list[np.ndarray]) -> float:
     """Probability [1] of a system of planes at these distances."""
     if len(points) == 1 and len(betas[0]) == 1:
         return float(scipy.special.ndtr(-betas[0][0]))
-    proposal = Proposal.at(points)
+    proposal = Proposal.at([p.normal for p in points], [p.beta for p in points])
     rng = np.random.default_rng(0)
     normal = proposal.drawn(scrambled_normal(POINTS, proposal.dimensions, rng))
     fails = np.zeros(POINTS, bool)

@@ -13,7 +13,6 @@ import numpy as np
 import scipy
 
 from jaxclear.studies.limit_state import system_margin
-from jaxclear.studies.reliability.design_point import DesignPoint
 from jaxclear.studies.reliability.models import Probability, RunModel, SurfaceModel, refused
 from jaxclear.studies.surface.control_variate import Known, normal_blocks
 
@@ -32,20 +31,27 @@ LEAST = 0.05
 
 
 class Proposal(NamedTuple):
-    """A mixture of standard normal distributions about `centres` (parts, variables) with `shares`
-    (parts,) [1]."""
+    """A mixture of normal distributions about `centres` (parts, variables) with `shares` (parts,)
+    [1] and deviations `widths` (parts,) [1]; all but the first, about the middle, have their
+    distances `betas`."""
 
     centres: np.ndarray
     shares: np.ndarray
+    widths: np.ndarray
+    betas: Sequence[float]
 
     @classmethod
-    def at(cls, points: Sequence[DesignPoint]) -> "Proposal":
-        """About design points, each by how likely it is, and the middle."""
-        likely = scipy.special.ndtr([-own.beta for own in points])
+    def at(cls, centres: Sequence[np.ndarray], betas: Sequence[float]) -> "Proposal":
+        """About centres of what fails, each by how likely it is, and about the middle: there as
+        wide as the nearest centre is away, so that no direction has next to no samples."""
+        likely = scipy.special.ndtr(-np.asarray(betas))
         about = np.maximum(likely, LEAST * likely.max())
-        middle = MIDDLE if likely.max() < FREQUENT else 1.0 - MIDDLE
+        rare = likely.max() < FREQUENT
+        middle = MIDDLE if rare else 1.0 - MIDDLE
         shares = np.concatenate([[middle], (1 - middle) * about / about.sum()])
-        return cls(np.stack([np.zeros(len(points[0].normal)), *(p.normal for p in points)]), shares)
+        wide = max(min(betas) / np.sqrt(len(centres[0])), 1.0) if rare else 1.0
+        widths = np.concatenate([[wide], np.ones(len(centres))])
+        return cls(np.stack([np.zeros(len(centres[0])), *centres]), shares, widths, betas)
 
     @property
     def dimensions(self) -> int:
@@ -56,11 +62,14 @@ class Proposal(NamedTuple):
         """Samples (samples, variables) of the mixture from standard normal numbers (samples,
         variables + 1)."""
         part = np.searchsorted(np.cumsum(self.shares), scipy.special.ndtr(normal[:, -1]))
-        return normal[:, :-1] + self.centres[np.minimum(part, len(self.shares) - 1)]
+        part = np.minimum(part, len(self.shares) - 1)
+        return normal[:, :-1] * self.widths[part, None] + self.centres[part]
 
     def weights(self, normal: np.ndarray) -> np.ndarray:
         """Density of the parts over that of the mixture at samples (samples, variables)."""
-        logs = normal @ self.centres.T - 0.5 * np.sum(self.centres**2, axis=1)
+        away = np.sum((normal[:, None] - self.centres) ** 2, axis=2) / self.widths**2
+        logs = 0.5 * (np.sum(normal**2, axis=1)[:, None] - away)
+        logs -= normal.shape[1] * np.log(self.widths)
         return np.exp(-scipy.special.logsumexp(logs + np.log(self.shares), axis=1))
 
 

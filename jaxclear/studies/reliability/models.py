@@ -108,6 +108,10 @@ class SurfaceModel(AbstractModel):
     surface: ResponseSurface
     limit: AbstractLimitState
 
+    @property
+    def problem(self) -> AbstractProblem:
+        return self.surface.problem
+
     def margins(self, normal):
         return np.asarray(
             _surface_margins(self.surface.bare(), self.limit.limits(), jnp.asarray(normal))

@@ -16,7 +16,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_methods, check_number, expect
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import check_told, endless_sentences
-from jaxclear.studies.limit_state import AbstractLimitState, check_limit
+from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
 from jaxclear.studies.reliability.design_point import DesignPoint, design_points
 from jaxclear.studies.reliability.first_order import curvatures, form, sorm
 from jaxclear.studies.reliability.importance import Proposal, importance
@@ -28,7 +28,7 @@ from jaxclear.studies.reliability.models import (
     refused,
 )
 from jaxclear.studies.reliability.result import Reliability
-from jaxclear.studies.reliability.subset import Reach, subset
+from jaxclear.studies.reliability.subset import PILOT, Reach, repetitions, subset
 from jaxclear.studies.scrambling import scrambled_normal
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import powers
@@ -55,7 +55,7 @@ def surface_where_it_fails(
     too few runs reach their end."""
     variables, cuts = len(model.problem.names), model.limit.cut_sets()
     rng = np.random.default_rng([seed, 6])
-    runs = max(RUNS_PER_TERM * len(powers(np.full(variables, 2), 2, 1.0)), FEWEST)
+    runs = max(RUNS_PER_TERM * len(powers(np.full(variables, 2), 2)), FEWEST)
     seen = [_counted(model, WIDE * scrambled_normal(runs, variables, rng))]
     for _ in range(MOST_ROUNDS):
         values, found = _together(seen)
@@ -102,6 +102,8 @@ USUAL = ("form", "sorm", "importance")
 # A problem of which so many samples are best computed together costs so little that its own slopes
 # are searched; of others a surface takes fewer runs.
 CHEAP = 1024
+# Regions that importance sampling looks at, at the most.
+MOST_REGIONS = 16
 
 
 @answering
@@ -140,7 +142,9 @@ def reliability(
     estimates = _from_points(model, own, points, wanted, notes)
     if "importance" in wanted:
         asked = variation, most_runs, seed
-        estimates["importance"] = _about(model, own, points, asked) or _none(own, limit, notes)
+        estimates["importance"] = _about(model, own, points, asked, notes) or _none(
+            own, limit, notes
+        )
     missed = "importance" in estimates and not estimates["importance"].variation <= variation
     looked = "subset" in wanted or (methods is None and missed)
     if looked and (_seen_failing(estimates, points, own) or not reach.beyond()):
@@ -158,6 +162,7 @@ def _about(
     own: ResponseSurface | None,
     points: list[DesignPoint],
     asked: tuple[float, int, int],
+    notes: list[str],
 ) -> Probability | None:
     """What importance sampling answers; None without a design point. `asked`: variation, most runs,
     seed."""
@@ -166,7 +171,53 @@ def _about(
     limit = model.limit
     trusted = own is not None and all(own.trusted(part.response) for part in limit.limits())
     control = SurfaceModel(own, limit) if own is not None and trusted else None
-    return importance(model, control, Proposal.at(points), *asked)
+    proposal = Proposal.at([own.normal for own in points], [own.beta for own in points])
+    if control is not None or _cheap(model.problem):
+        proposal = _with_other_regions(control or model, proposal, asked)
+        more = len(proposal.centres) - 1 - len(points)
+        if more:
+            notes.append(
+                f"Parts fail in {more} region{'s' if more > 1 else ''} beside the "
+                f"{len(points)} design point{'s' if len(points) > 1 else ''}, as samples found."
+            )
+    else:
+        notes.append("Whether parts fail away from the design points was not searched.")
+    return importance(model, control, proposal, *asked)
+
+
+def _cheap(problem: AbstractProblem) -> bool:
+    return problem.at_once() and problem.most_together() >= CHEAP
+
+
+def _with_other_regions(
+    search: RunModel | SurfaceModel, proposal: Proposal, asked: tuple[float, int, int]
+) -> Proposal:
+    """The proposal, and a centre in each region of failing parts which it hardly samples, as a
+    small subset simulation finds them.
+
+    The mean of the weights of failing parts over their probability is the number of samples that
+    tell it to 100 %, as many as give the variation asked for from the most runs at the most: what
+    weighs more is not sampled.
+    """
+    variation, most_runs, seed = asked
+    failing: list[np.ndarray] = []
+
+    def see(normal: np.ndarray, margins: np.ndarray) -> None:
+        known = np.where(np.isnan(margins), -1.0, margins)
+        failing.append(normal[system_margin(known, search.limit.cut_sets()) < 0])
+
+    found = repetitions(search, 1, PILOT, np.random.default_rng([seed, 8]), see)
+    fails, most = np.concatenate(failing), most_runs * variation**2 * found.shares[0]
+    centres, betas = list(proposal.centres[1:]), list(proposal.betas)
+    while len(fails) and most > 0 and len(centres) < MOST_REGIONS:
+        fails = fails[proposal.weights(fails) > most]
+        if not len(fails):
+            break
+        sizes = np.linalg.norm(fails, axis=1)
+        centres.append(fails[np.argmin(sizes)])
+        betas.append(float(sizes.min()))
+        proposal = Proposal.at(centres, betas)
+    return proposal
 
 
 def _seen_failing(
@@ -198,11 +249,7 @@ def _from_points(
 
 
 def _searched(
-    model: RunModel,
-    surface: ResponseSurface | None,
-    wanted: Sequence[str],
-    seed: int,
-    reach: Reach,
+    model: RunModel, surface: ResponseSurface | None, wanted: Sequence[str], seed: int, reach: Reach
 ) -> tuple[list[DesignPoint], ResponseSurface | None, list[str]]:
     """Design points, the surface on which they were found (None: on runs), and sentences."""
     if set(wanted) <= {"subset"}:
@@ -210,8 +257,7 @@ def _searched(
     cuts, variables = model.limit.cut_sets(), len(model.problem.names)
     hopeless = lambda: bool(reach.beyond())
     exact = not any(model.problem.pathwise_limits())
-    cheap = model.problem.at_once() and model.problem.most_together() >= CHEAP
-    if surface is None and exact and cheap:
+    if surface is None and exact and _cheap(model.problem):
         return design_points(model, cuts, variables, seed, hopeless), None, []
     if surface is None:
         found, points, right = surface_where_it_fails(model, seed)

@@ -151,6 +151,8 @@ class Reliability(AbstractAnswer):
                 f", coefficient of variation {own.variation:.1%} (95 %: {low:.3g} to {high:.3g})"
             )
             text += f", by {_named(self.method)}"
+            if self.method == "importance":
+                text += f" about {len(self.points)} design point{'s' * (len(self.points) != 1)}"
             if own.variation > self.asked_variation:
                 text += (
                     f"; {self.asked_variation:.0%} were asked for and take more runs (most_runs)"

@@ -1,8 +1,10 @@
 """Subset simulation: a rare failing as a chain of frequent ones, whatever its shape.
 
 Samples that are worst so far are seeds of chains that stay at least as bad; each level takes a
-tenth. Independent repetitions side by side tell the error, which single ones underestimate. A small
-one tells beforehand, by some two thousand runs, whether anything that fails is within reach.
+tenth. Where samples tie, a level takes the nearest share that parts them, and its seeds are drawn
+from all that it takes; where nothing parts them, those that fail are counted. Independent
+repetitions side by side tell the error, which single ones underestimate. A small one tells
+beforehand, by some two thousand runs, whether anything that fails is within reach.
 
 Source: Au & Beck 2001, Probab. Eng. Mech. 16, 263, doi:10.1016/S0266-8920(01)00019-4;
 Papaioannou, Betz, Zwirglmaier & Straub 2015, Probab. Eng. Mech. 41, 89,
@@ -18,15 +20,17 @@ import numpy as np
 
 from jaxclear.ground.printing import in_digits
 from jaxclear.studies.limit_state import system_margin
-from jaxclear.studies.reliability.models import Probability, RunModel, refused
+from jaxclear.studies.reliability.models import Probability, RunModel, SurfaceModel, refused
 
 # Share of the samples that a level keeps, samples of a level at first and at the most, repetitions
 # at first and added.
 SHARE, LEVEL, LARGEST, FIRST, MORE = 0.1, 1000, 8000, 8, 4
 # Share of steps that are to be taken, and the correlation of a chain's first steps.
 ACCEPTED, FIRST_SPREAD = 0.44, 0.6
-# Levels at the most: rarer than one in 1e12 is not looked for.
+# Levels of a tenth at the most: rarer than one in 1e12 is not looked for.
 MOST_LEVELS = 12
+# Seeds of a level at the least, as a share of its samples [1].
+FEWEST_SEEDS = 0.01
 # Margin of what is infinitely beyond a limit; that of a lost run alone is infinite.
 BROKEN = -1e300
 # Samples of a level: of 31 limits (probabilities from 1e-3 to 1e-7, planes in up to 60 variables,
@@ -47,22 +51,26 @@ def subset(model: RunModel, variation: float, most_runs: int, seed: int) -> Prob
     most of it the levels are doubled and the repetitions begin anew.
     """
     before, failed, level = model.runs, model.failed, LEVEL
-    values, unknown, cost = np.zeros(0), np.zeros(0), 0
+    values, unknown, reached, cost = np.zeros(0), np.zeros(0), np.zeros(0), 0
     while True:
         new = MORE if len(values) else FIRST
         start, rng = model.runs, np.random.default_rng([seed, 5, level, len(values)])
         own = repetitions(model, new, level, rng)
         values = np.concatenate([values, own.shares])
         unknown = np.concatenate([unknown, own.unknown])
+        reached = np.concatenate([reached, own.reached])
         cost += model.runs - start
         mean = values.mean()
-        single = _single(values, level)
-        error = np.hypot(single / np.sqrt(len(values)), 0.5 * single**2)
+        single = _single(values, reached, level)
+        # Without levels the samples are independent, and there is no bias.
+        bias = 0.5 * single**2 if reached.mean() < 1.0 else 0.0
+        error = np.hypot(single / np.sqrt(len(values)), bias)
         left = most_runs - (model.runs - before)
         if error <= variation or left < cost * MORE / len(values):
             break
         if single**2 > variation and level < LARGEST and left > 2 * cost / len(values) * FIRST:
-            values, unknown, cost, level = np.zeros(0), np.zeros(0), 0, 2 * level
+            values, unknown, reached, cost = np.zeros(0), np.zeros(0), np.zeros(0), 0
+            level *= 2
     runs, failed = model.runs - before, model.failed - failed
     if mean == 0.0:
         nothing = f"nothing that fails is found in {runs} runs"
@@ -70,19 +78,26 @@ def subset(model: RunModel, variation: float, most_runs: int, seed: int) -> Prob
         if any(endless):
             why = f"infinite responses say nothing of how near they are ({' '.join(endless)})"
             return refused(f"{nothing}; {why}.", runs, failed)
-        return refused(f"{nothing}, down to {SHARE**MOST_LEVELS:.0e}.", runs, failed)
+        rarest = float(reached.mean())
+        if rarest > FAR:
+            # None of independent samples of the last level: less than this with 95 %.
+            rarest *= 1 - 0.05 ** (1 / (level * len(values)))
+            nothing = f"samples that are alike do not tell where the limit lies; {nothing}"
+        return refused(f"{nothing}, down to {rarest:.0e}.", runs, failed)
     share = float(unknown.mean() / mean)
     return Probability(float(mean), float(error), runs, failed, share, len(values))
 
 
-def _single(values: np.ndarray, level: int) -> float:
+def _single(values: np.ndarray, reached: np.ndarray, level: int) -> float:
     """Coefficient of variation of one repetition: by the spread of `values` (repetitions,), but no
-    less than that of independent samples at each level, which a few may be by chance."""
+    less than that of independent samples at each level, which a few may be by chance; `reached`
+    (repetitions,) are the parts that the levels took."""
     mean = values.mean()
     if not mean > 0:
         return np.inf
-    levels = max(np.log(mean) / np.log(SHARE), 0.0)
-    return float(max(values.std(ddof=1) / mean, np.sqrt(levels * (1 - SHARE) / (SHARE * level))))
+    levels, inside = np.log(reached.mean()) / np.log(SHARE), mean / reached.mean()
+    least = levels * (1 - SHARE) / (SHARE * level) + (1 - inside) / (inside * level)
+    return float(max(values.std(ddof=1) / mean, np.sqrt(max(least, 0.0))))
 
 
 class Simulations(NamedTuple):
@@ -96,7 +111,7 @@ class Simulations(NamedTuple):
 
 
 def repetitions(
-    model: RunModel,
+    model: RunModel | SurfaceModel,
     number: int,
     count: int,
     rng,
@@ -123,26 +138,51 @@ def repetitions(
     margins = _worst(margins / scales, cuts).reshape(number, count)
     found, unknown, kept = np.zeros(number), np.zeros(number), int(SHARE * count)
     share, open_ = np.ones(number), np.ones(number, bool)
-    for _ in range(MOST_LEVELS):
-        order = np.argsort(margins, axis=1, kind="stable")
-        level = np.take_along_axis(margins, order[:, kept - 1 : kept + 1], axis=1).mean(axis=1)
-        # -inf where so many runs are lost that they are the level. Infinite where so many never
-        # come near a limit: nothing parts them, and those that fail are counted as they are.
-        done = open_ & (~(level > 0) | np.isposinf(level))
+    while open_.any():
+        level = np.array([_level(own, kept) for own in margins])
+        # -inf where so many runs are lost that they are the level; nan where nothing parts the
+        # samples, and those that fail are counted as they are.
+        done = open_ & ~(level > 0)
         inside = (margins < 0).mean(axis=1)
         found[done] = share[done] * inside[done]
         unknown[done] = share[done] * np.isneginf(margins[done]).mean(axis=1)
         open_ &= ~done
+        share[open_] *= (margins[open_] <= level[open_, None]).mean(axis=1)
+        # Half a level: shares of a tenth are off by rounding.
+        open_ &= share > SHARE ** (MOST_LEVELS - 0.5)
         if not open_.any():
             break
-        share[open_] *= (margins[open_] <= level[open_, None]).mean(axis=1)
-        seeds = order[open_, :kept]
+        pairs = zip(margins[open_], level[open_], strict=True)
+        seeds = np.stack([_seeds(*pair, kept, rng) for pair in pairs])
         chains = (
             np.take_along_axis(normal[open_], seeds[..., None], axis=1),
             np.take_along_axis(margins[open_], seeds, axis=1),
         )
         normal[open_], margins[open_] = _conditioned(worst, *chains, level[open_], rng)
     return Simulations(found, unknown, share)
+
+
+def _level(margins: np.ndarray, kept: int) -> float:
+    """The margin that about `kept` of the samples (samples,) do not exceed; where samples tie
+    there, with all of the tie or with none of it, whichever takes nearer as many; nan where that
+    parts no samples."""
+    ordered, count = np.sort(margins), len(margins)
+    low, high = ordered[kept - 1 : kept + 1]
+    if low < high:
+        return float(low if np.isinf(high) else 0.5 * (low + high))
+    below, within = (int(np.searchsorted(ordered, low, side)) for side in ("left", "right"))
+    if below >= FEWEST_SEEDS * count and (within == count or below * within > kept**2):
+        return float(ordered[below - 1])
+    return np.nan if within == count and low > 0 else float(low)
+
+
+def _seeds(margins: np.ndarray, level: float, kept: int, rng) -> np.ndarray:
+    """So many of the samples (samples,) at or below a level, the worst ones where these are just
+    so many; of ties any."""
+    inside = np.flatnonzero(margins <= level)
+    if len(inside) == kept:
+        return inside[np.argsort(margins[inside], kind="stable")]
+    return np.resize(rng.permutation(inside), kept)
 
 
 def _scale(finite: np.ndarray) -> float:

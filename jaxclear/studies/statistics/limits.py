@@ -16,13 +16,7 @@ import scipy
 from jaxclear.ground.arguments import check_known, check_number, expect
 from jaxclear.ground.printing import shown_in_words
 from jaxclear.ground.wording import described
-from jaxclear.studies.statistics.scrambled import (
-    Statistic,
-    deviation,
-    jackknifed,
-    quantile,
-    share,
-)
+from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed, quantile, share
 
 # (low, high) of a response in its unit, None for no limit.
 Limits = tuple[float | None, float | None]
@@ -124,9 +118,11 @@ def normal_interval(
 ) -> ToleranceInterval:
     """Of a normal response."""
     factor = normal_factor(len(values), content, confidence, side == "both")
-    limit = lambda sign: jackknifed(
-        lambda own: own.mean() + sign * factor * deviation(own), values, group, skewed=True
-    )
+
+    def limit(sign: float) -> Statistic:
+        at = lambda own, parts: own.mean() + sign * factor * deviation(own, parts)
+        return jackknifed(at, values, group, skewed=True, grouped=True)
+
     return _sided(limit(-1.0), limit(1.0), content, confidence, side)
 
 

@@ -103,17 +103,19 @@ def pseudo_values(statistic: Callable[[np.ndarray], Any], group: np.ndarray) -> 
 
 
 def jackknifed(
-    statistic: Callable[[np.ndarray], float],
+    statistic: Callable[..., float],
     values: np.ndarray,
     group: np.ndarray,
     skewed: bool = False,
+    grouped: bool = False,
 ) -> Statistic:
     """A smooth function of means over the sample, with its interval; `skewed`: of no mean, so that
-    contributions may be."""
+    contributions may be; `grouped`: the function takes the scramblings beside the values."""
     if len(values) < 2:
         return UNKNOWN
-    value = float(statistic(values))
-    parts = pseudo_values(lambda kept: statistic(values[kept]), group)
+    of = statistic if grouped else lambda values, group: statistic(values)
+    value = float(of(values, group))
+    parts = pseudo_values(lambda kept: of(values[kept], group[kept]), group)
     if len(parts) < 2 or not np.all(np.isfinite(parts)):
         return Statistic(value, -np.inf, np.inf)
     half = half_width(parts)
@@ -159,9 +161,29 @@ def deviation_of_moments(
     return root, half / (2 * root) if root > 0 else np.inf
 
 
-def deviation(values: np.ndarray) -> float:
-    """Standard deviation of a sample, nan of fewer than two."""
-    return float(values.std(ddof=1)) if len(values) > 1 else np.nan
+def covariance(rows: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Covariance (columns, columns) of `rows` (samples, columns) whose scramblings are `group`
+    (samples,), without bias.
+
+    The moments about a sample's mean are too small by the variance of that mean. This is taken from
+    the means of the scramblings: 1/n of the variance for independent samples (the usual n - 1), far
+    less for quasi-random ones. A single scrambling counts as independent samples.
+    """
+    away = rows - rows.mean(axis=0)
+    place, sizes = np.unique(group, return_inverse=True, return_counts=True)[1:]
+    count = len(sizes)
+    if count < 2:
+        return away.T @ away / (len(rows) - 1)
+    sums = np.zeros((count, rows.shape[1]))
+    np.add.at(sums, place, away)
+    of_mean = sums.T @ sums * count / (count - 1) / len(rows) ** 2
+    return away.T @ away / len(rows) + of_mean
+
+
+def deviation(values: np.ndarray, group: np.ndarray) -> float:
+    """Standard deviation of a sample whose scramblings are `group` (samples,), nan of fewer than
+    two."""
+    return float(np.sqrt(covariance(values[:, None], group)[0, 0])) if len(values) > 1 else np.nan
 
 
 def ordinary_quantile(values: np.ndarray, share: float) -> float:
@@ -219,12 +241,12 @@ def share(inside: np.ndarray, group: np.ndarray) -> Statistic:
     return Statistic(value, max(told.low, 0.0), min(told.high, 1.0))
 
 
-def capability(low: float | None, high: float | None) -> Callable[[np.ndarray], float]:
+def capability(low: float | None, high: float | None) -> Callable[..., float]:
     """Cpk [1] of a sample between limits: distance of the mean from the nearer limit, in three
     standard deviations."""
 
-    def of(values: np.ndarray) -> float:
-        mean, spread = values.mean(), 3.0 * deviation(values)
+    def of(values: np.ndarray, group: np.ndarray) -> float:
+        mean, spread = values.mean(), 3.0 * deviation(values, group)
         rooms = [mean - low] if low is not None else []
         rooms += [high - mean] if high is not None else []
         return float(min(rooms) / spread) if spread > 0 else np.inf
@@ -244,16 +266,16 @@ def error_budget(
     """
 
     def part(which: int) -> Any:
-        return lambda rows: _parts(rows)[which]
+        return lambda rows, group: _parts(rows, group)[which]
 
     rows = np.column_stack([responses, values])
-    return {name: jackknifed(part(i), rows, group) for i, name in enumerate([*names, REST])}
+    of = [*names, REST]
+    return {name: jackknifed(part(i), rows, group, grouped=True) for i, name in enumerate(of)}
 
 
-def _parts(rows: np.ndarray) -> np.ndarray:
+def _parts(rows: np.ndarray, group: np.ndarray) -> np.ndarray:
     responses, values = rows[:, 0] - rows[:, 0].mean(), rows[:, 1:] - rows[:, 1:].mean(axis=0)
     slopes = np.linalg.lstsq(values, responses, rcond=None)[0]
-    free = max(len(rows) - 1, 1)
-    covariance = values.T @ values / free
-    own = slopes * (covariance @ slopes)
-    return np.append(own, responses @ responses / free - own.sum())
+    matrix = covariance(rows, group) if len(rows) > 1 else np.zeros((rows.shape[1],) * 2)
+    own = slopes * (matrix[1:, 1:] @ slopes)
+    return np.append(own, matrix[0, 0] - own.sum())

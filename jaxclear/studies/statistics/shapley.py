@@ -23,13 +23,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags
 from jaxclear.ground.printing import left_out
 from jaxclear.integrators import Outcome
-from jaxclear.studies.answer import (
-    RESPONSE,
-    VARIABLE,
-    AbstractAnswer,
-    Stated,
-    with_interval,
-)
+from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, with_interval
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.inputs import Inputs
@@ -37,7 +31,12 @@ from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, student
-from jaxclear.studies.statistics.sobol_indices import leading, open_shares
+from jaxclear.studies.statistics.sobol_indices import (
+    leading,
+    open_share,
+    open_shares,
+    refuse_part_of_spread,
+)
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
 
@@ -53,8 +52,9 @@ Step = tuple[int, frozenset[int], float]
 
 class ShapleyEffects(AbstractAnswer):
     """`effects` [1] by (response, variable), each with its 95 % interval; those of a response sum
-    to 1. `runs` of the problem (of its surface, where one was given) and how many samples `failed`;
-    `remark` says what a surface leaves out, `warnings` of what runs warn."""
+    to 1, of a surface to the share of the variance that it explains. `runs` of the problem (of its
+    surface, where one was given) and how many samples `failed`; `remark` says what a surface leaves
+    out, `warnings` of what runs warn."""
 
     problem: AbstractProblem
     effects: dict[tuple[str, str], Statistic]
@@ -110,14 +110,23 @@ def shapley_effects(
         refuse_endless(problem, responses, "variance")
         warnings = told(problem, found.checks, reached)
     else:
-        responses = _on_surface(surface.bare(), values)
+        known = np.asarray(surface.values)
+        inside = jnp.clip(values, known.min(axis=0), known.max(axis=0))
+        refuse_part_of_spread(surface, np.mean(np.asarray(inside != values), axis=0))
+        responses, held = (_on_surface(surface.bare(), at) for at in (values, inside))
         reached, warnings = np.ones(len(values), bool), surface.warnings
     good = np.all(reached.reshape(len(sets), -1), axis=0)
     effects = {}
     for name in problem.response_names:
-        rows = np.asarray(responses[name]).reshape(len(sets), -1)[:, good]
-        for i, own in enumerate(_effects(rows, sets, steps, group[good], count)):
-            effects[name, problem.names[i]] = own
+        own = _effects(responses[name], good, sets, steps, group, count)
+        if surface is not None:
+            beyond = _effects(held[name], good, sets, steps, group, count)
+            open_, explained = open_share(surface, name, float(np.var(responses[name])))
+            own = [
+                _with_open(one, abs(one.value - other.value), open_, explained)
+                for one, other in zip(own, beyond, strict=True)
+            ]
+        effects |= {(name, variable): one for variable, one in zip(problem.names, own, strict=True)}
     seen = np.asarray(values)[np.tile(good, len(sets))] if surface is None else surface.values
     open_ = open_shares(problem, seen, effects)
     said = _remark(surface), (*warnings, *open_)
@@ -166,8 +175,18 @@ def _samples(inputs: Inputs, sets: list[frozenset[int]], group: np.ndarray, seed
     return inputs.of_scores(jnp.asarray(np.concatenate(rows)))
 
 
-def _effects(rows, sets, steps, group, count) -> list[Statistic]:
-    """Effect of each variable from responses (sets, samples), the last set being all variables."""
+def _with_open(effect: Statistic, beyond: float, open_: float, explained: float) -> Statistic:
+    """An effect of the variance that a surface explains as one of the whole, of which a share is
+    `open_`; `beyond`: by how much what the surface supposes beyond its runs moves it."""
+    half = explained * (effect.error + beyond) + open_
+    value = explained * effect.value
+    return Statistic(value, value - half, value + half)
+
+
+def _effects(responses, good, sets, steps, group, count) -> list[Statistic]:
+    """Effect of each variable from responses (sets * samples,), the last set being all variables;
+    `good` (samples,) are those whose runs reached their end."""
+    rows, group = np.asarray(responses).reshape(len(sets), -1)[:, good], group[good]
     away = rows - rows[-1].mean()
     parts: dict[frozenset[int], np.ndarray] = {frozenset(): np.zeros(SCRAMBLINGS)}
     for known, own in zip(sets, away, strict=True):

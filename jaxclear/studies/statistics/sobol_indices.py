@@ -27,13 +27,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags
 from jaxclear.ground.printing import left_out
 from jaxclear.integrators import Outcome
-from jaxclear.studies.answer import (
-    RESPONSE,
-    VARIABLE,
-    AbstractAnswer,
-    Stated,
-    with_interval,
-)
+from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, with_interval
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless, undrawn_levels
 from jaxclear.studies.inputs import Inputs
@@ -179,28 +173,42 @@ def leading(shares: Mapping[tuple[str, str], Statistic], what: str) -> str:
     return " ".join(said)
 
 
+def refuse_part_of_spread(surface: ResponseSurface, outside: np.ndarray) -> None:
+    """Raises `ValueError` for a surface beyond whose runs more of the parts lie, `outside`
+    (variables,) [1], than chance leaves there."""
+    for name, own in zip(surface.problem.names, outside, strict=True):
+        if own > MOST_OUTSIDE / len(surface.values):
+            raise ValueError(
+                f'the surface was fitted where {100 * own:.2g} % of "{name}" are not; its '
+                "indices would be those of another spread: fit it with over=1, or give the problem."
+            )
+
+
+def open_share(surface: ResponseSurface, name: str, variance: float) -> tuple[float, float]:
+    """Which share [1] of the variance of a response a surface leaves open, which may belong to any
+    variable, and which its own `variance` is; 0 and 0 of a response that does not vary."""
+    left, own = surface.error(name) ** 2, surface.responses[name]
+    if np.ptp(own) <= ROUNDING * np.abs(own).max():
+        return 0.0, 0.0
+    whole = variance + left
+    return left / whole, variance / whole
+
+
 def _of_surface(surface: ResponseSurface) -> SobolIndices:
     """Indices of polynomials: what they do not explain may belong to any variable."""
     problem = surface.problem
     asked = surface.polynomials, np.asarray(surface.powers), problem.inputs, surface.values
     spread, held = Expansion.of(*asked), Expansion.of(*asked, held=True)
-    for name, outside in zip(problem.names, spread.outside, strict=True):
-        if outside > MOST_OUTSIDE / len(surface.values):
-            raise ValueError(
-                f'the surface was fitted where {100 * outside:.2g} % of "{name}" are not; its '
-                "indices would be those of another spread: fit it with over=1, or give the problem."
-            )
+    refuse_part_of_spread(surface, spread.outside)
     indices: tuple[dict, dict] = ({}, {})
     for name in problem.response_names:
         coefficients = np.asarray(surface.coefficients[name])
-        left, own = surface.error(name) ** 2, surface.responses[name]
-        alike = np.ptp(own) <= ROUNDING * np.abs(own).max()
         found = []
         for expansion in (spread, held):
             told = expansion.variances(coefficients)
-            whole = np.inf if alike else told.variance + left
-            found.append(np.array([told.first, told.total]) / whole)
-        open_ = 0.0 if alike else left / whole
+            open_, explained = open_share(surface, name, told.variance)
+            shares = np.array([told.first, told.total])
+            found.append(shares * (explained / told.variance if told.variance > 0 else 0.0))
         half = open_ + np.abs(found[0] - found[1])
         for kind, shares, halves in zip(indices, found[0], half, strict=True):
             for variable, share, own_half in zip(problem.names, shares, halves, strict=True):
@@ -292,9 +300,9 @@ class _Polynomial(NamedTuple):
             return None
         polynomials = orthonormal(at[:2].reshape(-1, at.shape[2]), HIGHEST)
         highest, degree = levels(polynomials), 1
-        while degree < HIGHEST and len(powers(highest, degree + 1, 1.0)) <= most:
+        while degree < HIGHEST and len(powers(highest, degree + 1)) <= most:
             degree += 1
-        table = powers(highest, degree, 1.0)
+        table = powers(highest, degree)
         own = lambda values: products(polynomials, jnp.asarray(table), values)
         terms = np.asarray(jax.jit(jax.vmap(jax.vmap(own)))(jnp.asarray(at)))
         matrices = np.array([_equations(terms[:, own], terms[:, own]) for own in scramblings])

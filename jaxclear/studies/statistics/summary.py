@@ -31,7 +31,7 @@ def summary_row(study: Any, name: str, limits: Mapping[str, Limits]) -> dict[str
     values, group = study.good(name)
     warned = study.concerned(name)
     clean = np.setdiff1d(np.setdiff1d(np.arange(study.count), study.failed), warned)
-    clean = study.responses[name][clean]
+    clean, clean_group = study.responses[name][clean], study.scrambling[clean]
     # Of infinite answers, as lives may be, there is no mean, nor a deviation.
     bounded = bool(np.all(np.isfinite(values)))
     known = {"mean": study.mean(name) if bounded else UNKNOWN}
@@ -56,7 +56,7 @@ def summary_row(study: Any, name: str, limits: Mapping[str, Limits]) -> dict[str
     if study.replicas is not None:
         row |= _by_steps(study, name)
     row["mean without warned"] = clean.mean() if bounded and len(clean) else np.nan
-    row["standard deviation without warned"] = deviation(clean) if bounded else np.nan
+    row["standard deviation without warned"] = deviation(clean, clean_group) if bounded else np.nan
     if study.problem.endless(name):
         row["infinite"] = int(np.isinf(values).sum())
     return row

@@ -1,0 +1,117 @@
+"""The damping of stops that say which share of a speed comes back, where their force is that of a
+spring: it follows from the inertia along their coordinate as the mechanism stands. And the numbers
+of other loads that follow from that inertia where a run starts.
+
+Nothing here is evaluated in a mechanism without such loads, nor where stops are rigid.
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxclear.components.acting import AbstractCoordinateLoad, AbstractStateLoad
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.quantity import Scalar
+from jaxclear.laws.rebound import damping_ratio_of
+from jaxclear.multibody import constraints, dynamics, kinematics, tree
+from jaxclear.multibody.kinematics import JacobianRow
+from jaxclear.multibody.mechanism import Mechanism, rebuilt
+from jaxclear.multibody.system import System, coordinate_loads
+from jaxclear.multibody.tree import Motion
+
+
+class StopOfRatio(AbstractCoordinateLoad):
+    """A `stop` whose damping is this `ratio` [1] of the critical one."""
+
+    connection: str = eqx.field(static=True)
+    stop: Any
+    ratio: Scalar
+
+    def force(self, time, position, speed):
+        return self.stop.force(time, position, speed)
+
+    def sides(self):
+        return self.stop.sides()
+
+    def damped(self, inertia: Any) -> AbstractCoordinateLoad:
+        """The stop with its damping, for an inertia along its coordinate [kg m^2, kg]."""
+        damping = 2 * self.ratio * jnp.sqrt(self.stop.stiffness * inertia)
+        return dataclasses.replace(self.stop, damping=damping)
+
+
+def with_damping_ratios(system: System) -> System:
+    """The system with the damping ratios of its stops in the place of their restitution."""
+    found = {
+        name: StopOfRatio(load.connection, load, damping_ratio_of(load.restitution))
+        for name, load in coordinate_loads(system)
+        if any(side.stop is load for side in load.sides())
+        and load.damping is None
+        and None not in (load.restitution, load.stiffness)
+    }
+    return dataclasses.replace(system, loads=system.loads | found) if found else system
+
+
+def with_damped_stops(system: System, motions: tuple[Motion, ...]) -> System:
+    """The system with the damping of its stops, as the links stand."""
+    stops = {name: x for name, x in coordinate_loads(system) if isinstance(x, StopOfRatio)}
+    if not stops:
+        return system
+    rows = [coordinate_row(system, motions, stop.connection) for stop in stops.values()]
+    inertias = [1 / each for each in _lightness_along(system, motions, rows)]
+    pairs = zip(stops.items(), inertias, strict=True)
+    damped = {name: stop.damped(inertia) for (name, stop), inertia in pairs}
+    return dataclasses.replace(system, loads=system.loads | damped)
+
+
+def with_settled_loads(
+    mechanism: Mechanism, system: System, motions: tuple[Motion, ...], delay: Any, times: Any
+) -> Mechanism:
+    """The mechanism with the numbers of its loads that follow from the inertia along their
+    coordinates, for a run that begins as the links stand and is saved at these times [s]."""
+    names = loads_to_settle(mechanism)
+    loads: dict[str, Any] = dict(mechanism.loads)
+    rows = [coordinate_row(system, motions, *loads[name].coordinates()) for name in names]
+    for name, lightness in zip(names, _lightness_along(system, motions, rows), strict=True):
+        loads[name] = loads[name].for_inertia(1 / lightness, delay, times)
+    return rebuilt(mechanism, loads=loads)
+
+
+def loads_to_settle(mechanism: Mechanism) -> list[str]:
+    """The loads of which numbers follow from the inertia along their coordinate."""
+    every = mechanism.loads.items()
+    return [n for n, x in every if isinstance(x, AbstractStateLoad) and x.needs_inertia()]
+
+
+def coordinate_row(system: System, motions: tuple[Motion, ...], name: str) -> JacobianRow:
+    """The row of the speed of a joint's or motor's coordinate by the speeds of the mechanism."""
+    if name in system.geared:
+        ratio = system.geared[name].ratio
+        joint = coordinate_row(system, motions, system.geared[name].joint)
+        return {j: sp.mul(ratio, entry) for j, entry in joint.items()}
+    branch = system.topology.branch_of(name)
+    if branch is not None:
+        return {branch.speeds.start: 1}
+    own = system.measured[name]
+    pose, rates = kinematics.relative_motion(own.closure, motions)[1], own.joint.speeds_at
+    return kinematics.relative_jacobian(system, motions, own.closure, pose, rates)[0]
+
+
+def _lightness_along(system: System, motions: tuple[Motion, ...], rows: list) -> list:
+    """By how much a unit of force along each row accelerates it, the loops closed."""
+    masses: list[Any] = [
+        tree.mass_matrix(*kinematics.by_subtree(subtree, system.links, motions))
+        for subtree in system.topology.subtrees
+    ]
+    loops = constraints.ClosureEquations([], [], (), None)
+    if system.closures:
+        loops = constraints.acceleration_equations(system, motions, None)
+    respond, constrain = dynamics.constrained_inverse(
+        masses, loops.rows, loops.alike, loops.dependence
+    )
+    size = sum(len(mass) for mass in masses)
+    none = [0] * len(loops.rows)
+    moved = respond([[row.get(j, 0) for j in range(size)] for row in rows])
+    closed = [constrain(each, none)[0] for each in moved]
+    return [kinematics.along(row, each) for row, each in zip(rows, closed, strict=True)]
