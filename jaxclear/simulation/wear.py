@@ -1,5 +1,6 @@
 """Depth maps of worn surfaces: new ones, and what a saving interval takes off."""
 
+import functools
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -159,6 +160,19 @@ def deposited(system: System, worn: Worn, lost: Losses) -> Worn:
         # All events of a surface see it as it was: none comes before the others.
         worn[bearing][surface] = wear_map.deposit(worn[bearing][surface], volumes, places)
     return worn
+
+
+def longest_path(system: System, lost: Losses) -> Array:
+    """The longest path [cells] of a contact on the surface that it wears, in these losses."""
+    maps, paths = wear_maps(system), [jnp.zeros(())]
+    for (joint, surface), (volumes, places) in lost.items():
+        path = maps[joint][surface][0].path
+        # Where nothing is lost, locations are zeros.
+        paths += [
+            jnp.where(volume > 0, path(place), 0.0)
+            for volume, place in zip(volumes, places, strict=True)
+        ]
+    return jax.lax.stop_gradient(functools.reduce(jnp.maximum, paths))
 
 
 class Pending(NamedTuple):
