@@ -21,7 +21,7 @@ from jaxclear.ground.pose import REST
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.reach import is_gap, rooms
 from jaxclear.multibody.system import longest_arm, wear_maps
-from jaxclear.multibody.topology import turns
+from jaxclear.multibody.topology import motor_name, turns
 from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.results import histories
 from jaxclear.results.response import PeakContactForce, peak_of_steps
@@ -82,10 +82,12 @@ def peaks_of(run: Trajectory) -> tuple[str, ...]:
 
 
 def _coupled(run: Trajectory) -> tuple[str, ...]:
-    """Couplings of which the loops tell what they transmit."""
-    redundancy = run.mechanism.topology.redundancy
-    undetermined = () if redundancy is None else redundancy.joints
-    return tuple(name for name in run.mechanism.couplings if name not in undetermined)
+    """Couplings that loops determine, but for motors that turn with a joint: what these transmit is
+    worked out from accelerations alone, which takes long to compile."""
+    topology = run.mechanism.topology
+    left_out = {*dict(topology.geared)}
+    left_out |= set() if topology.redundancy is None else {*topology.redundancy.joints}
+    return tuple(n for n in run.mechanism.couplings if not {n, motor_name(n)} & left_out)
 
 
 def named(answer: str, place: str) -> str:

@@ -18,7 +18,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.table import as_table
 from jaxclear.multibody import constraints
-from jaxclear.multibody.forces import coordinate_effect, force_of
+from jaxclear.multibody.forces import coordinate_effect, force_of, pressing_of
 from jaxclear.multibody.system import coordinate_loads, scale_of
 from jaxclear.multibody.topology import motor_name
 from jaxclear.results.histories import (
@@ -135,7 +135,7 @@ def sent_at(history: StateHistory, now: Instant, names: tuple[str, ...]) -> tupl
     """What each of these couplings transmits at an instant [N m, N]: of a row its multiplier; of
     one with play or stiffness that on its first coordinate; of a motor that turns with a joint what
     it gives this."""
-    forces = functools.cache(lambda: history.formulation.forces(now))
+    pressed = functools.cache(lambda: _pressed(history, now))
     solution = functools.cache(lambda: solved(history, now))
     rows = functools.cache(lambda: _by_row(now, solution()[2]))
 
@@ -145,9 +145,16 @@ def sent_at(history: StateHistory, now: Instant, names: tuple[str, ...]) -> tupl
             return rows()[name]
         if isinstance(own, AbstractForceCoupling):
             return force_of(now.model.system, now.motions, name, now.time, now.followed)
-        return -forces().pressing[name].torque if own.gives else _geared(history, now, name)
+        return -pressed()[name].torque if own.gives else _geared(history, now, name, solution())
 
     return tuple(jnp.asarray(one(name), float) for name in names)
+
+
+def _pressed(history: StateHistory, now: Instant) -> dict[str, Any]:
+    """What couplings with play or stiffness do; of rigid flanks means over saving intervals."""
+    if history.formulation.forces_are_means:
+        return history.formulation.forces(now).pressing
+    return pressing_of(now.model.system, now.motions, now.followed)
 
 
 def _by_row(now: Instant, solution: Any) -> dict[str, Any]:
@@ -158,9 +165,10 @@ def _by_row(now: Instant, solution: Any) -> dict[str, Any]:
     return {name: own.get(0, 0.0) for name, (_, own) in zip(names, every, strict=True)}
 
 
-def _geared(history: StateHistory, now: Instant, name: str) -> Any:
-    """The torque on the joint: what loads on the motor leave of its inertia."""
-    system, _, solution = solved(history, now)
+def _geared(history: StateHistory, now: Instant, name: str, found: tuple) -> Any:
+    """The torque on the joint: what loads on the motor leave of its inertia; `found` as `solved`
+    has it."""
+    system, _, solution = found
     motor = motor_name(name)
     own = system.geared[motor]
     branch = system.topology.branch_of(own.joint)
