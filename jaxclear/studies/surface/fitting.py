@@ -23,6 +23,8 @@ RANK = 1e-10
 HIGHEST = 4
 # Terms of a fit for each of its equations, at the most.
 MOST_SHARE = 0.7
+# Numbers of a fit, equations times terms, at the most: 2 GiB, of which it takes a few.
+MOST_NUMBERS = 1 << 28
 
 
 class Fit(NamedTuple):
@@ -146,10 +148,11 @@ def _good(
 
 
 def _degrees(variables: int, equations: int) -> tuple[int, ...]:
-    """Degrees that so many equations determine."""
-    return tuple(
-        d for d in range(1, HIGHEST + 1) if comb(variables + d, d) <= MOST_SHARE * equations
+    """Degrees that so many equations determine, and that memory has room for."""
+    most = min(
+        MOST_SHARE * equations, MOST_TERMS, max(MOST_NUMBERS // max(equations, 1), 1 + variables)
     )
+    return tuple(d for d in range(1, HIGHEST + 1) if comb(variables + d, d) <= most)
 
 
 def _equations(
