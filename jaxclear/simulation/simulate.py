@@ -76,7 +76,7 @@ def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, 
     given = mechanism, coordinates, speeds, times, integrator, extras, past, updates
     whole: Any = run
     if is_compared(mechanism, integrator):
-        finer = lambda share, *own: (*own[:4], in_other_steps(own[4], share), *own[5:])
+        finer = lambda share, *own: (*own[:4], in_other_steps(own[4], share, own[3]), *own[5:])
         steps = lambda *own: (own[4].asked_step(), own[3])
         whole = compared(run, finer, run_where_alike, steps, order_of(integrator))
     found = backwards(integrator)(whole, *given)

@@ -406,7 +406,7 @@ def _answered(problem: Problem, values: Array) -> SampleResult:
 
 def _finer(share: Any, problem: Problem, values: Array) -> tuple[Any, Array]:
     """The same in other steps."""
-    steps = in_other_steps(problem.integrator, share)
+    steps = in_other_steps(problem.integrator, share, problem.shares * problem.duration)
     return eqx.tree_at(lambda known: known.integrator, problem, steps), values
 
 
