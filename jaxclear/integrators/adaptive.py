@@ -82,7 +82,9 @@ class Adaptive(AbstractIntegrator):
     narrowest gap beside the longest arm, where that is less): impacts make errors grow, and looser
     runs save next to no time. A step in which a contact closes or parts is repeated to end there;
     steps end at saving times too, so saving more often than steps are long costs as many more, and
-    none is so long that it would pass over what a load or drive does.
+    none is so long that it would pass over what a load or drive does as a function of time: where
+    one changes between looks is found in it, and steps end there. `breaks`: more times [s] at which
+    they end.
 
     Solvers that are no explicit tableau run in diffrax's loop, and hand on the mean of their steps.
     In a batch all samples wait for the slowest.
@@ -125,6 +127,12 @@ class Adaptive(AbstractIntegrator):
     )
     largest_step: Scalar | None = quantity(None, "s", "largest step", above=0, kw_only=True)
     most_steps: int = count(200_000, "most steps between two saving times", kw_only=True)
+    breaks: Any = eqx.field(
+        default=None,
+        kw_only=True,
+        converter=lambda x: None if x is None else jnp.asarray(x, float),
+        metadata={"wanted": "times [s], or None"},
+    )
 
     @property
     def promise(self):
@@ -155,6 +163,23 @@ class Adaptive(AbstractIntegrator):
     def held(self, step):
         step = step if self.largest_step is None else jnp.minimum(step, self.largest_step)
         return eqx.tree_at(lambda own: own.largest_step, self, step, is_leaf=lambda x: x is None)
+
+    def ending_at(self, times):
+        known = np.zeros(0) if self.breaks is None else on_host(self.breaks)
+        every = np.union1d(known[np.isfinite(known)], times)
+        # So many numbers that few counts of them compile.
+        padded = np.full(max(16, 1 << int(len(every) - 1).bit_length()), np.inf)
+        padded[: len(every)] = every
+        places = lambda own: own.breaks
+        return eqx.tree_at(places, self, jnp.asarray(padded), is_leaf=lambda x: x is None)
+
+    def ends_near(self, time, within):
+        return self.breaks is not None and np.any(abs(on_host(self.breaks) - time) <= within)
+
+    def next_break(self, time, stop):
+        if self.breaks is None:
+            return None
+        return jnp.min(jnp.where(self.breaks > time, self.breaks, stop), initial=stop)
 
     def evaluations(self, mechanism):
         """Those of the solver's stages, of which the last may be the next step's first."""

@@ -206,6 +206,19 @@ class AbstractIntegrator(AbstractQuantified):
         """Itself with no step longer than this [s], where it finds their length itself."""
         return self
 
+    def ending_at(self, times: Any) -> "AbstractIntegrator":
+        """Itself with steps that end at these times [s] too, where it finds their length itself."""
+        return self
+
+    def ends_near(self, time: float, within: float) -> bool:
+        """Whether steps end within so many seconds of this time [s] as they were made to."""
+        return False
+
+    def next_break(self, time: Any, stop: Any) -> Any:
+        """The first time [s] after this one at which steps are to end, at the latest `stop`; None
+        where nothing but saving times ends them."""
+        return None
+
     @property
     def promise(self) -> Promise:
         """The largest errors with which a run by it says nothing of its numbers."""

@@ -8,13 +8,14 @@ impulse, by Simpson's rule over each, beside the impulse as it is. Steps that fi
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.components.acting import AbstractStateLoad
 from jaxclear.components.drive import AbstractDrive
 from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.joint.base import drive_of
@@ -26,6 +27,7 @@ from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.load_changes import changes_between, with_signs
 
 # Instants at which a function is looked at: so many in a step, and in the whole run at least and at
 # most. Of more steps than these nothing is said.
@@ -62,7 +64,7 @@ def check_finite(functions: Mapping[str, Any], times: np.ndarray) -> None:
     two of them, is no finite number."""
     looked_at = np.linspace(times[0], times[-1], TOGETHER)
     found = jax.device_get(_values(dict(functions), on_device(looked_at)))
-    for name, told in found.items():
+    for name, (*told, _) in found.items():
         bad = ~np.all([np.isfinite(row) for row in jax.tree.leaves(told)], axis=0)
         if np.any(bad):
             driven = isinstance(functions[name], AbstractDrive)
@@ -112,10 +114,10 @@ def _share(rate: np.ndarray, impulse: np.ndarray, steps: np.ndarray, parts: int)
 
 @compiled_quickly
 def _values(functions: dict[str, Any], times: jax.Array) -> dict[str, tuple]:
-    """Of each function its rates, and their integrals where these are known, at these times."""
-    return {
-        name: jax.vmap(lambda t, own=own: _at(own, t))(times) for name, own in functions.items()
-    }
+    """Of each function its rates, their integrals where these are known, and its signs
+    (`load_changes`), at these times."""
+    at = lambda own, t: (*(found := with_signs(lambda t: _at(own, t), t))[0], found[1])
+    return {name: jax.vmap(functools.partial(at, own))(times) for name, own in functions.items()}
 
 
 def _at(function: Any, time: Any) -> tuple[list, list | None]:
@@ -136,7 +138,8 @@ def _sampled(functions: dict[str, Any], times: np.ndarray) -> tuple[dict, dict]:
     """By name the rates and impulses of each function at these times, a list of histories."""
     padded = np.append(times, np.full(-len(times) % TOGETHER, times[-1]))
     rows = jnp.asarray(padded.reshape(-1, TOGETHER))
-    found = [jax.device_get(_values(functions, row)) for row in rows]
+    without_signs = lambda row: {name: own[:2] for name, own in _values(functions, row).items()}
+    found = [jax.device_get(without_signs(row)) for row in rows]
     joined = jax.tree.map(lambda *parts: np.concatenate(parts)[: len(times)], *found)
     rates = {name: rate for name, (rate, _) in joined.items()}
     impulses = {
@@ -144,6 +147,19 @@ def _sampled(functions: dict[str, Any], times: np.ndarray) -> tuple[dict, dict]:
         for name, (rate, known) in joined.items()
     }
     return rates, impulses
+
+
+def _changes(found_at: Callable, times: np.ndarray) -> list:
+    """The changes between samples over these times [s] (`changes_between`) of a function, of which
+    `found_at(times)` are values, ..., and signs."""
+
+    def sampled(at):
+        rows = np.append(at, np.full(-len(at) % TOGETHER, at[-1])).reshape(-1, TOGETHER)
+        found = [jax.device_get(found_at(row)) for row in rows]
+        values = np.concatenate([np.stack(rates, axis=1) for rates, *_ in found])
+        return values[: len(at)], np.concatenate([signs for *_, signs in found])[: len(at)]
+
+    return list(changes_between(sampled, np.linspace(times[0], times[-1], TOGETHER)))
 
 
 def _integrated(rate: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -204,27 +220,39 @@ def load_steps(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any)
     step, fixed = concrete(integrator.asked_step()), integrator.steps_between_saves
     # What is known of them is looked at, also where something else is being traced.
     with jax.ensure_compile_time_eval():
-        length, passed = _seen(Key(functions, np.asarray(times), step, fixed))
+        length, breaks, passed = _seen(Key(functions, np.asarray(times), step, fixed))
+    integrator = integrator.ending_at(breaks) if len(breaks) else integrator
     return LoadSteps(integrator if length is None else integrator.held(length), passed)
 
 
 @functools.lru_cache(maxsize=64)
-def _seen(question: Key) -> tuple[float | None, dict[str, float]]:
+def _seen(question: Key) -> tuple[float | None, np.ndarray, dict[str, float]]:
     """The length [s] to which steps that find it themselves are to be held (None: they need not
-    be), and by name the shares that steps pass over."""
+    be), the times [s] at which they are to end, and by name the shares that steps pass over."""
     everything, times, step, fixed = question.asked
     functions = {name: each for name, each in everything.items() if changes(each)}
     check_finite(functions, times)
     if not functions:
-        return None, {}
+        return None, np.zeros(0), {}
+    # Of what knows its integral samples tell all.
+    unknown = [n for n, each in functions.items() if not isinstance(each, AbstractFunctionOfTime)]
+    unseen = {n: _changes(lambda at, n=n: _values(functions, at)[n], times) for n in unknown}
     if step is not None or fixed is not None:
         edges = step_ends(times, step, fixed)
-        return None, {} if edges is None else passed_over(functions, edges)
-    passed: dict[str, float] = {}
+        if edges is None:
+            return None, np.zeros(0), {}
+        longest, passed = np.diff(edges).max(), passed_over(functions, edges)
+        for name, own in unseen.items():
+            short = sum(share for share, lasts, _ in own if lasts < longest)
+            passed |= {name: max(passed.get(name, 0.0), short)}
+        return None, np.zeros(0), passed
+    breaks = [instant for own in unseen.values() for *_, each in own for instant in each]
+    breaks = np.setdiff1d(breaks, times)
+    times, passed = np.union1d(times, breaks), {}
     for halvings, (length, passed) in enumerate(_halved(functions, times)):
         if max(passed.values(), default=0.0) <= SEEN:
-            return length if halvings else None, {}
-    return None, passed
+            return length if halvings else None, breaks, {}
+    return None, breaks, passed
 
 
 def _halved(
@@ -239,3 +267,49 @@ def _halved(
             return
         yield length, passed_over(functions, edges)
         length = 0.5 * length
+
+
+def own_loads(mechanism: Mechanism) -> dict[str, AbstractStateLoad]:
+    """Loads on coordinates of the user's own classes, which may change with anything, by name."""
+    ours = __name__.partition(".")[0]
+    return {
+        name: load
+        for name, load in mechanism.loads.items()
+        if isinstance(load, AbstractStateLoad)
+        and load.sampled_every() is None
+        and type(load).__module__.partition(".")[0] != ours
+    }
+
+
+@compiled_quickly
+def _effects(load: AbstractStateLoad, motion: tuple) -> tuple:
+    """Forces of a load, and their signs, at (times, positions, speeds)."""
+    states = tuple(jnp.asarray(each.start, float) for each in load.states())
+    effect = lambda *now: _columns(load.effect(*now, states).forces)
+    return jax.vmap(functools.partial(with_signs, effect))(*motion)
+
+
+def felt_along(run: Trajectory, integrator: AbstractIntegrator) -> LoadSteps:
+    """The integrator with which a run feels what the user's own loads do along its motion, and by
+    name the shares that its steps have passed over; the same integrator where it has felt all."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    if is_traced((run.states, run.time, integrator)) or not run.succeeded:
+        return LoadSteps(integrator, {})
+    loads, times = own_loads(run.mechanism), np.asarray(run.time)
+    step, fixed = concrete(integrator.asked_step()), integrator.steps_between_saves
+    step = step if fixed is None else np.diff(times).max() / fixed
+    breaks, passed = np.zeros(0), dict[str, float]()
+    for name, load in loads.items():
+        places, speeds = (
+            np.stack([np.asarray(read(each)) for each in load.coordinates()])
+            for read in (run.coordinate, run.speed)
+        )
+        path = CubicHermiteSpline(times, places, speeds, axis=1)
+        moving = lambda at, path=path: (at, tuple(path(at)), tuple(path(at, 1)))
+        for share, lasts, each in _changes(lambda at, own=load: _effects(own, moving(at)), times):
+            ends = integrator.ends_near(each[0], lasts)
+            if not ends and (step is None or lasts < step):
+                breaks = np.append(breaks, each)
+                passed[name] = passed.get(name, 0.0) + share
+    return LoadSteps(integrator.ending_at(breaks) if len(breaks) else integrator, passed)

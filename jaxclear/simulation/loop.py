@@ -230,7 +230,7 @@ class _Turn:
     """One turn of the loop, from a saving time to the next, as a function of (`Carry`, `Span`)."""
 
     def __init__(self, model: Model, integrator: AbstractIntegrator, report: bool):
-        self.model, self.report = model, report
+        self.model, self.integrator, self.report = model, integrator, report
         self.arrays, rest = packed((model, integrator))
 
         def advance(arrays, read, ahead, state, warm_start):
@@ -310,10 +310,12 @@ def _in_parts(loop: Callable, part: Callable, begun: Any, span: Span) -> Any:
     return loop(lambda now: now[0] < parts, turn, (jnp.zeros((), int), begun, nothing))[1:]
 
 
-def _between_instants(system: System, loop: Callable, part: Callable) -> Callable:
+def _between_instants(turn: _Turn, loop: Callable, part: Callable) -> Callable:
     """A part of a saving interval that is gone through from instant to instant of what is sampled,
-    by a while `loop`; the part itself where nothing is."""
-    if not sampled_loads(system):
+    and of what steps are to end at, by a while `loop`; the part itself where there are none."""
+    system, integrator = turn.model.system, turn.integrator
+    broken = integrator.next_break(0.0, 0.0) is not None
+    if not sampled_loads(system) and not broken:
         return part
 
     def parts(begun, span):
@@ -323,6 +325,7 @@ def _between_instants(system: System, loop: Callable, part: Callable) -> Callabl
         def turn(now):
             time, carry, (_, noted) = now
             ahead = next_instant(system, time, span.stop)
+            ahead = integrator.next_break(time, ahead) if broken else ahead
             progress = span.progress * (ahead - time) / (span.stop - span.start)
             carry, (left, more) = part(
                 carry, span._replace(start=time, stop=ahead, progress=progress)
@@ -357,7 +360,7 @@ def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tupl
     def by_kernel(condition, body, begun):
         return while_loop(condition, body, begun, (False, (LONG, True), False))
 
-    part = _between_instants(model.system, by_kernel, part)
+    part = _between_instants(turn, by_kernel, part)
 
     def one(carry, span):
         wears = pending is not None
@@ -393,7 +396,7 @@ def _from_save_to_save(
         return now._replace(worn=worn, read=read), left
 
     if counted is None:
-        part = _between_instants(system, jax.lax.while_loop, part)
+        part = _between_instants(turn, jax.lax.while_loop, part)
 
     def one(now, span):
         wears = first.worn and counted is None

@@ -38,7 +38,7 @@ from jaxclear.simulation.derivatives import (
     run_where_alike,
 )
 from jaxclear.simulation.initial_state import Beginning, beginning, state_of
-from jaxclear.simulation.load_steps import LoadSteps, judged_by, load_steps
+from jaxclear.simulation.load_steps import LoadSteps, felt_along, judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.not_finite import told_of_the_end
 from jaxclear.simulation.sampling import check_instants
@@ -66,6 +66,8 @@ NOT_BACKWARDS = (
     "a run that shows its progress: leave progress_bar out, or take forward mode (jax.jvp, "
     "jax.jacfwd; jax.jacfwd of it for second derivatives)."
 )
+# So often a run is repeated that has passed over what loads of the user's own do along its motion.
+MOST_AGAIN = 3
 # A mechanism with more coordinates than these may be too long for a kernel.
 FEW_COORDINATES = 32
 
@@ -293,6 +295,14 @@ def _simulated(
 
         with stoppable():
             found = again(Replica(integrator, saved))
+            for _ in range(MOST_AGAIN):
+                steps, more = felt_along(found, integrator)
+                if steps is integrator:
+                    break
+                integrator, found = steps, again(Replica(steps, saved))
+            else:
+                _, more = felt_along(found, integrator)
+            passed = passed | more
             found = judged_by(passed, diagnosed(guarded(found, integrator)))
         found = verified(found, integrator, again, how.verify, asked)
     return dataclasses.replace(found, doubts=(doubt,)) if doubt else found
