@@ -3,7 +3,9 @@ between the instants at which a step looks, and nothing in a run's numbers tells
 
 So functions of time are looked at alone, before a run: what steps of that length make of their
 impulse, by Simpson's rule over each, beside the impulse as it is. Steps that find their own length
-(`Adaptive`) are held to one that sees them.
+(`Adaptive`) are held to one that sees them, and end where one changes between any looks
+(`load_changes`). Loads of the user's own may change with the motion too: they are looked at along
+a run, behind it (`felt_along`).
 """
 
 import dataclasses
