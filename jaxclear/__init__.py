@@ -95,7 +95,6 @@ __all__ = [
     "FunctionProblem",
     "Heating",
     "ImportedSoft",
-    "LifeEnd",
     "LifeProblem",
     "LifeUntil",
     "Marker",

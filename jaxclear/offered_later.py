@@ -20,7 +20,7 @@ from jaxclear.studies.identification.identify import identify
 from jaxclear.studies.identification.measurement import Measurement
 from jaxclear.studies.identification.remaining_life import remaining_life
 from jaxclear.studies.life.derivative import wear_life_derivatives
-from jaxclear.studies.life.life_problem import AbstractLifeResponse, LifeEnd, LifeProblem, LifeUntil
+from jaxclear.studies.life.life_problem import AbstractLifeResponse, LifeProblem, LifeUntil
 from jaxclear.studies.life.settled import settled
 from jaxclear.studies.life.wear_life import wear_life, wear_lives
 from jaxclear.studies.monte_carlo import monte_carlo
@@ -53,7 +53,6 @@ __all__ = [
     "FunctionProblem",
     "Heating",
     "ImportedSoft",
-    "LifeEnd",
     "LifeProblem",
     "LifeUntil",
     "Measurement",

@@ -15,6 +15,7 @@ from types import ModuleType
 import pytest
 
 import jaxclear
+from jaxclear.ground.argument_errors import REMOVED
 from jaxclear.ground.quantity import AbstractQuantified
 
 PINNED = Path(__file__).parent / "refdata" / "public_surface.json"
@@ -168,6 +169,13 @@ def test_numbers_that_could_be_swapped_are_given_by_name(law):
     if sum("unit" in field.metadata for field in dataclasses.fields(law)) > 1:
         with pytest.raises((TypeError, ValueError)):
             law(0.25, 0.5)
+
+
+@pytest.mark.parametrize("path", REMOVED)
+def test_a_removed_name_says_what_to_write_instead(path):
+    place, _, name = path.rpartition(".")
+    with pytest.raises(AttributeError, match=re.escape(f"any more: {REMOVED[path]}.")):
+        getattr(importlib.import_module(place), name)
 
 
 def test_completion_shows_public_names_alone_and_families_are_imported_by_name():

@@ -11,6 +11,7 @@ and does not. Costs are CPU seconds of one run.
 """
 
 import argparse
+import copy
 import json
 import math
 import time
@@ -46,7 +47,6 @@ VERDICTS = (
 # Rungs that are no candidates.
 OTHER_MODELS = ("MoreauJean", "NonColliding")
 # A size of a response beside which no error counts.
-BOUNDLESS = 1e100
 QUICK = ("slider-crank, ideal",)
 
 # What is asked together, and at which accuracies.
@@ -167,17 +167,22 @@ def tried_on(question: Question, accuracy: float, judge: Judge) -> list[Tried]:
     return found
 
 
+def only(problem: jc.Problem, names: Names) -> jc.Problem:
+    """The problem with these responses alone."""
+    found = copy.copy(problem)
+    object.__setattr__(found, "response", {name: problem.response[name] for name in names})
+    object.__setattr__(found, "response_names", names)
+    return found
+
+
 def judged(scene: str, question: Question, names: Names, accuracy: float) -> dict[str, Any]:
-    """The advisor's choice beside the cheapest right one. Responses that are not asked about are
-    given a size beside which no error counts, so that one program serves all problems of a scene.
-    """
+    """The advisor's choice beside the cheapest right one, of the responses that are asked about."""
     problem = question.problem
     names = tuple(name for name in names if name in problem.response_names)
-    scales = {name: BOUNDLESS for name in problem.response_names if name not in names}
     row = {"scene": scene, "responses": ", ".join(names), "accuracy": accuracy}
     row |= {"duration [s]": float(problem.duration)}
     try:
-        advice = jc.advise(problem, accuracy, scales=scales)
+        advice = jc.advise(only(problem, names), accuracy)
     except ValueError as error:
         return row | {"verdict": "refused", "said": str(error)}
     row |= {"choice": as_typed(advice.recommended)}

@@ -1,6 +1,7 @@
 """What acts on the coordinates of joints and motors: what it is asked, and what it answers."""
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -127,11 +128,20 @@ class AbstractStateLoad(AbstractLoad):
         `NonColliding` take them as rigid, and do not ask for its `effect`."""
         return ()
 
-    def dry_friction(self) -> Scalar | None:
-        """The friction [N m, N] with which it holds its only coordinate or resists it, None unless
-        overridden: `MoreauJean` and `NonColliding` take it as set-valued, and do not ask for its
-        `effect`."""
+    def dry_friction(self) -> Scalar | Callable | None:
+        """The friction [N m, N] with which it holds its only coordinate or resists it, a number or
+        a function of time, None unless overridden: `MoreauJean` and `NonColliding` take it as
+        set-valued, and do not ask for its `effect`."""
         return None
+
+    def pressed_by(self) -> str | None:
+        """The load on a coordinate, or the coupling, by whose force it is pressed; None, as unless
+        overridden: by none."""
+        return None
+
+    def under(self, force: Scalar) -> "AbstractStateLoad":
+        """Itself as it is where that one gives this force [N m, N]; the same unless overridden."""
+        return self
 
 
 class AbstractCoordinateLoad(AbstractStateLoad):

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import numpy as np
 
 from jaxclear.components.acting import (
@@ -34,12 +35,12 @@ from jaxclear.components.function_of_time import (
     vector_or_function,
 )
 from jaxclear.components.servo import Servo
-from jaxclear.components.stops_and_friction import JointFriction, JointStop
+from jaxclear.components.stops_and_friction import JointFriction, JointStop, Pressed
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.pose import Pose
-from jaxclear.ground.quantity import Scalar, quantity, vector
+from jaxclear.ground.quantity import Scalar, concrete, quantity, vector
 
 __all__ = [
     "AbstractBodyLoad",
@@ -59,6 +60,7 @@ __all__ = [
     "MarkerMotion",
     "MotorEnd",
     "MotorTorque",
+    "Pressed",
     "RotorInertia",
     "Servo",
     "Side",
@@ -83,11 +85,35 @@ class MarkerMotion(NamedTuple):
 
 
 class Action(NamedTuple):
-    """Force [N] through a marker's origin and torque [N m] on its body, in ground axes."""
+    """Force [N] through the origin of one of the load's markers and torque [N m] on its body, in
+    ground axes."""
 
     marker: Marker
     force: sp.Vec
     torque: sp.Vec
+
+    def place_among(self, markers: tuple[Marker, ...], order: int) -> int:
+        """Which of the markers it acts on: that one, else an equal one, else one on its body;
+        `order`: its place among the actions, which decides between several."""
+        alike = (lambda own: own is self.marker, self._equals, self._shares_body)
+        matches = ([i for i, own in enumerate(markers) if test(own)] for test in alike)
+        places = next(filter(None, matches), [])
+        if order not in places and len(places) != 1:
+            on = f'a marker on "{self.marker.body}"'
+            raise ValueError(
+                f"an action on {on}, of which its markers() has "
+                + ("several: hand over one of these." if places else "none.")
+            )
+        return order if order in places else places[0]
+
+    def _equals(self, marker: Marker) -> bool:
+        leaves, structure = jax.tree.flatten(marker)
+        others, other = jax.tree.flatten(self.marker)
+        same = lambda x, y: x is y or concrete(x) == concrete(y) is not None
+        return structure == other and all(map(same, leaves, others))
+
+    def _shares_body(self, marker: Marker) -> bool:
+        return marker.body == self.marker.body
 
 
 class Effect(NamedTuple):
@@ -110,7 +136,7 @@ class AbstractBodyLoad(AbstractLoad):
 
     @abstractmethod
     def effect(self, time: Scalar, motions: tuple[MarkerMotion, ...]) -> Effect:
-        """Forces and energies at an instant."""
+        """Forces and energies at an instant, from the motions of its markers in their order."""
 
 
 # A hundred times that of the Earth.

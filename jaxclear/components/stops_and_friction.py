@@ -4,6 +4,7 @@ Steps with percussions or set-valued friction find their forces themselves, from
 `dry_friction`; elsewhere they are springs with a damper.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -16,20 +17,28 @@ from jaxclear.components.acting import (
     LoadState,
     Side,
 )
+from jaxclear.components.function_of_time import (
+    check_function_of_time,
+    number_or_function,
+    value_at,
+)
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, smooth_sign, smooth_step
-from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity
 from jaxclear.laws.transmission import holding, one_sided
+
+
+def _number_function_or_pressed(given: Any) -> Any:
+    return given if isinstance(given, Pressed) else number_or_function(given)
 
 
 class JointStop(AbstractCoordinateLoad):
     r"""Stops of a joint that turns or slides, ideal or with clearance. What runs into `lower` or
     `upper` comes back with the share `restitution` of its speed.
 
-    In `MoreauJean` a stop with a restitution is rigid, and gives it in one step; in `NonColliding`
-    it is rigid, and what runs into it stays (with a load that presses). Elsewhere, and without a
-    restitution, it is a spring and a damper that push the coordinate back where it is by
-    :math:`\delta` beyond, and never pull:
+    In `MoreauJean` and `NonColliding` a stop with a restitution is rigid, and gives it in one step.
+    Elsewhere, and without a restitution, it is a spring and a damper that push the coordinate back
+    where it is by :math:`\delta` beyond, and never pull:
 
     .. math:: F = \min(\max(0,\ k\,\delta + d\,\dot\delta),\ 2\,k\,\delta).
 
@@ -115,6 +124,20 @@ class JointStop(AbstractCoordinateLoad):
         return push, stored, (push - spring) * rate
 
 
+class Pressed(AbstractQuantified):
+    """Friction of a clutch or a brake that a force presses, in proportion to its size.
+
+    Args:
+        by: name of a load on the coordinate of a joint, or of a coupling that has play or stiffness
+            or is a force (`OneWay`, `Rope`); its force is that of `run.transmitted(by)`.
+        factor: friction for a unit of that force [m; 1 where both are of one unit], >= 0: the
+            friction coefficient, times the number of faces and their mean radius.
+    """
+
+    by: str = eqx.field(static=True)
+    factor: Scalar = quantity(unit="m", meaning="friction for a unit of force", at_least=0)
+
+
 class JointFriction(AbstractStateLoad):
     r"""Dry friction of a joint that turns or slides, ideal or with clearance, as a torque
     :math:`\tau` [N m] whatever the joint carries: of a gear or a seal. It holds what is driven by
@@ -129,7 +152,9 @@ class JointFriction(AbstractStateLoad):
     so that a joint at rest stands by up to :math:`z_0` beside where it came to rest; the steps must
     resolve the spring :math:`\tau/z_0`. With a `transition_speed` :math:`v_0` it is a function of
     the speed instead, :math:`F = -\tau\tanh(\dot q/v_0)`, in every integrator, and creeps under a
-    steady load. Friction by what the joint carries is that of `joint.PlainBearing` and
+    steady load. The friction of a clutch or a brake ends and begins with what presses it: a
+    function of time, of which what is below 0 counts as 0, or `Pressed`, the force of another load
+    or coupling. Friction by what the joint carries is that of `joint.PlainBearing` and
     `joint.Slideway`. In closed loops what each of several such loads holds at rest is not unique
     (Wojtyra 2017, Multibody Syst. Dyn. 39, 337, doi:10.1007/s11044-016-9535-6): one of the many
     answers is told.
@@ -141,8 +166,11 @@ class JointFriction(AbstractStateLoad):
     """
 
     connection: str = eqx.field(static=True)
-    torque: Scalar = quantity(
-        unit="N m", meaning="friction when it slides (N for a sliding joint)", at_least=0
+    torque: Scalar | Callable | Pressed = quantity(
+        unit="N m",
+        meaning="friction when it slides (N for a sliding joint), or a function of time",
+        converter=_number_function_or_pressed,
+        at_least=0,
     )
     transition_speed: Scalar | None = quantity(
         None,
@@ -170,20 +198,44 @@ class JointFriction(AbstractStateLoad):
             return ()
         return (LoadState("bristle", "rad", most=self.presliding),)
 
+    def __check_init__(self):
+        check_function_of_time(self, "torque")
+
     def effect(self, time, positions, speeds, states):
-        (speed,) = speeds
+        (speed,), torque = speeds, value_at(self._torque, time)
         if self.transition_speed is not None:
-            force = -self.torque * smooth_sign(jnp.asarray(speed, float), self.transition_speed)
+            force = -torque * smooth_sign(jnp.asarray(speed, float), self.transition_speed)
             return CoordinateEffect((force,), (), 0, -force * speed, 0)
         own = holding(states[0], speed, self.presliding, self.settling_time)
-        friction = self.torque * own.share
+        friction = torque * own.share
+        if callable(self.torque):
+            # What the bristle stores changes with what presses it: all counts as lost.
+            return CoordinateEffect((-friction,), (own.rate,), 0, friction * speed, 0)
         elastic = jnp.clip(states[0] / self.presliding, -1.0, 1.0)
-        stored = 0.5 * self.torque * self.presliding * elastic * elastic
-        wound = jnp.where(jnp.abs(elastic) < 1, self.torque * elastic * own.rate, 0.0)
+        stored = 0.5 * torque * self.presliding * elastic * elastic
+        wound = jnp.where(jnp.abs(elastic) < 1, torque * elastic * own.rate, 0.0)
         return CoordinateEffect((-friction,), (own.rate,), stored, friction * speed - wound, 0)
 
     def reads_position(self):
         return False
 
+    def _pressed(self, time):
+        """Friction at a time, by a function of it."""
+        function: Any = self.torque
+        return positive_part(jnp.asarray(function(time), float))
+
+    @property
+    def _torque(self):
+        return self._pressed if callable(self.torque) else self.torque
+
     def dry_friction(self):
-        return self.torque if self.transition_speed is None else None
+        return self._torque if self.transition_speed is None else None
+
+    def pressed_by(self):
+        return self.torque.by if isinstance(self.torque, Pressed) else None
+
+    def under(self, force):
+        # As a function of time, so that what the bristle stores is none of a number's.
+        pressed: Any = self.torque
+        torque = pressed.factor * jnp.abs(jnp.asarray(force, float))
+        return eqx.tree_at(lambda own: own.torque, self, lambda time: torque)

@@ -9,7 +9,7 @@ timed: the same question always gets the same answer.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -114,17 +114,6 @@ def others_of(
     halved = ([halving(own, mechanism) for own in each] for each in (rungs, models))
     stated, other = ([rung for rung in each if _suits(rung, accepts)] for each in halved)
     return stated, other
-
-
-def listed_rung(settings: Sequence[AbstractIntegrator], mechanism: Mechanism) -> Rung:
-    """A rung of these settings, coarse to fine."""
-    settings = list({id(own): own for own in settings}.values())
-    places = dict(zip(map(id, settings), settings[1:], strict=False))
-    first = settings[0]
-    controlled = first.asked_step() is None and first.steps_between_saves is None
-    growth = TIGHTER ** (-1 / ORDER) if controlled else 1 / HALF
-    follow = lambda own: places.get(id(own))
-    return Rung(first, follow, first.evaluations(mechanism), controlled, growth)
 
 
 def halving(first: AbstractIntegrator, mechanism: Mechanism) -> Rung:

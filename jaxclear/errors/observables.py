@@ -111,7 +111,7 @@ def _observed(run: Trajectory) -> Observables:
     mean = stacked([histories.contact_impulse(history, name)[-1] / duration for name in joints])
     peaks = None
     if run.extremes is not None and not run.formulation.forces_are_means:
-        peaks = stacked([PeakContactForce(name)(run) for name in joints])
+        peaks = stacked([PeakContactForce(name)(run) for name in run.mechanism.topology.clearances])
     lost, turned = None, None
     if history.balanced:
         energies = histories.energies(history)
@@ -179,11 +179,14 @@ def apart(
     ]
     found += _gaps_apart(run, one, other)
     joints = run.formulation.contact_joints(run.mechanism)
-    of_joints = (("mean contact force", "mean_force"), ("peak contact force", "peak_force"))
-    for answer, part in of_joints:
+    of_joints = (
+        ("mean contact force", "mean_force", joints),
+        ("peak contact force", "peak_force", run.mechanism.topology.clearances),
+    )
+    for answer, part, names in of_joints:
         forces = [getattr(each, part) for each in (one, other, finest)]
         if forces[0] is not None and len(forces[0]):
-            found += _by_place(answer, part, "N", joints, *forces)
+            found += _by_place(answer, part, "N", names, *forces)
     if one.friction_loss is not None:
         loss, less, last = (float(np.asarray(each.friction_loss)) for each in (one, other, finest))
         scale = max(last, LEAST_LOSS * float(np.asarray(finest.turnover))) or max(loss, less)

@@ -103,12 +103,17 @@ def set_valued_friction(held, slips, v, h, mass, response: FrictionResponse) -> 
 
 
 def with_rows_of_loads(
-    problem: JointFriction, loads: LoadsInStep, response: FrictionResponse, ahead: list, h: Any
+    problem: JointFriction,
+    loads: LoadsInStep,
+    response: FrictionResponse,
+    before: list,
+    ahead: list,
+    h: Any,
 ) -> JointFriction:
-    """The problem with loads whose force the step finds behind the joints; `ahead`: by how much the
-    speeds at the end of a step of length h [s], without friction and these loads, differ from those
-    at which the loads were read. Rigid stops stop: what runs into one in the step has no speed
-    along it at the end."""
+    """The problem with loads whose force the step finds behind the joints; `before` and `ahead`: by
+    how much the speeds at the start of a step of length h [s], and those at its end without
+    friction and these loads, differ from those at which the loads were read. What runs into a stop
+    in the step goes back at its end with the share of its speed that the stop gives back."""
     rows, speeds = loads.rows, [one.opening for one in loads.stops]
     speeds += [one.speed for one in loads.rubs]
     free = [sp.add(x, along(row, ahead)) for x, row in zip(speeds, rows, strict=True)]
@@ -117,9 +122,12 @@ def with_rows_of_loads(
     for k, stop in enumerate(loads.stops):
         closed = stop.beyond - 0.5 * h * free[k] >= 0
         low, high = jnp.zeros(()), jnp.where(closed, jnp.inf, 0.0)
+        lightness = moves[k][first + k] / h
         if stop.side.stop.restitution is None:
-            followed, spring = stop.followed(moves[k][first + k] / h, h), stop.spring()
+            followed, spring = stop.followed(lightness, h), stop.spring()
             low, high = jnp.where(followed, spring, low), jnp.where(followed, spring, high)
+        struck = jnp.minimum(stop.opening + along(rows[k], before), 0.0)
+        free[k] = free[k] + stop.restitution(lightness) * jnp.where(closed, struck, 0.0)
         rules.append(Between(low, high))
     rules += [(rub.bound, rub.bound) for rub in loads.rubs]
     joints = len(problem.ratios)
@@ -166,7 +174,8 @@ def moved_to_stops(
         held = forces[k] > 0
         if stop.side.stop.restitution is None:
             held = held & ~stop.followed(matrix[k][k] / h, h)
-            struck = positive_part(-stop.opening) / matrix[k][k]
+            back = 1 + stop.restitution(matrix[k][k] / h)
+            struck = back * positive_part(-stop.opening) / matrix[k][k]
             gaps[k] = gaps[k] + positive_part(forces[k] - struck) / stop.side.stop.stiffness
         most = jnp.where(held, jnp.inf, 0.0)
         rules.append(Between(-most, most))

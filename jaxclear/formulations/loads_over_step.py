@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from jaxclear.components.acting import AbstractCoordinateLoad, AbstractStateLoad, Side
 from jaxclear.components.clearance.backlash import middle_of
+from jaxclear.components.function_of_time import value_at
 from jaxclear.formulations.contact_rows import ContactJacobianRow
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
@@ -23,8 +24,9 @@ from jaxclear.ground.numerics import positive_part
 from jaxclear.laws.rebound import restitution_of
 from jaxclear.multibody import constraints, kinematics
 from jaxclear.multibody.damped_stops import coordinate_row
-from jaxclear.multibody.forces import Acting, Forces, give, seen_at
+from jaxclear.multibody.forces import Acting, Forces, as_pressed, give, seen_at
 from jaxclear.multibody.kinematics import along
+from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Followed, unpack_motion
 from jaxclear.multibody.system import System, Transmission, coordinate_loads
 from jaxclear.multibody.transmissions import Pressing, twist_of
@@ -53,6 +55,12 @@ class OverStep(AbstractCoordinateLoad):
     def dry_friction(self):
         return self.load.dry_friction()
 
+    def pressed_by(self):
+        return self.load.pressed_by()
+
+    def under(self, force):
+        return dataclasses.replace(self, load=self.load.under(force))
+
 
 class HeldCoordinate(NamedTuple):
     """What a step finds the force of: the coordinate `on` which it acts, of a joint, a motor, or
@@ -72,6 +80,35 @@ def found_over_steps(system: System) -> System:
         if load.sides() or load.dry_friction() is not None
     }
     return dataclasses.replace(system, loads=system.loads | found) if found else system
+
+
+def check_found_over_steps(mechanism: Mechanism, integrator: str, seated: bool) -> None:
+    """Raises `ValueError` for a load whose force steps find, and which they would not ask for what
+    its class adds, or for one that is pressed by what has no force at an instant; whether plays are
+    `seated`, or rigid."""
+    for name, load in mechanism.loads.items():
+        if not isinstance(load, AbstractStateLoad):
+            continue
+        by = mechanism.couplings.get(load.pressed_by() or "")
+        if by is not None and by.play and (seated or by.play.restitution is not None):
+            raise ValueError(
+                f'load "{name}" is pressed by coupling "{load.pressed_by()}", whose play '
+                f"{integrator} takes as {'seated' if seated else 'one between rigid flanks'}, so "
+                "that it has no force at an instant; take Adaptive, FixedStep or ImplicitStep."
+            )
+        asked = {"sides": bool(load.sides()), "dry_friction": load.dry_friction() is not None}
+        kinds = type(load).__mro__
+        first = lambda *names: next(
+            (i for i, kind in enumerate(kinds) if not vars(kind).keys().isdisjoint(names)), 0
+        )
+        for what, finds in asked.items():
+            if finds and first("effect", "force") < first(what):
+                raise ValueError(
+                    f'load "{name}" is a {type(load).__name__} with an effect of its own, for '
+                    f"which {integrator} does not ask: it takes {what}() of "
+                    f"{kinds[first(what)].__name__}, and finds the force itself. Give the class "
+                    f"{what}() too, or take Adaptive, FixedStep or ImplicitStep."
+                )
 
 
 def with_rigid_flanks(system: System) -> System:
@@ -122,24 +159,27 @@ def play_of(name: str) -> str:
 
 
 class Coordinate(NamedTuple):
-    """A coordinate at an instant: its `position` [rad, m] and `speed`, and the row of its speed by
-    the speeds of the mechanism."""
+    """A coordinate at an instant: its `position` [rad, m] and `speed`, the row of its speed by the
+    speeds of the mechanism, and how much `friction` [N m, N] may hold it (None: none)."""
 
     position: Any
     speed: Any
     row: ContactJacobianRow
+    friction: Any = None
 
 
 def coordinates_of(
-    system: System, motions: tuple[Motion, ...], followed: Followed
+    system: System, motions: tuple[Motion, ...], time: Any, followed: Followed
 ) -> dict[str, Coordinate]:
     """The coordinates of all that steps find the force of, by its name."""
-    return {
-        name: _twist(system, motions, system.flanks[own.on])
-        if own.flank
-        else _coordinate(system, motions, own.on, followed)
-        for name, own in held(system).items()
-    }
+    found = {}
+    for name, load in coordinate_loads(system):
+        if isinstance(load, OverStep):
+            pressed = as_pressed(system, motions, load, time, followed)
+            friction = value_at(pressed.dry_friction(), time)
+            own = _coordinate(system, motions, load.connection, followed)
+            found[impulse_of(name)] = own._replace(friction=friction)
+    return found | {play_of(n): _twist(system, motions, own) for n, own in system.flanks.items()}
 
 
 def _twist(system: System, motions: tuple[Motion, ...], own: Transmission) -> Coordinate:
@@ -160,7 +200,7 @@ def coordinates_at(
 ) -> dict[str, Coordinate]:
     """The same at coordinates and speeds, one after the other."""
     motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
-    return coordinates_of(model.system, motions, followed)
+    return coordinates_of(model.system, motions, time, followed)
 
 
 def with_loads(system: System, forces: Forces, given: dict[str, Any]) -> Forces:
@@ -223,6 +263,8 @@ class StopInStep(NamedTuple):
 
     def restitution(self, lightness: Any) -> Any:
         """Share of its speed [1] that comes back where steps do not follow its spring."""
+        if self.side.stop.restitution is not None:
+            return self.side.stop.restitution
         if self.side.stop.damping is None:
             return 1.0
         ratio = 0.5 * self.side.stop.damping * jnp.sqrt(lightness / self.side.stop.stiffness)
@@ -277,7 +319,7 @@ def loads_in_step(system: System, at: dict[str, Coordinate]) -> LoadsInStep:
     for name, load in held(system).items():
         own = at[name]
         if load.friction is not None:
-            rubs.append(RubInStep(name, load.friction, own.speed, own.row))
+            rubs.append(RubInStep(name, own.friction, own.speed, own.row))
         for side in load.sides:
             row = {j: sp.mul(side.sign, entry) for j, entry in own.row.items()}
             beyond, opening = side.beyond(own.position), side.sign * own.speed

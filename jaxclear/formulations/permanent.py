@@ -30,6 +30,7 @@ from jaxclear.formulations.joint_friction import (
     with_rows_of_loads,
 )
 from jaxclear.formulations.loads_over_step import (
+    check_found_over_steps,
     coordinates_at,
     coordinates_of,
     forces_of_means,
@@ -135,6 +136,7 @@ class PermanentContact(AbstractFormulation):
 
     def check(self, mechanism, integrator):
         check_friction(mechanism, integrator)
+        check_found_over_steps(mechanism, integrator, seated=True)
         for name, coupling in mechanism.couplings.items():
             if coupling.play is not None:
                 check_unworn(name, coupling, integrator)
@@ -192,7 +194,7 @@ class PermanentContact(AbstractFormulation):
         forces = applied_forces(system, motions, {}, *motion, time_step.middle, followed)
         held = touching(system)
         slips = [slips_of(system, motions, one, middle) for one in held]
-        loads = loads_in_step(system, coordinates_of(system, motions, followed))
+        loads = loads_in_step(system, coordinates_of(system, motions, time_step.middle, followed))
         response = friction_response(model, forces, motion[0], loads)
         if self.regularised:
             speeds = [[slip.at(middle) for slip in own] for own in slips]
@@ -202,8 +204,9 @@ class PermanentContact(AbstractFormulation):
             problem = set_valued_friction(held, slips, v, h, mass, response)
         if loads.rows:
             free = response.without.accelerations
-            ahead = [x + h * free[j] - m for j, (x, m) in enumerate(zip(v, middle, strict=True))]
-            problem = with_rows_of_loads(problem, loads, response, ahead, h)
+            before = [x - m for x, m in zip(v, middle, strict=True)]
+            ahead = [x + h * free[j] for j, x in enumerate(before)]
+            problem = with_rows_of_loads(problem, loads, response, before, ahead, h)
         friction, left, _ = settings.solver().iterate(problem)
         found = response.at(friction)
         after = [x + h * found.accelerations[j] for j, x in enumerate(v)]

@@ -25,6 +25,7 @@ from jaxclear.formulations.contact_rows import (
 from jaxclear.formulations.delassus import DelassusOperator, delassus_operator
 from jaxclear.formulations.loads_over_step import (
     LoadsInStep,
+    check_found_over_steps,
     coordinates_of,
     counts_of_rows,
     forces_of_means,
@@ -102,6 +103,7 @@ class RigidContact(AbstractFormulation):
     def check(self, mechanism, integrator):
         check_friction(mechanism, integrator)
         check_play(mechanism, integrator, rigid=True)
+        check_found_over_steps(mechanism, integrator, seated=False)
         for name in mechanism.topology.clearances:
             for laws in mechanism.connections[name].joint.contact_laws():
                 if laws.contact.restitution is None:
@@ -232,7 +234,7 @@ def _begun(model: Model, time_step: TimeStep, state: State, last: Float[Array, "
     loads = LoadsInStep((), ())
     if held(model.system):
         forces = middle.free_motion.forces
-        at = coordinates_of(model.system, forces.motions, forces.followed)
+        at = coordinates_of(model.system, forces.motions, time_step.middle, forces.followed)
         loads = loads_in_step(model.system, at)
         first = count + sum(own for _, own in contact_components(model.system))
         contacts += stops_as_contacts(loads, handed[first:])

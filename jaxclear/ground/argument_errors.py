@@ -26,6 +26,16 @@ OWN_PATH = re.compile(r"\bjaxclear(\.\w+)+")
 KEYWORDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 ORDERED = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
+# Names that are offered no more, each with what to write instead; kept for one version.
+REMOVED = {
+    "jaxclear.conformal": "write jaxclear.contact",
+    "jaxclear.LifeEnd": "give any function of a life as a response",
+    "jaxclear.distribution.Beta": "write FromScipy(scipy.stats.beta(a, b, low, high - low))",
+} | {
+    f"jaxclear.cost.{name}": "give the cost as a function of (nominal, tolerance)"
+    for name in ("Exponential", "ReciprocalExponential", "ReciprocalPower", "ReciprocalSquared")
+}
+
 
 class AnsweringMeta(ModuleMeta):
     """Of classes that refuse wrong arguments with a sentence."""
@@ -148,6 +158,8 @@ def nothing_else(
         path = f"{module} has no {name!r}"
         if name.startswith("__"):
             raise AttributeError(f"{path}.")
+        if f"{module}.{name}" in REMOVED:
+            raise AttributeError(f"{path} any more: {REMOVED[f'{module}.{name}']}.")
         if importlib.util.find_spec(f"{module.partition('.')[0]}.{name}") is not None:
             raise AttributeError(f"{path} yet: write `from {module} import {name}` first.")
         members = [one for one in offered if not one.startswith("Abstract")]

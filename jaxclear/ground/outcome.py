@@ -78,6 +78,11 @@ class Unknown(AbstractOutcome):
         "is not followed: give it a period, or no torque_limit, or take jaxclear.sensitivity.",
     )
 
+    NOT_REACHED = (
+        8,
+        "the run ended before the instant whose derivative it is; its result says why.",
+    )
+
     @property
     def number(self) -> np.float64:
         """The nan that carries this reason."""

@@ -9,7 +9,7 @@ coordinates: x_parent = p + R x_child.
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
+from jaxtyping import Array, Float
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import nothing_else
@@ -126,14 +126,28 @@ def quaternion_rate(quaternion: tuple, angular: sp.Vec) -> tuple:
     )
 
 
-def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternion (w, x, y, z), w >= 0, of concrete rotation matrices (..., 3, 3)."""
-    from scipy.spatial.transform import Rotation
+def quaternion_from_rotation(rotation: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
+    r"""Unit quaternion (w, x, y, z), w >= 0, of rotation matrices.
 
-    # A copy: older versions of scipy refuse what may not be written to, as JAX's arrays.
-    matrices = np.array(rotation).reshape(-1, 3, 3)
-    xyzw = Rotation.from_matrix(matrices).as_quat(canonical=True)
-    return np.roll(xyzw, 1, axis=-1).reshape(*np.shape(rotation)[:-2], 4)
+    The matrix gives :math:`4 q q^T`; q is the row of its largest diagonal entry, made a unit.
+
+    Source: Shepperd 1978, J. Guidance and Control 1, 223, doi:10.2514/3.55767b.
+    """
+    turn = jnp.moveaxis(jnp.asarray(rotation, float), (-2, -1), (0, 1))
+    a, b, c = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+    x, y, z = turn[0, 0], turn[1, 1], turn[2, 2]
+    xy, xz, yz = turn[0, 1] + turn[1, 0], turn[0, 2] + turn[2, 0], turn[1, 2] + turn[2, 1]
+    products = (
+        (1 + x + y + z, a, b, c),
+        (a, 1 + x - y - z, xy, xz),
+        (b, xy, 1 - x + y - z, yz),
+        (c, xz, yz, 1 - x - y + z),
+    )
+    matrix = jnp.stack([jnp.stack(row, axis=-1) for row in products], axis=-2)
+    largest = jnp.argmax(jnp.diagonal(matrix, axis1=-2, axis2=-1), axis=-1)
+    row = jnp.take_along_axis(matrix, largest[..., None, None], axis=-2)[..., 0, :]
+    side = jnp.where(row[..., :1] < 0, -1.0, 1.0)
+    return side * row / jnp.linalg.norm(row, axis=-1, keepdims=True)
 
 
 def frame_with_axis(axis: tuple) -> sp.Mat:

@@ -23,7 +23,17 @@ import math
 import types
 from collections.abc import Callable, Iterator, Mapping
 from types import GenericAlias, NoneType, UnionType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar, Union, get_args, get_origin
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    NamedTuple,
+    ParamSpec,
+    TypeAlias,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+)
 
 import equinox as eqx
 import jax
@@ -383,7 +393,29 @@ def on_device(numbers: Any) -> jax.Array:
 
 def constant(tree: Any) -> Any:
     """A tree that is not to be differentiated."""
-    return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if eqx.is_array(x) else x, tree)
+    traced = lambda x: isinstance(x, jax.core.Tracer)
+    return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if traced(x) else x, tree)
+
+
+P, R = ParamSpec("P"), TypeVar("R")
+
+
+def on_numbers(function: Callable[P, R]) -> Callable[P, R]:
+    """The function, which NumPy and Python evaluate: a `ValueError` with a sentence where an
+    argument is being traced."""
+
+    @functools.wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except jax.errors.JAXTypeError as error:
+            raise ValueError(
+                f"{function.__qualname__} is worked out from numbers, which are being traced (by "
+                "jax.jit, vmap or a derivative): read it of a run outside the function that is "
+                'traced, and take arrays inside, such as run.coordinate("A").'
+            ) from error
+
+    return called
 
 
 def quantity(

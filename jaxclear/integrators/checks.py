@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground.outcome import AbstractOutcome
 from jaxclear.ground.printing import AbstractShown
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import constant, is_traced, on_numbers
 from jaxclear.ground.table import as_table
 
 
@@ -340,10 +340,11 @@ class Checks(AbstractShown):
             for check, worst, place, _ in self.rows()
         }
 
+    @on_numbers
     def rows(self) -> list[tuple[Check, float, str, float]]:
         """(check, worst figure, its place, when [s]) of each figure of one run."""
         out = []
-        for check, figure in self.figures.items():
+        for check, figure in constant(self).figures.items():
             worst = np.asarray(figure.worst)
             at = int(np.argmax(worst))
             out.append((check, float(worst[at]), figure.places[at], float(figure.time[at])))
@@ -386,6 +387,8 @@ class Checks(AbstractShown):
     def _shown(self):
         if not self.named:
             return "This run had nothing to check."
+        if is_traced(constant(self)):
+            return "the checks of traced runs"
         return (self.table().drop(columns="time [s]"),)
 
 

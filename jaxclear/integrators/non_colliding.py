@@ -32,8 +32,8 @@ class NonColliding(AbstractIntegrator):
     (`Check.GAP_MOTION`). Midpoint rule, order 2 in smooth motion and 1 across stick
     and slip; coordinates on groups move by exponentials. Steps should end where loads jump.
 
-    What runs into a stop (`load.JointStop`) stays at it; dry friction (`load.JointFriction`)
-    sticks; the play of couplings is seated (`clearance.Backlash`).
+    A stop (`load.JointStop`) is rigid, and gives its restitution back within a step; dry friction
+    (`load.JointFriction`) sticks; the play of couplings is seated (`clearance.Backlash`).
 
     `most_sweeps` over the joints at most, until friction changes by less than `tolerance` of its
     bound; where they end far from that (a guide about to lock itself), the run ends and says so.

@@ -12,10 +12,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxclear.components.coupling import AbstractForceCoupling
 from jaxclear.components.load import (
     AbstractBodyLoad,
     AbstractStateLoad,
     Action,
+    CoordinateEffect,
     Effect,
     MarkerMotion,
 )
@@ -104,11 +106,9 @@ def applied_forces(
     stored, damping, external = 0, 0, 0
     with jax.named_scope("loads"):
         for name, load in body_loads(system):
-            effect, markers = (
-                effect_of(system, name, load, motions, time),
-                system.load_markers[name],
-            )
-            for action, (link, marker) in zip(effect.actions, markers, strict=True):
+            effect, markers = effect_of(system, name, load, motions, time), load.markers()
+            for order, action in enumerate(effect.actions):
+                link, marker = system.load_markers[name][action.place_among(markers, order)]
                 if link is not None:
                     _add(wrenches, link, _in_link(action, motions[link], marker))
             stored, damping = sp.add(stored, effect.stored), sp.add(damping, effect.dissipated)
@@ -117,8 +117,11 @@ def applied_forces(
     rates: dict[str, tuple] = {}
     for label, held in coordinate_loads(system):
         seen = [seen_at(system, motions, name, followed) for name in held.coordinates()]
-        states = states_of(label, held, followed)
-        found = held.effect(
+        states, now = (
+            states_of(label, held, followed),
+            as_pressed(system, motions, held, time, followed),
+        )
+        found = now.effect(
             time, tuple(one.position for one in seen), tuple(one.speed for one in seen), states
         )
         for one, force in zip(seen, found.forces, strict=True):
@@ -313,6 +316,43 @@ def give(system, motions, own, torque, acting) -> None:
         add_action_and_reaction(acting.wrenches, closure, pose, *wrench)
         if joint is not None:
             acting.on_joints[joint] = _sum(acting.on_joints.get(joint, NOTHING), wrench)
+
+
+def as_pressed(
+    system: System,
+    motions: tuple[Motion, ...],
+    load: AbstractStateLoad,
+    time: Any,
+    followed: Followed,
+) -> AbstractStateLoad:
+    """A load as the force that presses it makes it at an instant."""
+    name = load.pressed_by()
+    if name is None:
+        return load
+    return load.under(force_of(system, motions, name, time, followed))
+
+
+def coordinate_effect(
+    system: System, motions: tuple[Motion, ...], name: str, time: Any, followed: Followed
+) -> CoordinateEffect:
+    """What a load on coordinates, or a coupling that is a force, does at an instant."""
+    load: Any = system.loads[name]
+    seen = seen_coordinates(system, motions, load, followed)
+    pressed = as_pressed(system, motions, load, time, followed)
+    return pressed.effect(time, *seen, states_of(name, load, followed))
+
+
+def force_of(
+    system: System, motions: tuple[Motion, ...], name: str, time: Any, followed: Followed
+) -> Any:
+    """What a load gives along its first coordinate, or a coupling that is no row transmits
+    [N m, N]."""
+    if name in system.transmissions:
+        return -jnp.asarray(pressing_of(system, motions, followed)[name].torque, float)
+    load = system.loads[name]
+    effect = coordinate_effect(system, motions, name, time, followed)
+    coupled = isinstance(load, AbstractForceCoupling)
+    return jnp.asarray(load.transmitted(effect) if coupled else effect.forces[0], float)
 
 
 def effect_of(

@@ -73,7 +73,7 @@ def shortened(step: Array, scales: Array, longest: float = LONGEST_STEP) -> Arra
     """A step of the free speeds, no longer than this [rad, longest arms]. The steps that decide are
     short, so the shortening is not differentiated: the derivative of a largest entry is 0 / 0 where
     XLA works the entries out twice and rounds them differently."""
-    size = jnp.maximum(jnp.max(jnp.abs(step / scales)), longest)
+    size = jnp.max(jnp.abs(step / scales), initial=longest)
     return step * jax.lax.stop_gradient(longest / size)
 
 

@@ -118,11 +118,16 @@ def _open_loop(mechanism: Mechanism, start: Start, name: str) -> str:
 
 
 def _dead_point(mechanism: Mechanism, start: Start, name: str) -> str:
+    loop, drives = _loop(mechanism, name), ", ".join(map(repr, mechanism.driven))
+    remain = f"{_most(start.rates[name]):.3g} m/s (or rad/s) remain"
+    if not np.any(start.jacobians[name]):
+        return (
+            f"the drives of {drives} contradict the {loop}, which no other joint can follow: "
+            f"{remain}. Drive fewer joints, or give drives that fit."
+        )
     return (
-        f"the mechanism stands at a dead point: the {_loop(mechanism, name)} cannot follow the "
-        f"drive of {', '.join(map(repr, mechanism.driven))} from here, "
-        f"{_most(start.rates[name]):.3g} m/s (or rad/s) "
-        "remain. Drive another joint, or start elsewhere."
+        f"the mechanism stands at a dead point: the {loop} cannot follow the drive of {drives} "
+        f"from here, {remain}. Drive another joint, or start elsewhere."
     )
 
 

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.components.body import GROUND, Body, Connection
+from jaxclear.components.body import GROUND, Body, Connection, Marker
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import (
     AbstractCoordinateCoupling,
@@ -105,7 +105,7 @@ def check_own_load(name: str, load: Any) -> None:
         shape_of(told, NUMBER, NUMBER, NUMBER)
     if isinstance(load, AbstractBodyLoad):
         what, markers = f'load "{name}", its effect(time, motions),', load.markers()
-        told = lambda *at: _effect(what, asked(what, load.effect, *at), len(markers))
+        told = lambda *at: _effect(what, asked(what, load.effect, *at), markers)
         shape_of(told, NUMBER, (SEEN,) * len(markers))
 
 
@@ -122,15 +122,14 @@ def is_own(part: Any) -> bool:
     return type(part).__module__.partition(".")[0] != __name__.partition(".")[0]
 
 
-def _effect(what: str, effect: Any, markers: int) -> None:
+def _effect(what: str, effect: Any, markers: tuple[Marker, ...]) -> None:
     expect(effect, Effect, f"{what} returns what", "a jaxclear.load.Effect")
-    if len(effect.actions) != markers:
-        raise ValueError(
-            f"{what} returns {len(effect.actions)} actions; its {markers} markers need one each, "
-            "in their order, of zeros where nothing acts."
-        )
-    for action in effect.actions:
+    for order, action in enumerate(effect.actions):
         expect(action, Action, f"{what} returns an action that", "a jaxclear.load.Action")
+        try:
+            action.place_among(markers, order)
+        except ValueError as error:
+            raise ValueError(f"{what} returns {error}") from None
         _numbers(f"{what} an action's force,", action.force, "xyz")
         _numbers(f"{what} an action's torque,", action.torque, "xyz")
     _numbers(what, effect[1:], Effect._fields[1:])
@@ -172,6 +171,7 @@ def check_parts(bodies: dict, connections: dict, loads: dict, couplings: dict) -
         _check_load(name, load, bodies, connections, known)
         if isinstance(load, AbstractStateLoad):
             _check_motors(name, load, couplings)
+            _check_pressed(name, load, loads, couplings)
         if name in couplings and isinstance(load, AbstractStateLoad):
             raise ValueError(
                 f'"{name}" is a coupling and a load; both may have states, so give one of them '
@@ -263,6 +263,26 @@ def _check_motors(name: str, load: AbstractStateLoad, couplings: dict) -> None:
         raise ValueError(
             f'load "{name}" acts on the motor of joint "{joint}", which the motors of '
             f"{listed(turning)} turn; take a load of your own on one of them."
+        )
+
+
+def _check_pressed(name: str, load: AbstractStateLoad, loads: dict, couplings: dict) -> None:
+    """That what presses a load is there, and has a force at an instant in every integrator."""
+    by = load.pressed_by()
+    if by is None:
+        return
+    acting = {n: own for n, own in loads.items() if isinstance(own, AbstractStateLoad)}
+    check_known("load or coupling", by, [*acting, *couplings], f' to press load "{name}"')
+    coupling, presser = couplings.get(by), acting.get(by)
+    if coupling is not None and not (coupling.gives or isinstance(coupling, AbstractForceCoupling)):
+        raise ValueError(
+            f'load "{name}" is pressed by coupling "{by}", which is rigid and has no force at an '
+            "instant; give it stiffness."
+        )
+    if presser is not None and (presser.sides() or presser.dry_friction() is not None):
+        raise ValueError(
+            f'load "{name}" is pressed by load "{by}", a {type(presser).__name__}, whose force '
+            "steps find; put a spring (load.JointSpring) or a torque in its place."
         )
 
 

@@ -201,8 +201,7 @@ def work_precision(advice: Advice, *, ax: Any = None) -> Any:
     axis.set_yscale("log")
     axis.set_ylim(top=LARGEST_ERROR)
     axis.set_xlabel("evaluations of forces in a run [1]")
-    over = ", means over the copies" if advice.wanted.means else ""
-    axis.set_ylabel(f"largest estimated error of a response [1]{over}")
+    axis.set_ylabel("largest estimated error of a response [1]")
     sheet.title(f"Recommended: {as_typed(advice.recommended)}")
     sheet.legend()
     return sheet.done(advice.warnings())

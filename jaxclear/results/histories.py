@@ -24,7 +24,7 @@ from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.ground.printing import AbstractShown
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import is_traced, on_numbers
 from jaxclear.ground.table import as_table
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import public_name
@@ -97,9 +97,9 @@ class BodyHistory(AbstractHistory):
         return _accelerations(self.history)[self.name][1]
 
     @property
-    def quaternion(self) -> np.ndarray:
-        """Orientation as unit quaternions, scalar first."""
-        return quaternion_from_rotation(np.asarray(self.rotation))
+    def quaternion(self) -> Float[Array, "time 4"]:
+        """Orientation as unit quaternions, scalar first and not negative."""
+        return quaternion_from_rotation(self.rotation)
 
 
 class MarkerHistory(AbstractHistory):
@@ -169,6 +169,7 @@ class ContactHistory(AbstractHistory):
     torque: Float[Array, "time 3"] = measured("N m")
     names: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
 
+    @on_numbers
     def table(self) -> Any:
         """A pandas table over time [s], a column for each number, labelled with its unit."""
         columns = {"time [s]": np.asarray(self.time)}

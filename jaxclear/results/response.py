@@ -270,7 +270,8 @@ def _largest_met(run: Trajectory, joint: str) -> Scalar:
     """Largest force [N] of any step, and elastic force at the deepest indentation; 0 where none was
     kept, and of contacts whose law changes with the radius as worn."""
     extremes = run.extremes
-    if extremes is None or run.formulation.forces_are_means:
+    followed = extremes is not None and joint in extremes.contacts
+    if not followed or run.formulation.forces_are_means:
         return jnp.zeros(())
     bearing = run.history.model().system.bearings[joint]
     depths, *forces = (

@@ -20,7 +20,7 @@ from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground.arguments import check_count, check_flags, check_known
 from jaxclear.ground.printing import AbstractShown, shown_in_words
-from jaxclear.ground.quantity import is_traced, on_host
+from jaxclear.ground.quantity import constant, is_traced, on_host, on_numbers
 from jaxclear.ground.table import as_table
 from jaxclear.integrators.checks import Checks, Outcome
 from jaxclear.integrators.events import Events
@@ -194,22 +194,25 @@ class Trajectory(AbstractShown):
         return on_host(self.outcome) == Outcome.REACHED
 
     @property
+    @on_numbers
     def result(self) -> str:
         """A sentence: that the run reached its end, or when and why it did not; and what it warns
         of."""
         self.history.check_single()
-        sentence = Outcome(int(self.outcome)).sentence
-        if not self.succeeded:
-            told = f"The run ended early, after {float(self.ended):.6g} s. {sentence}"
-            if self.outcome == Outcome.SINGULAR_POSITION:
-                return " ".join([told, *in_sentences(self.singular_positions)])
-            why = self.invariants.before_the_end if self.outcome == Outcome.NOT_FINITE else ()
+        run = constant(self)
+        sentence = Outcome(int(run.outcome)).sentence
+        if not run.succeeded:
+            told = f"The run ended early, after {float(run.ended):.6g} s. {sentence}"
+            if run.outcome == Outcome.SINGULAR_POSITION:
+                return " ".join([told, *in_sentences(run.singular_positions)])
+            why = run.invariants.before_the_end if run.outcome == Outcome.NOT_FINITE else ()
             return " ".join([told, *why])
-        if not self.warnings:
+        if not run.warnings:
             return sentence
-        return f"{sentence.removesuffix('.')}, with warnings: {' '.join(self.warnings)}"
+        return f"{sentence.removesuffix('.')}, with warnings: {' '.join(run.warnings)}"
 
     @property
+    @on_numbers
     def warnings(self) -> tuple[str, ...]:
         """Its `doubts`, a sentence for each of its `invariants` beyond its limit, one for answers
         whose numerical error is beyond what the integrator promises, and one where a loop left a
@@ -237,7 +240,7 @@ class Trajectory(AbstractShown):
             many, ended = np.size(self.outcome), int(np.sum(self.succeeded))
             return f"A batch of {many} runs, of which {ended} reached their end; run[i] is one."
         steps = f"{int(self.accepted_steps)} steps, {len(self.time)} saved instants"
-        lines = [self.result, f"{float(self.ended):.6g} s in {steps}."]
+        lines = [self.result, f"{float(constant(self.ended)):.6g} s in {steps}."]
         topology = self.mechanism.topology
         known = [f"The loops are {topology.redundancy}"] if topology.overconstrained else []
         if self.succeeded:
@@ -300,6 +303,7 @@ class Trajectory(AbstractShown):
         saving times."""
         return histories.contact_impulse(self.history, name)
 
+    @on_numbers
     def modes(self, name: str) -> Any:
         """How the journal of a clearance joint moves: free flight, impact, contact (`Mode`), as a
         pandas table of the phases (from [s], to [s], mode, approach speed [m/s] of an impact, what
@@ -310,6 +314,7 @@ class Trajectory(AbstractShown):
         """
         return modes.table(self.history, name, self.noted)
 
+    @on_numbers
     def events(self, *names: str) -> Any:
         """Touches and releases of joints (all with clearance by default) in their order, as a
         pandas table (time [s], joint, contact, event, speed [m/s]): instants of the run, located
@@ -317,6 +322,7 @@ class Trajectory(AbstractShown):
         there were more than that many of a contact between two saving times."""
         return modes.events(self.history, self.noted, names)
 
+    @on_numbers
     def combined_modes(self, *names: str) -> Any:
         """The modes of several joints (all with clearance by default) side by side, as a pandas
         table: a row whenever one of them changes."""
@@ -329,6 +335,7 @@ class Trajectory(AbstractShown):
         integrator.NonColliding."""
         return histories.situations(self.history, name)
 
+    @on_numbers
     def switchings(self, name: str) -> Any:
         """Instants at which such a joint begins to carry in another way, or another flank of a
         coupling with play to press, as a pandas table (time [s], from, to).
@@ -402,6 +409,7 @@ class Trajectory(AbstractShown):
         """Energies over time; needs a run with `balance=True`."""
         return histories.energies(self.history)
 
+    @on_numbers
     def to_dataset(self, *, flat: bool = False) -> Any:
         """Everything as an xarray DataTree by body and joint, with units: `tree["crank"].com`,
         `tree["B/bearing"].worn_depth`. `flat`: as one Dataset with names such as "crank.com", which
@@ -412,6 +420,7 @@ class Trajectory(AbstractShown):
         attributes.update(self.invariants.attributes() | self.verification.attributes())
         return export.of_run(self.history, self.worn, attributes, flat)
 
+    @on_numbers
     def to_vtk(self, folder: Any, *, frames: int = 200, meshes: Any = None) -> Path:
         """Writes a time series for ParaView into a folder: `run.pvd` names a file for each of at
         most so many `frames`, spread over the saving times; returns its path. Each holds bodies

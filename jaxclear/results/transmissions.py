@@ -16,7 +16,7 @@ from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.table import as_table
-from jaxclear.multibody.forces import seen_coordinates, states_of
+from jaxclear.multibody.forces import coordinate_effect, force_of
 from jaxclear.multibody.system import coordinate_loads, scale_of
 from jaxclear.multibody.topology import motor_name
 from jaxclear.results.histories import AbstractHistory, driving, measured, of_row, solved
@@ -109,12 +109,10 @@ def _of_load(history: StateHistory, name: str) -> Float[Array, " time"]:
     over each saving interval."""
 
     def one(now: Instant):
-        found, load = forces_of_means(now), now.model.system.loads[name]
+        found = forces_of_means(now)
         if impulse_of(name) in found:
             return jnp.asarray(found[impulse_of(name)], float)
-        seen = seen_coordinates(now.model.system, now.motions, load, now.followed)
-        effect = load.effect(now.time, *seen, states_of(name, load, now.followed))
-        return jnp.asarray(effect.forces[0], float)
+        return force_of(now.model.system, now.motions, name, now.time, now.followed)
 
     return over_time(history, one)
 
@@ -127,10 +125,7 @@ def _given(history: StateHistory, name: str) -> Float[Array, " time"]:
     def one(now: Instant):
         own = history.mechanism.couplings[name]
         if isinstance(own, AbstractForceCoupling):
-            system = now.model.system
-            seen = seen_coordinates(system, now.motions, own, now.followed)
-            states = states_of(name, own, now.followed)
-            return jnp.asarray(own.transmitted(own.effect(now.time, *seen, states)), float)
+            return force_of(now.model.system, now.motions, name, now.time, now.followed)
         if own.gives:
             return -jnp.asarray(history.formulation.forces(now).pressing[name].torque, float)
         return _geared(history, now, name)
@@ -150,7 +145,6 @@ def _geared(history: StateHistory, now: Instant, name: str) -> Any:
     force = -coupling.motor.inertia * faster
     for label, load in coordinate_loads(system):
         if motor in load.coordinates():
-            seen = seen_coordinates(system, now.motions, load, now.followed)
-            acts = load.effect(now.time, *seen, states_of(label, load, now.followed))
+            acts = coordinate_effect(system, now.motions, label, now.time, now.followed)
             force = sp.add(force, acts.forces[load.coordinates().index(motor)])
     return jnp.asarray(own.ratio * force, float)

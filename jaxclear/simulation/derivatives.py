@@ -30,10 +30,11 @@ from jaxtyping import Array, Float
 from jaxclear.errors.estimates import HALF
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.outcome import Unknown
-from jaxclear.ground.quantity import Scalar, is_traced
+from jaxclear.ground.quantity import Scalar, constant, is_traced
 from jaxclear.ground.tangents import pushed
 from jaxclear.ground.wording import public_name
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
+from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import by_columns
 from jaxclear.results.trajectory import Trajectory
@@ -118,6 +119,32 @@ def _undifferentiated(sentence: str, numbers: Any) -> Any:
 @_undifferentiated.defjvp
 def _refuse(sentence, primals, tangents):
     raise ValueError(sentence)
+
+
+def until_the_end(run: Trajectory) -> Trajectory:
+    """The run, whose states at saving times that it did not reach have no derivative: nan."""
+    if not is_traced(run.states):
+        return run
+    reached = (run.time <= run.ended) | (run.outcome == Outcome.REACHED)
+    states = _where_reached(run.states, constant(reached))
+    return eqx.tree_at(lambda run: run.history.states, run, states)
+
+
+@jax.custom_jvp
+def _where_reached(states: Array, reached: Array) -> Array:
+    """The states as they are."""
+    return states
+
+
+@_where_reached.defjvp
+def _not_beyond(primals, tangents):
+    known, nan = primals[1][:, None], Unknown.NOT_REACHED.number
+    forwards = lambda _, tangent: jnp.where(known, tangent, nan)
+    # What is not asked for in reverse mode stays 0.
+    backwards = lambda _, cotangent: jnp.where(known | (cotangent == 0), cotangent, nan)
+    # Of JAX's linear functions with a transpose of their own the one that `vmap` maps.
+    linear = jax.lax.custom_linear_solve
+    return primals[0], linear(lambda x: x, tangents[0], forwards, backwards)
 
 
 # The lengths of the other steps beside that of the run, by the order of its derivatives; and where

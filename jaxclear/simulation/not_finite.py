@@ -13,9 +13,10 @@ import numpy as np
 from jaxclear.components.acting import AbstractStateLoad
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.quantity import constant
 from jaxclear.ground.wording import listed, public_name
 from jaxclear.integrators.checks import Outcome
-from jaxclear.multibody.forces import effect_of, seen_coordinates, states_of
+from jaxclear.multibody.forces import coordinate_effect, effect_of
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import body_loads, coordinate_loads
 from jaxclear.multibody.validation import is_own
@@ -31,6 +32,7 @@ STABLE = 2.78
 def told_of_the_end(trajectory: Trajectory) -> str:
     """Why a run of one mechanism ended, with a sentence more where it is known why its state is not
     finite."""
+    trajectory = constant(trajectory)
     if int(trajectory.outcome) == Outcome.TOO_MANY_STEPS:
         return f"{trajectory.result} {_of_springs(trajectory.mechanism)}".rstrip()
     if int(trajectory.outcome) not in (Outcome.NOT_FINITE, Outcome.STEP_TOO_SMALL):
@@ -91,9 +93,8 @@ def _of_loads(history: StateHistory) -> str:
                 out[name] = sp.total(x for each in found.actions for x in (*each[1], *each[2]))
         for name, held in coordinate_loads(system):
             if is_own(held):
-                seen = seen_coordinates(system, now.motions, held, now.followed)
-                states = states_of(name, held, now.followed)
-                out[name] = sp.total(held.effect(now.time, *seen, states).forces)
+                acts = coordinate_effect(system, now.motions, name, now.time, now.followed)
+                out[name] = sp.total(acts.forces)
         return {name: jnp.asarray(x, float) for name, x in out.items()}
 
     seen = [history]

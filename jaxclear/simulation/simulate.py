@@ -36,6 +36,7 @@ from jaxclear.simulation.derivatives import (
     is_compared,
     order_of,
     run_where_alike,
+    until_the_end,
 )
 from jaxclear.simulation.initial_state import Beginning, beginning, state_of
 from jaxclear.simulation.load_steps import LoadSteps, felt_along, judged_by, load_steps
@@ -303,7 +304,7 @@ def _simulated(
             else:
                 _, more = felt_along(found, integrator)
             passed = passed | more
-            found = judged_by(passed, diagnosed(guarded(found, integrator)))
+            found = judged_by(passed, until_the_end(diagnosed(guarded(found, integrator))))
         found = verified(found, integrator, again, how.verify, asked)
     return dataclasses.replace(found, doubts=(doubt,)) if doubt else found
 

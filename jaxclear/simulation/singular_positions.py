@@ -88,7 +88,7 @@ def diagnosed(trajectory: Trajectory) -> Trajectory:
     outcome = diagnosed_outcome(trajectory)
     near = None
     if int(outcome) in MAY_BE_SINGULAR:
-        near = _where_it_ended(trajectory.history, trajectory.ended)
+        near = _where_it_ended(trajectory.history, constant(trajectory.ended))
     if near is None:
         return dataclasses.replace(trajectory, outcome=outcome)
     outcome = jnp.full_like(outcome, int(Outcome.SINGULAR_POSITION))
@@ -128,7 +128,7 @@ def _closable(
         done, q, _ = carry
         time = start + (stop - start) * done / (INSTANTS - 1)
         q = closed(asked, q, time, ITERATIONS)
-        left = jnp.max(jnp.abs(stacked(asked, blocks_of(asked, q, time))[1]))
+        left = jnp.max(jnp.abs(stacked(asked, blocks_of(asked, q, time))[1]), initial=0.0)
         return done + 1, q, left <= CLOSED * jnp.minimum(asked.arm, 1.0)
 
     return jax.lax.while_loop(goes_on, follow, (jnp.asarray(0), q, jnp.asarray(True)))[2]
@@ -178,7 +178,8 @@ def _carried_on(
         blocks = blocks_of(asked, q, time)
         left = stacked(asked, blocks)[1]
         # To first order in what is left the position is the same.
-        return q, (alike(asked, blocks)[0], jnp.max(jnp.abs(left)) <= NEARLY**2 * asked.arm)
+        closed_enough = jnp.max(jnp.abs(left), initial=0.0) <= NEARLY**2 * asked.arm
+        return q, (alike(asked, blocks)[0], closed_enough)
 
     lengths = jnp.diff(times, prepend=times[:1])
     rows, follows = jax.lax.scan(follow, q, (times, lengths))[1]

@@ -191,7 +191,7 @@ class Positions(AbstractShown):
         for name in scene.mechanism.bodies:
             pose = self.body(name)
             columns[f"{name}.com"] = Column(axis, pose.com, "m", f"centre of mass of {name}")
-            turn = quaternion_from_rotation(np.asarray(pose.rotation))
+            turn = np.asarray(quaternion_from_rotation(pose.rotation))
             meaning = f"orientation of {name}, scalar first"
             columns[f"{name}.quaternion"] = Column(("position", "component"), turn, "1", meaning)
         for name in self.seats:

@@ -244,7 +244,7 @@ def _led_to_seat(marker: Marker, offset: np.ndarray, slope: np.ndarray) -> Marke
             lambda own: own.at, marker, as_vector(place), is_leaf=lambda x: x is None
         )
     lean = np.asarray(sp.dense(frame_with_axis((*slope, 1.0))), float).reshape(3, 3)
-    return Marker(marker.body, place, quaternion=quaternion_from_rotation(turn @ lean))
+    return Marker(marker.body, place, quaternion=np.asarray(quaternion_from_rotation(turn @ lean)))
 
 
 # Steps after which a rest that has not been found counts as none; forces that are left at one,

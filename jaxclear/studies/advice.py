@@ -8,7 +8,7 @@ model leaves out is how far it is from the stated one, beside that one's referen
 
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -24,16 +24,14 @@ from jaxclear.errors.choice import (
     Search,
     Tried,
     budget_of,
-    listed_rung,
     others_of,
     rungs_of,
 )
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_flags, check_known, check_number, expect
+from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import as_typed
 from jaxclear.ground.quantity import AbstractQuantified, count, inside, numbers
-from jaxclear.ground.wording import described
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.simulation.initial_state import beginning
@@ -43,14 +41,9 @@ from jaxclear.studies.answer import AbstractAnswer, Column, Stated
 from jaxclear.studies.mechanism_problem import answer
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import draw
-from jaxclear.studies.statistics.scrambled import student
 
-# Integrators by the name of their method, each from coarse to fine.
-Candidates = Mapping[str, Sequence[AbstractIntegrator]]
-# What is tried beside candidates, and what the user had.
-REFERENCE, PRESENT = "reference", "the problem's own"
-# Means over fewer copies have no error worth the name.
-FEWEST = 3
+# What the user had.
+PRESENT = "the problem's own"
 # Of n copies the worst must keep within n / (n + SPARED) of the accuracy: then another one exceeds
 # it about once in a hundred where errors scatter normally, whatever n.
 SPARED = 3.0
@@ -58,6 +51,7 @@ SPARED = 3.0
 # error control, beside which the others stand: the contacts of a flap, of rates of 1e9 1/s, close
 # all at once.
 MORE = 10.0
+PARTING = "Where single runs part, as chaotic ones do, ask for means over a sample (monte_carlo)."
 
 
 class PilotSettings(AbstractQuantified):
@@ -147,29 +141,21 @@ class Copies:
 
 
 class Asked(NamedTuple):
-    """The accuracy [1] asked of responses, beside their root mean square over the copies or the
-    `sizes` that are given; of single runs, or of `means` over the copies."""
+    """The accuracy [1] asked of responses, beside their root mean square over the copies."""
 
     accuracy: float
-    sizes: Mapping[str, float]
-    means: bool
 
     def limit(self, copies: int) -> float:
         """The largest error told that passes [1]."""
-        return self.accuracy * (1.0 if self.means or copies == 1 else copies / (copies + SPARED))
+        return self.accuracy * (1.0 if copies == 1 else copies / (copies + SPARED))
 
     def beside(self, one: dict, other: dict) -> dict[str, float]:
         """By response how far two settings are apart, beside what is allowed."""
-        return {name: beside(*self._apart(name, one[name], other[name])) for name in one}
-
-    def _apart(self, name: str, one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
-        size = self.sizes.get(name, float(np.sqrt(np.mean(one**2))))
-        off, copies = one - other, len(one)
-        apart = float(np.max(np.abs(off)))
-        if self.means:
-            width = student(copies) * off.std(ddof=1) / math.sqrt(copies)
-            apart = float(abs(off.mean()) + width)
-        return apart, size * self.limit(copies)
+        found = {}
+        for name, own in one.items():
+            allowed = float(np.sqrt(np.mean(own**2))) * self.limit(len(own))
+            found[name] = beside(float(np.max(np.abs(own - other[name]))), allowed)
+        return found
 
 
 class Trial(NamedTuple):
@@ -204,8 +190,8 @@ class Advice(AbstractAnswer):
     the others, `table()` every trial; `jaxclear.plot.work_precision` draws it.
 
     `chosen`: the trial that is recommended, `trials` all of them; `cost` [s/s]: CPU time for a
-    simulated second of one run. `at(accuracy)` asks the same at another accuracy, `of_means()` of
-    means over the copies; both run only what is not known yet.
+    simulated second of one run. `at(accuracy)` asks the same at another accuracy, and runs
+    only what is not known yet.
     """
 
     copies: Copies = eqx.field(static=True)
@@ -214,7 +200,6 @@ class Advice(AbstractAnswer):
     trials: tuple[Trial, ...]
     chosen: Trial
     cost: float
-    if_means: Trial | None = None
 
     @property
     def asked(self) -> Problem:
@@ -245,14 +230,11 @@ class Advice(AbstractAnswer):
         """The same at another accuracy."""
         return _advised(self.copies, self.wanted._replace(accuracy=_checked(accuracy)), self.rungs)
 
-    def of_means(self) -> "Advice":
-        """The same of means over the copies."""
-        _check_means(len(self.copies.values))
-        return _advised(self.copies, self.wanted._replace(means=True), self.rungs)
-
     def sentence(self) -> str:
         """The answer in plain words."""
-        parts = [self._recommended(), *self._models(), self._own(), *self._means()]
+        parts = [self._recommended(), *self._models(), self._own()]
+        if not self.met:
+            parts.append(PARTING)
         many = len(self.copies.values)
         runs = "one run" if many == 1 else f"{many} runs within the tolerances"
         return " ".join([*parts, *self.warnings(), f"Seen on {runs}."])
@@ -289,20 +271,6 @@ class Advice(AbstractAnswer):
             return f"{text} fails: {own.remark}"
         which, off = own.worst
         return f'{text} is {_percent(off)} off in "{which}" with {self._times(own)}.'
-
-    def _means(self) -> Iterator[str]:
-        copies = len(self.copies.values)
-        if self.wanted.means:
-            yield "Judged are means over the copies, not single runs."
-            if not self.met:
-                more = math.ceil(copies * (self.chosen.worst[1] / self.accuracy) ** 2)
-                yield f"Some {more} copies would tell them so far."
-        elif self.if_means is not None:
-            text = as_typed(self.if_means.integrator)
-            yield f"If only means over the tolerances count, {text} is enough."
-        elif not self.met:
-            least = f"at least {FEWEST}" if copies < FEWEST else "more"
-            yield f"Where single runs part, as chaotic ones do, ask means over {least} copies."
 
     def _shown(self):
         others = (f"Not {name}: {why}" for name, why in self.why_not().items())
@@ -361,8 +329,8 @@ class Advice(AbstractAnswer):
 
 
 class _Rungs(NamedTuple):
-    """Rungs by the name of their method: of the model as it is `stated`, or as the user asks, and
-    of `other` models of contact."""
+    """Rungs by the name of their method: of the model as it is `stated`, and of `other` models of
+    contact."""
 
     stated: dict[str, Rung]
     other: dict[str, Rung]
@@ -373,33 +341,24 @@ def advise(
     problem: Problem,
     accuracy: float = 0.01,
     *,
-    candidates: Candidates | None = None,
     pilot: PilotSettings | None = None,
-    scales: Mapping[str, float] | None = None,
-    means: bool = False,
     progress_bar: bool = False,
 ) -> Advice:
     """The integrator that keeps `accuracy` in every response of a problem at the least work; see
     `Advice`. It is what `Problem(accuracy=)` chooses from the nominal sample, asked of several
     samples and of more methods; work is counted in evaluations of forces.
 
-    `accuracy` [1]: largest error beside a response's root mean square over the copies, or its size
-    in `scales` (for a response about zero). `candidates`: integrators to try in the place of all
-    that jaxclear has, by method, coarse to fine; those of another model of contact count by how far
-    they are from the stated one. `pilot`: the runs it is founded on. `means`: judge means over the
-    copies instead of single runs. Raises
+    `accuracy` [1]: largest error beside a response's root mean square over the copies. `pilot`: the
+    runs it is founded on. Raises
     `ValueError` with a sentence for what cannot be asked, and where no run gives numbers.
     """
     check_double_precision()
     expect(problem, Problem, "what advice is given on", "a jaxclear.Problem")
     pilot = PilotSettings() if pilot is None else pilot
     expect(pilot, PilotSettings, "the pilot", "a jaxclear.PilotSettings")
-    check_flags("advise", means=means, progress_bar=progress_bar)
-    asked = Asked(_checked(accuracy), _checked_sizes(problem, scales), means)
-    copies = Copies(problem, _values(problem, pilot))
-    if means:
-        _check_means(len(copies.values))
-    return _advised(copies, asked, _rungs(problem, copies.times, candidates), progress_bar)
+    check_flags("advise", progress_bar=progress_bar)
+    asked, copies = Asked(_checked(accuracy)), Copies(problem, _values(problem, pilot))
+    return _advised(copies, asked, _rungs(problem, copies.times), progress_bar)
 
 
 def _searched(
@@ -437,7 +396,12 @@ def _advised(copies: Copies, asked: Asked, rungs: _Rungs, progress_bar: bool = F
     found = search.best or search.nearest
     if found is None:
         raise ValueError(_why_nothing(copies, rungs))
-    _check_sizes(asked, found)
+    for name, answers in found.seen.items():
+        if not np.any(answers):
+            raise ValueError(
+                f'response "{name}" is 0 in every copy, which gives an error no measure; add its '
+                "size to it, or leave it out."
+            )
     seen, limit = (search.reference or found).seen, asked.limit(len(copies.values))
     shares = lambda errors: {name: limit * error for name, error in errors.items()}
     off = lambda answers: shares(asked.beside(answers, seen))
@@ -457,24 +421,16 @@ def _advised(copies: Copies, asked: Asked, rungs: _Rungs, progress_bar: bool = F
     present = Trial(PRESENT, own, round(work * runs.steps), errors, {}, meets, runs.failure)
     chosen = trials[id(found)]
     cost = copies.seconds(chosen.integrator) / float(copies.problem.duration)
-    enough = chosen.meets or asked.means or len(copies.values) < FEWEST
-    means = None if enough else _advised(copies, asked._replace(means=True), rungs)
-    told = means.chosen if means is not None and means.met else None
-    return Advice(copies, asked, rungs, (present, *trials.values()), chosen, cost, told)
+    return Advice(copies, asked, rungs, (present, *trials.values()), chosen, cost)
 
 
-def _rungs(problem: Problem, times: np.ndarray, candidates: Candidates | None) -> _Rungs:
-    """What is tried: the candidates beside a reference, or all that suits the mechanism."""
+def _rungs(problem: Problem, times: np.ndarray) -> _Rungs:
+    """All that suits the mechanism."""
     mechanism = problem.mechanism
     accepts = lambda integrator: check_run(mechanism, integrator)
-    first = rungs_of(mechanism, times, accepts)
-    if candidates is None:
-        more, other = others_of(mechanism, times, accepts)
-        named = lambda rungs: {_method(rung.first): rung for rung in rungs}
-        return _Rungs(named([*first, *more]), named(other))
-    _check_candidates(candidates)
-    own = {name: listed_rung(settings, mechanism) for name, settings in candidates.items()}
-    return _Rungs({REFERENCE: first[0], **own}, {})
+    more, other = others_of(mechanism, times, accepts)
+    stated = [*rungs_of(mechanism, times, accepts), *more]
+    return _Rungs(*({_method(rung.first): rung for rung in own} for own in (stated, other)))
 
 
 def _method(integrator: Any) -> str:
@@ -522,48 +478,3 @@ def _checked(accuracy: Any) -> float:
     wanted = "the accuracy (a share of each response, 0.01 for 1 %)"
     check_number(wanted, accuracy, above=0, below=1)
     return float(accuracy)
-
-
-def _checked_sizes(problem: Problem, scales: Any) -> dict[str, float]:
-    scales = {} if scales is None else scales
-    expect(scales, Mapping, "scales of advise", "a dictionary: a size by response")
-    for name, size in scales.items():
-        check_known("response", name, problem.response_names, " in this problem")
-        check_number(f'the scale of response "{name}" (in its own unit)', size, above=0)
-    return {name: float(size) for name, size in scales.items()}
-
-
-def _check_sizes(asked: Asked, found: Tried) -> None:
-    """Raises `ValueError` for a response of no size."""
-    for name, answers in found.seen.items():
-        if name not in asked.sizes and not np.any(answers):
-            raise ValueError(
-                f'response "{name}" is 0 in every copy, which gives an error no measure; give its '
-                "size in `scales`."
-            )
-
-
-def _check_means(copies: int) -> None:
-    """Raises `ValueError` with a sentence where copies are too few for means."""
-    if copies < FEWEST:
-        raise ValueError(
-            f"means need at least {FEWEST} copies of a problem with variables; there are {copies}."
-        )
-
-
-def _check_candidates(candidates: Any) -> None:
-    """Raises `ValueError` with a sentence for what cannot be tried."""
-    if not isinstance(candidates, Mapping) or not candidates:
-        raise ValueError(
-            f"candidates is {described(candidates)}; it must name one or more sequences of "
-            "integrators, coarse to fine."
-        )
-    for name, settings in candidates.items():
-        if name in (REFERENCE, PRESENT):
-            raise ValueError(f'no method may be called "{name}"; the advice has one of that name.')
-        known = isinstance(settings, Sequence) and settings
-        if not known or not all(isinstance(each, AbstractIntegrator) for each in settings):
-            raise ValueError(
-                f'candidates["{name}"] is {settings!r}; it must be a sequence of integrators, '
-                "coarse to fine."
-            )

@@ -27,7 +27,6 @@ from jaxclear.studies.endless import answered, check_told, endless_sentences, re
 from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
 from jaxclear.studies.sampling import (
-    OF_ONE_SIZE,
     Drawing,
     check_sampled,
     checked_scramblings,
@@ -317,9 +316,8 @@ def monte_carlo(
 ) -> MonteCarlo:
     """Responses over a random sample of the variables.
 
-    `sampling`: "sobol" (scrambled, quasi-random), "latin" (Latin hypercubes, as other programs draw
-    them) or "random". The sample consists of independent `scramblings` (of Latin hypercubes:
-    repetitions), by default near its root and at most 8, whose differences tell the error of every
+    `sampling`: "sobol" (scrambled, quasi-random) or "random". The sample consists of independent
+    `scramblings`, by default near its root and at most 8, whose differences tell the error of every
     statistic. `accuracy`: half of the 95 % interval of each mean, as a share of the
     response's root mean square [1], or by response in its unit; samples are then doubled until it
     is reached, and `samples` are the most. `chunk`: samples run together, by
@@ -327,23 +325,18 @@ def monte_carlo(
     are run again with finer steps, which tells `numerical_error` of every statistic. A sample that
     fails is counted, named and kept; so is one whose run warns of its own numbers.
     """
-    check_sampled(problem, samples, seed, sampling, OF_ONE_SIZE)
+    check_sampled(problem, samples, seed, sampling)
     check_flags("monte_carlo", verify=verify, progress_bar=progress_bar)
     if chunk is not None:
         check_count("chunk of monte_carlo", chunk)
     asked = asked_of(accuracy, problem.response_names)
-    if asked is not None and sampling == "latin":
-        raise ValueError(
-            "a Latin hypercube has a fixed number of samples and cannot grow until an accuracy is "
-            'reached; take sampling="sobol", or leave accuracy out.'
-        )
     first = samples if asked is None else min(samples, FIRST_SAMPLES)
     parts = checked_scramblings("monte_carlo", first, scramblings)
     chunk = chunk_size(problem, first, chunk)
     run = lambda values: evaluate_all(
         problem, jnp.asarray(values), chunk=chunk, progress_bar=progress_bar, label="Monte Carlo"
     )
-    drawing = Drawing(problem, seed, sampling, parts, samples)
+    drawing = Drawing(problem, seed, sampling, parts)
     sample, short = Grown(drawing, run, chunk), ""
     if asked is None:
         sample.to(samples)

@@ -24,11 +24,9 @@ from jaxclear.ground.arguments import check_count, check_known, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.inputs import Inputs
-from jaxclear.studies.scrambling import LatinHypercube, ScrambledSequence, normal_scores
+from jaxclear.studies.scrambling import ScrambledSequence, normal_scores
 
 SAMPLINGS = ("sobol", "random")
-# A Latin hypercube has all its points at once, and so only serves samples that do not grow.
-OF_ONE_SIZE = (*SAMPLINGS, "latin")
 # Points that are spread evenly gain with their number, so few scramblings are exact; differences of
 # few tell an error less well. 8 is the least power of two whose Student's factor, 2.36, is within a
 # quarter of that of many, 1.96: that much an interval widens where points gain nothing.
@@ -58,17 +56,11 @@ def by_scrambling(rows: np.ndarray, scramblings: int) -> np.ndarray:
     return rows.reshape(-1, scramblings, rows.shape[1]).swapaxes(0, 1)
 
 
-def check_sampled(
-    problem: Any,
-    samples: Any,
-    seed: Any,
-    sampling: Any = "sobol",
-    samplings: tuple[str, ...] = SAMPLINGS,
-) -> None:
+def check_sampled(problem: Any, samples: Any, seed: Any, sampling: Any = "sobol") -> None:
     """What is sampled, and how. Raises `ValueError` with a sentence."""
     check_double_precision()
     expect(problem, AbstractProblem, "what is sampled", "a jaxclear.Problem")
-    check_known("sampling", sampling, samplings)
+    check_known("sampling", sampling, SAMPLINGS)
     check_count("the number of samples", samples)
     check_count("seed", seed, at_least=0)
     if not problem.response_names:
@@ -109,15 +101,7 @@ class Drawing:
     """A sample that is drawn piece by piece, cheapest in the order of its numbers; by one thread at
     a time."""
 
-    def __init__(
-        self,
-        problem: AbstractProblem,
-        seed: int,
-        sampling: str,
-        scramblings: int,
-        samples: int = 0,
-    ):
-        """`samples`: how many there will be, of which only Latin hypercubes ask."""
+    def __init__(self, problem: AbstractProblem, seed: int, sampling: str, scramblings: int):
         self.inputs, self.count = problem.inputs, len(problem.names)
         # The first of all scramblings is that of the plain seed.
         self.seeds: list[Any] = [(seed, i) if i else seed for i in range(scramblings)]
@@ -125,10 +109,6 @@ class Drawing:
         self.sequences: list[Any] = []
         if sampling == "sobol":
             self.sequences = [ScrambledSequence(self.count, rng) for rng in rngs]
-        elif sampling == "latin":
-            sizes = np.bincount(groups(samples, scramblings), minlength=scramblings)
-            pairs = zip(rngs, sizes, strict=True)
-            self.sequences = [LatinHypercube(self.count, rng, int(size)) for rng, size in pairs]
 
     def span(self, first: int, last: int) -> np.ndarray:
         """Values (last - first, variables) of the samples from the first number up to the last."""

@@ -50,18 +50,6 @@ def scores_by_scrambling(sizes: np.ndarray, dimensions: int, seed: int) -> np.nd
     return scrambled_normal(int(np.sum(sizes)), dimensions, np.random.default_rng((seed, 0)))
 
 
-class LatinHypercube:
-    """One Latin hypercube of so many points. It does not grow."""
-
-    def __init__(self, dimensions: int, rng: np.random.Generator, count: int):
-        self.shares = scipy.stats.qmc.LatinHypercube(dimensions, rng=rng).random(count)
-
-    def points(self, first: int, last: int) -> np.ndarray:
-        """Points (last - first, dimensions) of the unit cube, from the first number up to the
-        last."""
-        return self.shares[first:last]
-
-
 def seed_of(*numbers: int) -> int:
     """A seed of its own for each row of numbers, which a study of a number near one of them does
     not have."""

@@ -16,11 +16,10 @@ import re
 import sysconfig
 from collections.abc import Iterator
 from pathlib import Path
-from types import CodeType, ModuleType
+from types import CodeType, MemberDescriptorType, ModuleType
 from typing import Any
 
 import equinox as eqx
-import jax
 import numpy as np
 
 from jaxclear.ground.quantity import IF_ANY
@@ -37,8 +36,33 @@ FUNCTION = "the function"
 CLASS, TOLD = "class ", "told"
 # Names by which a class tells of its fields; beside those that begin and end in a line.
 OF_FIELDS = ("_fields", "_field_defaults")
-# What a class may hold beside its functions that these go by.
-VALUES = (bool, int, float, complex, str, tuple, list, dict, np.ndarray, np.generic, jax.Array)
+# Functions of a class that make a thing, whose numbers are told, or show it.
+OF_NO_NUMBER = {
+    f"__{name}__"
+    for name in (
+        "init",
+        "new",
+        "post_init",
+        "check_init",
+        "init_subclass",
+        "repr",
+        "str",
+        "format",
+        "hash",
+        "eq",
+        "ne",
+        "setattr",
+        "delattr",
+        "reduce",
+        "reduce_ex",
+        "getstate",
+        "setstate",
+        "replace",
+        "annotate",
+        "annotate_func",
+        "getnewargs",
+    )
+}
 # Where in memory a thing lies is no part of what it is.
 ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
 # Where libraries lie.
@@ -119,9 +143,11 @@ def tell(thing: Any, path: str, found: dict[str, str], inside: tuple[int, ...] =
     elif (function := _function(thing)) is not None:
         _tell_function(function, path, found, inside)
     elif (parts := parts_of(thing)) is not None:
-        # Of a dictionary its names say all, whatever its class.
-        kind = dict if isinstance(thing, dict) else type(thing)
-        found[path] = _tell_class(kind, found, inside)
+        # Of a library's dictionary its names say all, whatever its class.
+        by_library = isinstance(thing, dict) and _of_library(type(thing).__module__)
+        found[path] = _tell_class(dict if by_library else type(thing), found, inside)
+        if not dataclasses.is_dataclass(thing):
+            parts |= _attributes(thing)
         for key, part in parts.items():
             tell(part, f"{path}{key}", found, inside)
     else:
@@ -129,15 +155,26 @@ def tell(thing: Any, path: str, found: dict[str, str], inside: tuple[int, ...] =
 
 
 def _tell_piece(thing: Any, path: str, found: dict[str, str], inside: tuple[int, ...]) -> None:
-    """What has no parts that are known: by how it shows itself, or by what it holds."""
+    """What has no parts that are known: of a user's class by what it holds and what the class does,
+    of a library's by how it shows itself, or by what it holds where that says nothing."""
     shown = repr(sorted(map(repr, thing)) if isinstance(thing, (set, frozenset)) else thing)
-    held = getattr(thing, "__dict__", {})
-    if ADDRESS.search(shown) and held:
+    held = _attributes(thing)
+    if not _of_library(type(thing).__module__) or (ADDRESS.search(shown) and held):
         found[path] = _tell_class(type(thing), found, inside)
         for name, value in held.items():
-            tell(value, f"{path}.{name}", found, inside)
+            tell(value, f"{path}{name}", found, inside)
     else:
         found[path] = _short(ADDRESS.sub("", shown))
+
+
+def _attributes(thing: Any) -> dict[str, Any]:
+    """What a thing holds, in slots too, each by what follows its own name."""
+    held = dict(getattr(thing, "__dict__", {}))
+    for owner in type(thing).__mro__:
+        slots = (n for n, own in vars(owner).items() if isinstance(own, MemberDescriptorType))
+        # A slot that has no value counts as None.
+        held |= {name: getattr(thing, name, None) for name in slots}
+    return {f".{name}": value for name, value in held.items()}
 
 
 def _tell_class(kind: type, found: dict[str, str], inside: tuple[int, ...]) -> str:
@@ -150,11 +187,17 @@ def _tell_class(kind: type, found: dict[str, str], inside: tuple[int, ...]) -> s
         found[path] = TOLD
         for name in vars(owner):
             member = inspect.getattr_static(owner, name)
-            member = member.fget if isinstance(member, property) else getattr(owner, name, None)
-            told = not name.startswith("__") or name == "__call__"
-            if told and (function := _function(member)) is not None:
-                _tell_function(function, f"{path}.{name}", found, inside)
-            elif isinstance(member, VALUES) and not _is_field(owner, name):
+            if isinstance(member, property):
+                member = member.fget
+            elif isinstance(member, functools.cached_property):
+                member = member.func
+            else:
+                member = getattr(owner, name, None)
+            special = name.startswith("__") and name.endswith("__")
+            if (function := _function(member)) is not None:
+                if name not in OF_NO_NUMBER:
+                    _tell_function(function, f"{path}.{name}", found, inside)
+            elif not (special or inspect.isdatadescriptor(member) or _is_field(owner, name)):
                 tell(member, f"{path}.{name}", found, inside)
     return kind.__name__
 
@@ -167,11 +210,17 @@ def _is_field(kind: type, name: str) -> bool:
 
 
 def _function(thing: Any) -> Any:
-    """The function that was written: of what JAX or a decorator has made of it, too; else None."""
+    """The function that was written: of what JAX or another library has made of it, too; else
+    None."""
     if not callable(thing) or isinstance(thing, type):
         return None
-    thing = inspect.unwrap(thing)
+    thing = inspect.unwrap(thing, stop=lambda own: not _of_library(_module_of(own)))
     return thing if getattr(thing, "__code__", None) is not None else None
+
+
+def _module_of(thing: Any) -> str:
+    """Where a function was written, or the class of a thing that is called as one."""
+    return getattr(thing, "__globals__", {}).get("__name__", type(thing).__module__)
 
 
 def _tell_function(

@@ -30,13 +30,16 @@ def ran(rig, duration, integrator=RIGID, save=101):
     return jc.simulate(rig, duration, save=save, integrator=integrator, balance=True, verify=False)
 
 
-def test_bounces_on_a_rigid_stop_end_with_the_geometric_series_of_their_times():
+@pytest.mark.parametrize(
+    "integrator", [RIGID, jc.integrator.NonColliding(1e-4)], ids=["rigid", "permanent"]
+)
+def test_bounces_on_a_rigid_stop_end_with_the_geometric_series_of_their_times(integrator):
     """t = t_1 + 2 e v / (g (1 - e)); the stop then carries the weight."""
     share = 0.5
     stop = jc.load.JointStop("slide", upper=0.0, restitution=share)
     first = np.sqrt(2 * 0.1 / GRAVITY)
     end = first + 2 * share * GRAVITY * first / (GRAVITY * (1 - share))
-    run = ran(slide(stop, speed=0.0, pull=GRAVITY), 0.6, save=601)
+    run = ran(slide(stop, speed=0.0, pull=GRAVITY), 0.6, integrator, save=601)
     place, time = np.asarray(run.coordinate("slide")), np.asarray(run.time)
     # An instant is off by a step of each bounce, their speeds by as much.
     highest = [place[(time > a) & (time < b)].min() for a, b in ((0.15, 0.27), (0.28, 0.34))]
@@ -49,8 +52,8 @@ def test_bounces_on_a_rigid_stop_end_with_the_geometric_series_of_their_times():
     assert np.abs(balance.error).max() < 1e-10
 
 
-def test_what_runs_into_a_stop_in_permanent_contact_stays_there():
-    stop = jc.load.JointStop("slide", upper=0.0, restitution=0.5)
+def test_what_runs_into_a_stop_without_restitution_in_permanent_contact_stays_there():
+    stop = jc.load.JointStop("slide", upper=0.0, restitution=0.0)
     run = ran(slide(stop, speed=0.0, pull=GRAVITY), 0.6, PERMANENT, save=601)
     place, time = np.asarray(run.coordinate("slide")), np.asarray(run.time)
     landed = time > np.sqrt(2 * 0.1 / GRAVITY) + 1e-3

@@ -52,9 +52,9 @@ def both(force, torque=ZERO):
 
 
 EFFECTS = {
-    "fewer actions": (
-        lambda t, m: Effect((Action(TIP, ZERO, ZERO),), 0, 0, 0),
-        "returns 1 actions; its 2 markers need one each",
+    "a marker that it has not": (
+        lambda t, m: Effect((Action(jc.Marker("rod"), ZERO, ZERO),), 0, 0, 0),
+        'an action on a marker on "rod", of which its markers.. has none',
     ),
     "a plane force": (lambda t, m: both((1.0, 0.0)), "force, returns 2 numbers; .*return 3: x, y"),
     "a force": (lambda t, m: ZERO, "returns what is .*; it must be a jaxclear.load.Effect"),
@@ -179,3 +179,44 @@ def test_a_drive_whose_acceleration_is_not_the_rate_of_its_speed_is_refused():
             {"crank": jc.Body(1.0, 0.1)},
             {"O": jc.Connection(jc.joint.Revolute(drive=DoubledAcceleration()), "ground", "crank")},
         )
+
+
+class Apart(jc.load.AbstractBodyLoad):
+    """Presses two carts apart, its actions in one order or the other, by markers of its own or new
+    ones."""
+
+    left: jc.Marker
+    right: jc.Marker
+    turned_round: bool = eqx.field(static=True)
+    anew: bool = eqx.field(static=True)
+
+    def markers(self):
+        return (self.left, self.right)
+
+    def effect(self, time, motions):
+        left, right = self.markers()
+        if self.anew:
+            left, right = (
+                jc.Marker(own.body, (0.0, 2 * (0.5 * own.at[1]))) for own in (left, right)
+            )
+        power = motions[1].velocity[0] * 4.0 - motions[0].velocity[0] * 2.0
+        actions = Action(left, (-2.0, 0.0, 0.0), ZERO), Action(right, (4.0, 0.0, 0.0), ZERO)
+        return Effect(actions[::-1] if self.turned_round else actions, 0, 0, power)
+
+
+@pytest.mark.parametrize("anew", [False, True])
+def test_an_action_moves_the_body_of_its_marker_whatever_the_order(anew):
+    carts = {name: jc.Body(2.0, 1e-3) for name in ("left", "right")}
+    slides = {name: jc.Connection(jc.joint.Prismatic(), "ground", name, axis="x") for name in carts}
+    push = Apart(jc.Marker("left", (0.0, 0.1)), jc.Marker("right", (0.0, 0.2)), True, anew)
+    run = jc.simulate(jc.Mechanism(carts, slides, {"push": push}), 0.5, save=2, integrator=STEP)
+    ways = [float(np.ravel(run.coordinate(name))[-1]) for name in carts]
+    np.testing.assert_allclose(ways, [-0.5 * 1.0 * 0.25, 0.5 * 2.0 * 0.25], rtol=1e-9)
+
+
+def test_an_action_between_several_markers_of_its_body_names_one_of_them():
+    near, far, other = (jc.Marker("arm", (x, 0.0)) for x in (0.1, 0.2, 0.3))
+    assert Action(jc.Marker("arm", (0.2, 0.0)), ZERO, ZERO).place_among((near, far), 0) == 1
+    assert Action(other, ZERO, ZERO).place_among((near, far), 1) == 1
+    with pytest.raises(ValueError, match='marker on "arm", of which its markers.. has several'):
+        Action(other, ZERO, ZERO).place_among((near, far), 2)

@@ -196,3 +196,41 @@ def test_inertia_carries_a_crank_through_its_dead_centres(integrator):
     angle = np.asarray(run.coordinate("O"))
     # Crank and piston are off by the square of a step near the ends of the stroke.
     np.testing.assert_allclose(angle, cranks_through(np.asarray(run.time)), atol=1e-3)
+
+
+def thread_between_guides():
+    """A driven spindle and a nut on a guide, whose cylindrical joint adds no equation."""
+    return jc.Mechanism(
+        {"spindle": jc.Body(2.0, (1e-2,) * 3), "nut": jc.Body(1.0, (1e-2,) * 3)},
+        {
+            "A": jc.Connection(jc.joint.Revolute(jc.drive.ConstantSpeed(3.0)), "ground", "spindle"),
+            "S": jc.Connection(jc.joint.Cylindrical(), "spindle", "nut"),
+            "N": jc.Connection(jc.joint.Prismatic(), "ground", "nut"),
+        },
+        {"push": jc.load.JointTorque("N", 2.0)},
+    )
+
+
+def test_a_loop_of_redundant_rows_alone_has_no_dead_point_in_a_study():
+    """The nut of 2 kg that 2 N push is 0.5 m away after 1 s."""
+    mass = jc.Variable(lambda rig: rig.bodies["nut"].mass, tolerance=0.1)
+    far = {"far": jc.response.FinalCoordinate("N")}
+    problem = jc.Problem(thread_between_guides(), far, {"mass": mass}, duration=1.0, save=3)
+    found = problem.evaluate([2.0])
+    assert found.outcome == Outcome.REACHED
+    assert float(found.responses["far"]) == pytest.approx(0.5, rel=1e-9)
+
+
+def test_drives_that_contradict_a_coupling_are_named():
+    turn = lambda speed: jc.joint.Revolute(jc.drive.ConstantSpeed(speed))
+    rig = lambda fast: jc.Mechanism(
+        {"a": jc.Body(1.0, 0.01), "b": jc.Body(1.0, 0.02)},
+        {
+            "A": jc.Connection(turn(2.0), "ground", "a"),
+            "B": jc.Connection(turn(fast), jc.Marker("ground", (0.1, 0.0)), jc.Marker("b")),
+        },
+        couplings={"mesh": jc.coupling.Gear("A", "B", 2.0)},
+    )
+    with pytest.raises(ValueError, match="drives of 'A', 'B' contradict the coupling \"mesh\""):
+        jc.simulate(rig(5.0), 0.05, save=3)
+    assert jc.simulate(rig(-1.0), 0.05, save=3).succeeded

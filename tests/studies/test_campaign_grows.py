@@ -50,6 +50,22 @@ def test_more_samples_go_on_from_those_that_are_there(whole, tmp_path, written):
     assert contents(place) == contents(whole)
 
 
+def test_what_ends_before_its_first_chunk_is_not_complete(tmp_path, monkeypatch):
+    """Killed while the chunks that are there are still being checked."""
+    campaign(5000, tmp_path)
+
+    def killed(samples):
+        raise SystemExit
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Samples, "finished", killed)
+        with pytest.raises(SystemExit):
+            campaign(10_000, tmp_path)
+    found = jc.open_campaign(tmp_path, problem())
+    assert found.count == 10_000 and not found.is_complete
+    assert "The campaign is not complete" in found.sentence()
+
+
 def test_an_earlier_look_at_a_folder_stays_what_it_was(tmp_path):
     before = campaign(5000, tmp_path)
     values = before.values

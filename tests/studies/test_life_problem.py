@@ -47,18 +47,6 @@ def test_lives_of_a_sample_are_in_proportion_to_hardness_over_load(asked):
 
 
 @pytest.mark.slow
-def test_depths_at_the_end_of_lives_hold_their_error_where_they_are_to_be_sure():
-    wanted = {"depth": jc.LifeEnd("depth"), "sure": jc.LifeEnd("depth", sure=True)}
-    lives = jc.LifeProblem(one_turn(wearing_ring(slope=0.0)), wanted, cycles=1e5)
-    values = np.array([1.1 * HARDNESS, 1.2 * FORCE])
-    found = lives.evaluate(values).responses
-    assert lives.units() == {"depth": "m", "sure": "m"}
-    assert found["depth"] == pytest.approx(LIMIT * 1e5 / closed_form(*values), rel=1e-4)
-    known = lives.life(values).error
-    assert found["sure"] == pytest.approx(found["depth"] * (1 + known), rel=1e-12)
-
-
-@pytest.mark.slow
 def test_a_life_that_never_reaches_its_limit_is_infinite_and_loses_no_other(asked):
     """A load that falls to nothing at half the depth. What has no machine has failed."""
     both = {"life": jc.LifeUntil("depth", LIMIT), "near": jc.LifeUntil("depth", 0.1 * LIMIT)}
@@ -71,13 +59,17 @@ def test_a_life_that_never_reaches_its_limit_is_infinite_and_loses_no_other(aske
     assert jax.tree.structure(found.checks) == jax.tree.structure(lost.checks)
 
 
+def at_end(life):
+    return life.at_end("depth")
+
+
 @pytest.fixture(scope="module")
 def followed():
     """Lives that scatter about the nominal one, which is as long as they are followed."""
     wanted = {
         "life": jc.LifeUntil("depth", LIMIT),
         "sure": jc.LifeUntil("depth", LIMIT, sure=True),
-        "worn": jc.LifeEnd("depth"),
+        "worn": at_end,
     }
     nominal = closed_form(HARDNESS, FORCE)
     return jc.LifeProblem(one_turn(wearing_ring(slope=0.0)), wanted, cycles=nominal)
@@ -126,7 +118,7 @@ def test_limits_beyond_what_lives_are_followed_for_are_refused(followed):
 
 def test_values_that_no_machine_has_are_failed_lives_as_they_are_failed_runs(asked):
     """Also where only the end of a life is asked for, which any hardness has a number for."""
-    end = jc.LifeProblem(asked.problem, jc.LifeEnd("depth"), cycles=1e4)
+    end = jc.LifeProblem(asked.problem, at_end, cycles=1e4)
     for problem in (asked, end):
         found = problem.evaluate(np.array([-1e9, FORCE]))
         assert found.outcome == Outcome.OUT_OF_RANGE and found.outcome.dtype.kind == "i"
@@ -206,17 +198,14 @@ def test_lives_are_lived_one_after_the_other_in_the_thread_that_asks():
 @pytest.mark.parametrize(
     ("made", "sentence"),
     [
-        (lambda p: jc.LifeProblem(p, jc.LifeEnd("depth")), "needs cycles=, how long a life is"),
+        (lambda p: jc.LifeProblem(p, at_end), "needs cycles=, how long a life is"),
         (lambda p: jc.LifeProblem(p, lambda life: life.error), "needs cycles="),
         (
-            lambda p: jc.LifeProblem(
-                p, {"a": jc.LifeUntil("depth", 1e-5), "b": jc.LifeEnd("volume")}
-            ),
+            lambda p: jc.LifeProblem(p, {"a": jc.LifeUntil("depth", 1e-5), "b": at_end}),
             '"b" .* needs cycles=, how long a life is',
         ),
         (lambda p: jc.LifeProblem(p, jc.LifeUntil("deep", 1e-5)), 'no quantity "deep"'),
         (lambda p: jc.LifeProblem(p.mechanism, jc.LifeUntil("depth", 1e-5)), "of one cycle"),
-        (lambda p: jc.LifeEnd("force", sure=True), "cannot be sure"),
         (lambda p: jc.LifeProblem(p, jc.LifeUntil("depth", 1e-5), cycles=-1), "LifeProblem is -1"),
     ],
 )

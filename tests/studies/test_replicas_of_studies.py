@@ -379,3 +379,31 @@ def test_a_kept_study_of_derivatives_keeps_replicas_beside_what_it_asked_before(
         np.testing.assert_array_equal(found.sample.replicas.responses[name], told)
     with pytest.raises(ValueError, match="sobol_indices has no verify"):
         jc.campaign(asked, 8, folder=tmp_path / "b", study=jc.sobol_indices, verify=False)
+
+
+def test_intervals_of_derivatives_hold_what_steps_do():
+    """Of the way T^2 / 2 by gravity, of its deviation the same by that of gravity; Euler's steps
+    are h T / 2 short. Chance alone leaves rounding."""
+    exact = DURATION**2 / 2
+    how = {"sample": 64, "difference_samples": 16, "of": {"way": ("mean", "standard deviation")}}
+    asked = ("gravity", "tolerance of gravity")
+    found = jc.sensitivity(falling(), asked, **how).derivatives
+    mean = found["way", "gravity"]
+    assert abs(mean.value - exact) == pytest.approx(STEP * DURATION / 2, rel=1e-6)
+    assert mean.trustworthy and abs(mean.value - exact) <= mean.error < 0.02 * exact
+    assert all(own.error < 1e-9 * exact for own in mean.estimates.values())
+    plain = jc.sensitivity(falling(), asked[:1], verify=False, **how).derivatives["way", "gravity"]
+    assert plain.value == mean.value and plain.error < 1e-9 * exact
+    # The deviation of what is drawn, by the tolerance.
+    deviation = found["standard deviation of way", "tolerance of gravity"]
+    share = float(falling().inputs.deviations()[0]) / 0.5
+    assert abs(deviation.value - share * exact) <= deviation.error
+
+
+def test_a_bias_of_a_derivative_that_replicas_do_not_tell_is_said():
+    how = {"sample": 256, "difference_samples": 16, "methods": ("regression",)}
+    found = jc.sensitivity(parting(0.1), **how).derivatives["y", "x"]
+    assert "Steps put it off by" in found.verdict and "as far as 16 replicas tell" in found.verdict
+    assert found.error == found.estimates["regression"].error
+    few = jc.sensitivity(falling(), sample=2, methods=("differences",), difference_samples=16)
+    assert "± inf" in few.derivatives["way", "gravity"].verdict

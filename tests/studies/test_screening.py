@@ -83,30 +83,3 @@ def test_moves_whose_runs_failed_are_left_out():
 def test_what_cannot_be_asked_gets_a_sentence():
     with pytest.raises(ValueError, match="trajectories of screening is 1"):
         jc.screening(PROBLEM, 1)
-
-
-def test_latin_hypercubes_are_as_exact_on_a_sum_as_theory_says():
-    """A sum of n stratified numbers: each repetition of n points has the variance 1 / (12 n^3) of a
-    number between 0 and 1 (Stein 1987), random ones 1 / (12 n)."""
-    plane = jc.FunctionProblem(
-        lambda a, b: a + b, {n: jc.Dimension(0.5, D.Uniform(0.5), unit="1") for n in "ab"}
-    )
-    found = [
-        jc.monte_carlo(plane, 256, sampling="latin", seed=s).mean("response") for s in range(20)
-    ]
-    means = np.array([one.value for one in found])
-    # Eight repetitions of 32 points; the variance of 20 numbers is known to a factor of 2.
-    theory = 2 / (12 * 32**3) / 8
-    assert theory / 2.5 < np.mean((means - 1.0) ** 2) < 2.5 * theory
-    assert sum(one.low <= 1.0 <= one.high for one in found) >= 16
-    values = np.asarray(jc.monte_carlo(plane, 256, sampling="latin").values)
-    for part in range(8):
-        cells = np.floor(32 * values[part::8]).astype(int)
-        assert all(len(set(column)) == 32 for column in cells.T)
-
-
-def test_a_latin_hypercube_does_not_grow():
-    with pytest.raises(ValueError, match="a Latin hypercube has a fixed number of samples"):
-        jc.monte_carlo(PROBLEM, 256, sampling="latin", accuracy=0.1)
-    with pytest.raises(ValueError, match='no sampling "latin"'):
-        jc.multi_fidelity(PROBLEM, PROBLEM, sampling="latin")

@@ -91,6 +91,123 @@ def test_problems_of_functions_that_differ_outside_are_two():
     assert difference(one, other) == "a_users_module.FACTOR is 2.0 there, 3.0 here"
 
 
+# A user's objects, in which EDIT is 2.0, 3.0 after an edit.
+OBJECTS = {
+    "a lambda": "f = lambda x: EDIT * x",
+    "a closure": "def make(k):\n    return lambda x: k * x\nf = make(EDIT)",
+    "a default": "def f(x, k=EDIT): return k * x",
+    "a global": "K = EDIT\ndef f(x): return K * x",
+    "a function called": "def g(x): return EDIT * x\ndef f(x): return g(x)",
+    "a decorator of its own": """
+def scaled(function):
+    @functools.wraps(function)
+    def inner(x):
+        return EDIT * function(x)
+    return inner
+
+@scaled
+def f(x): return x""",
+    "a decorator that is a class": """
+class Scaled:
+    def __init__(self, function): functools.update_wrapper(self, function)
+    def __call__(self, x): return EDIT * self.__wrapped__(x)
+
+f = Scaled(lambda x: x)""",
+    "a method": "class L:\n    k = 1.0\n    def __call__(self, x): return EDIT * x\nf = L()",
+    "a class without numbers": "class L:\n    def __call__(self, x): return EDIT * x\nf = L()",
+    "a value of the class": "class L:\n    K = EDIT\n    def __call__(self, x): return x\nf = L()",
+    "a thing of the class": """
+class Law:
+    def __init__(self, k): self.k = k
+
+class L:
+    law = Law(EDIT)
+    def __call__(self, x): return self.law.k * x
+
+f = L()""",
+    "a number": "class L:\n    def __init__(self): self.k = EDIT\nf = L()",
+    "a bound method": """
+class L:
+    def __init__(self): self.k = EDIT
+    def m(self, x): return self.k * x
+
+f = L().m""",
+    "a partial": "f = functools.partial(lambda k, x: k * x, EDIT)",
+    "a parent": """
+class P:
+    def h(self, x): return EDIT * x
+
+class L(P):
+    def __call__(self, x): return self.h(x)
+
+f = L()""",
+    "an operator": "class L:\n    def __getitem__(self, i): return EDIT * i\nf = L()",
+    "a cached property": """
+class L:
+    @functools.cached_property
+    def k(self): return EDIT
+
+f = L()""",
+    "a property": "class L:\n    @property\n    def k(self): return EDIT\nf = L()",
+    "a static method": "class L:\n    @staticmethod\n    def k(): return EDIT\nf = L()",
+    "a jitted function": "@jax.jit\ndef f(x): return EDIT * x",
+    "a module of equinox": """
+class L(eqx.Module):
+    k: float
+    def __call__(self, x): return EDIT * self.k * x
+
+f = L(1.0)""",
+    "an array": "f = jnp.arange(EDIT)",
+    "a class that shows itself": """
+class L:
+    def __init__(self): self.k = EDIT
+    def __repr__(self): return "L()"
+
+f = L()""",
+    "what a class does that shows itself": """
+class L:
+    def __repr__(self): return "L()"
+    def __call__(self, x): return EDIT * x
+
+f = L()""",
+    "a slot": "class L:\n    __slots__ = ('k',)\n    def __init__(self): self.k = EDIT\nf = L()",
+    "a private slot of a parent": """
+class P:
+    __slots__ = ("__k",)
+    def __init__(self): self.__k = EDIT
+
+class L(P):
+    __slots__ = ()
+
+f = L()""",
+    "a dictionary of its own": """
+class L(dict):
+    def k(self): return EDIT
+
+f = L(a=1.0)""",
+    "a tuple that holds more": """
+class L(tuple):
+    pass
+
+f = L((1.0,))
+f.k = EDIT""",
+}
+IMPORTS = "import functools\nimport equinox as eqx\nimport jax\nimport jax.numpy as jnp\n"
+
+
+@pytest.mark.parametrize("module", ["__main__", "a_users_module"])
+@pytest.mark.parametrize("name", OBJECTS)
+def test_edits_are_noticed_and_moves_are_not(name, module):
+    def told(edit, before=""):
+        held = {"__name__": module}
+        exec(before + IMPORTS + OBJECTS[name].replace("EDIT", edit), held)
+        return texts_of(held["f"])
+
+    one = told("2.0")
+    assert one == told("2.0", "# a comment\n\n")
+    assert one != told("3.0")
+
+
 def test_what_a_class_does_belongs_to_its_objects():
     def law(power):
         class Own(eqx.Module):

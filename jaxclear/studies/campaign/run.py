@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from jaxclear.ground.warning import warn
 from jaxclear.integrators.checks import Checks
+from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.campaign.recorded import in_json
 from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.campaign.samples import (
@@ -86,9 +87,20 @@ def _begun(by: AbstractWork, wanted: Wanted, folder: Any) -> Samples:
             f"samples={found.plan.samples}, more than {wanted.most}. Ask for as many or more, or "
             "give another folder."
         )
+    # The plan first: whatever ends the process from here on, the folder knows what was asked of it.
+    if wanted.accuracy is None:
+        found = _with_room(found, wanted.most, wanted.most, problem)
     if len(found.finished()):
         found.warn_of_versions()
     return found
+
+
+def _with_room(kept: Samples, samples: int, most: int, problem: AbstractProblem) -> Samples:
+    """The same with room for so many samples; for more, up to the `most`, where other processes
+    have planned these."""
+    if kept.plan.samples >= samples:
+        return kept
+    return kept.extended(samples, batch_of(problem, samples)).view(most)
 
 
 class _Run:
@@ -100,9 +112,7 @@ class _Run:
 
     def grow(self, samples: int) -> None:
         """Has so many samples in the folder, and computes those that it lacks."""
-        if self.kept.plan.samples < samples:
-            larger = self.kept.extended(samples, batch_of(self.by.problem, samples))
-            self.kept = larger.view(self.most)
+        self.kept = _with_room(self.kept, samples, self.most, self.by.problem)
         plan = self.kept.plan
         left = np.setdiff1d(np.arange(plan.chunks), self.kept.finished()).tolist()
         if lost := self.kept.lost(left):

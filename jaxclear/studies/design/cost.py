@@ -20,13 +20,9 @@ from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vecto
 
 __all__ = [
     "AbstractCost",
-    "Exponential",
     "Process",
     "Processes",
     "Reciprocal",
-    "ReciprocalExponential",
-    "ReciprocalPower",
-    "ReciprocalSquared",
     "Table",
 ]
 __getattr__, __dir__ = nothing_else("jaxclear.cost", __all__)
@@ -62,65 +58,6 @@ class Reciprocal(AbstractCost):
 
     def __call__(self, tolerance):
         return self.fixed + self.scale / tolerance
-
-
-class ReciprocalSquared(AbstractCost):
-    """$C = C_0 + b/t^2$; steeper than `Reciprocal`.
-
-    Source: Spotts 1973, J. Eng. Ind. 95, 762, https://doi.org/10.1115/1.3438222.
-    """
-
-    scale: Scalar = quantity(unit="(cost x tolerance^2)", meaning="cost times tolerance^2", above=0)
-    fixed: Scalar = quantity(0.0, MONEY, FIXED, at_least=0)
-
-    def __call__(self, tolerance):
-        return self.fixed + self.scale / tolerance**2
-
-
-class ReciprocalPower(AbstractCost):
-    """$C = C_0 + b/t^k$ with an exponent fitted to a process.
-
-    Source: Sutherland & Roth 1975, J. Eng. Ind. 97, 283, https://doi.org/10.1115/1.3438551.
-    """
-
-    scale: Scalar = quantity(unit="(cost x tolerance^k)", meaning="cost times tolerance^k", above=0)
-    exponent: Scalar = quantity(unit="1", meaning="exponent k of the tolerance", above=0)
-    fixed: Scalar = quantity(0.0, MONEY, FIXED, at_least=0)
-
-    def __call__(self, tolerance):
-        return self.fixed + self.scale / tolerance**self.exponent
-
-
-class Exponential(AbstractCost):
-    """$C = C_0 + b e^{-m t}$: bounded as the tolerance goes to 0, so take it within the range that
-    it was fitted to.
-
-    Source: Speckhart 1972, J. Eng. Ind. 94, 447, https://doi.org/10.1115/1.3428175.
-    """
-
-    scale: Scalar = quantity(unit=MONEY, meaning="cost that tightening to nothing adds", above=0)
-    rate: Scalar = quantity(unit="(1/tolerance)", meaning="share of it lost by width", above=0)
-    fixed: Scalar = quantity(0.0, MONEY, FIXED, at_least=0)
-
-    def __call__(self, tolerance):
-        return self.fixed + self.scale * jnp.exp(-self.rate * tolerance)
-
-
-class ReciprocalExponential(AbstractCost):
-    """$C = C_0 + b t^{-k} e^{-m t}$, which holds `ReciprocalPower` (m = 0) and `Exponential`
-    (k = 0).
-
-    Source: Michael & Siddall 1981, J. Mech. Des. 103, 842, https://doi.org/10.1115/1.3254995.
-    """
-
-    scale: Scalar = quantity(unit="(cost x tolerance^k)", meaning="cost times tolerance^k", above=0)
-    exponent: Scalar = quantity(unit="1", meaning="exponent k of the tolerance", at_least=0)
-    rate: Scalar = quantity(unit="(1/tolerance)", meaning="share lost by width", at_least=0)
-    fixed: Scalar = quantity(0.0, MONEY, FIXED, at_least=0)
-
-    def __call__(self, tolerance):
-        fall = jnp.exp(-self.rate * tolerance)
-        return self.fixed + self.scale * fall / tolerance**self.exponent
 
 
 class Table(AbstractCost):

@@ -111,8 +111,6 @@ def _settings(settings: DesignSettings | None) -> DesignSettings:
 
 def _direct(problem: AbstractProblem, settings: DesignSettings) -> bool:
     """Whether the problem answers without a surface."""
-    if settings.noisy:
-        return False
     if settings.surface is not None:
         return not settings.surface
     return problem.at_once() and not any(problem.pathwise_limits())

@@ -16,7 +16,7 @@ import scipy
 
 from jaxclear.ground.arguments import check_count, check_known
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
-from jaxclear.studies.design.lagrangian import cheapest_by_noise, cheapest_by_steps
+from jaxclear.studies.design.lagrangian import cheapest_by_steps
 from jaxclear.studies.design.optimise import (
     Candidate,
     Search,
@@ -45,7 +45,7 @@ OFTEN = 0.02
 FIXED_POINTS = 12
 # Points closer than this share of their distance are one.
 ONE = 0.3
-METHODS = ("auto", "slsqp", "optax", "noisy")
+METHODS = ("auto", "slsqp", "optax")
 # More free numbers than this are searched by steps of optax.
 TENS = 40
 
@@ -54,9 +54,8 @@ class DesignSettings(AbstractQuantified):
     """`allowed_excess` [1]: by how much of itself a limit may be missed. `samples`: points at which
     a surface, or a problem that answers at once, is taken; `check`: runs of a verification, `runs`:
     of a surface (None: two for each term of a quadratic, 64 at least). `rounds`: verifications at
-    the most. `method`: "slsqp", "optax" (an augmented Lagrangian), "noisy" (the same on new runs in
-    every step, by score functions: for responses that jump, rattle or count, which no surface
-    explains), or "auto", the first or second by how many numbers are free. `surface`: whether one
+    the most. `method`: "slsqp", "optax" (an augmented Lagrangian), or "auto", by
+    how many numbers are free. `surface`: whether one
     stands in for the problem (None: unless it answers at once)."""
 
     allowed_excess: Scalar = quantity(
@@ -74,11 +73,6 @@ class DesignSettings(AbstractQuantified):
         check_known("method of a design", self.method, METHODS)
         if self.runs is not None:
             check_count("runs of DesignSettings", self.runs)
-
-    @property
-    def noisy(self) -> bool:
-        """Whether steps see new runs each."""
-        return self.method == "noisy"
 
     def uses_steps(self, free: int) -> bool:
         """Whether optax takes the steps for so many free numbers."""
@@ -226,10 +220,6 @@ class _Seeking:
 
     def _best(self, starts: list, drawn: Points, low: np.ndarray, high: np.ndarray) -> Candidate:
         search = Search(self.question, self.model, drawn, self.shift, low, high)
-        if self.settings.noisy:
-            seed = self.settings.seed + len(self.rounds)
-            found = cheapest_by_noise(search, starts[0], self.runs, seed)
-            return chosen(search, found)
         if self.settings.uses_steps(len(low)):
             return chosen(search, cheapest_by_steps(search, starts[0]))
         return chosen(search, cheapest(search, starts))

@@ -2,7 +2,7 @@
 
 A distribution is told by its `quantile`: a share u in (0, 1) gives the deviation from nominal, so
 any sampling of the unit cube serves every distribution. Those of closed form are in `closed_forms`
-and `discrete`; `tabulated` has beta distributions, all of scipy's, and those of samples. A new one
+and `discrete`; `tabulated` has all of scipy's and those of samples. A new one
 is a subclass of `AbstractDistribution` with `quantile` and `deviation`.
 """
 
@@ -16,11 +16,10 @@ from jaxclear.studies.distribution.closed_forms import (
     Uniform,
 )
 from jaxclear.studies.distribution.discrete import Discrete
-from jaxclear.studies.distribution.tabulated import Beta, Empirical, FromScipy
+from jaxclear.studies.distribution.tabulated import Empirical, FromScipy
 
 __all__ = [
     "AbstractDistribution",
-    "Beta",
     "Discrete",
     "Empirical",
     "FromScipy",

@@ -1,5 +1,4 @@
-"""Distributions whose quantile is no formula: beta, any continuous one of scipy, and what a sample
-says.
+"""Distributions whose quantile is no formula: any continuous one of scipy, and what a sample says.
 
 Their deviation is tabulated over standard normal scores, with its slope, and read off by cubic
 Hermite polynomials: what is drawn is differentiated and compiled as any other number, without a
@@ -148,48 +147,6 @@ class FromScipy(AbstractDistribution):
 
     def deviation(self):
         return self.spread
-
-
-class Beta(AbstractDistribution):
-    """Beta distribution from `low` to `high`: bounded parts whose density leans to one side.
-
-    Density in proportion to x^(alpha - 1) (1 - x)^(beta - 1) of x = (deviation - low) / (high -
-    low). Its shape is that of the numbers it was built with; `low` and `high` may vary.
-    """
-
-    alpha: float = eqx.field(static=True)
-    beta: float = eqx.field(static=True)
-    low: Scalar = quantity(unit=UNIT, meaning="smallest deviation")
-    high: Scalar = quantity(unit=UNIT, meaning="largest deviation")
-    table: Table
-
-    def __init__(self, *, alpha: float, beta: float, low: float, high: float):
-        for name, value in {"alpha": alpha, "beta": beta}.items():
-            if not isinstance(value, (int, float, np.number)) or not 0 < value < np.inf:
-                raise ValueError(
-                    f"distribution.Beta has {name} = {described(value)}; it must be one number, "
-                    "above 0."
-                )
-        self.alpha, self.beta, self.low, self.high = float(alpha), float(beta), low, high
-        self.table = tabulated(scipy.stats.beta(alpha, beta), "distribution.Beta")
-
-    def __check_init__(self):
-        if not self.low < self.high:
-            raise ValueError(
-                f"distribution.Beta has low = {self.low:g}, high = {self.high:g}; low must be "
-                "below high."
-            )
-
-    def quantile(self, share):
-        return self.of_score(ndtri(share))
-
-    def of_score(self, score):
-        return self.low + (self.high - self.low) * self.table.of_score(score)
-
-    def deviation(self):
-        total = self.alpha + self.beta
-        variance = self.alpha * self.beta / (total * total * (total + 1.0))
-        return (self.high - self.low) * variance**0.5
 
 
 class Empirical(AbstractDistribution):

@@ -109,7 +109,7 @@ def sampled(
 ) -> Sample:
     """Runs of the problem over its priors; `asked`: what `watched` makes of it with the laws
     `known`."""
-    drawing = Drawing(asked, seed, "sobol", usual_scramblings(runs), runs)
+    drawing = Drawing(asked, seed, "sobol", usual_scramblings(runs))
     values = drawing.span(0, runs)
     chunk = chunk_size(asked, runs)
     found = evaluate_all(

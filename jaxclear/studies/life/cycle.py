@@ -144,24 +144,6 @@ def cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajecto
     return jax.tree.map(np.asarray, kept), found
 
 
-def cycles(asked: Asked, begins: Sequence[SavedMotion], worn: Worn) -> list[Cycle]:
-    """Cycles from several states, simulated side by side: by a program of its own, which takes
-    longer to compile than that of one."""
-    with stoppable():
-        together = jax.tree.map(lambda *each: jnp.stack(each), *begins)
-        kept = jax.block_until_ready(_side_by_side(asked, together, worn))
-    kept = jax.tree.map(np.asarray, kept)
-    each = [jax.tree.map(lambda x, i=i: np.asarray(x[i]), kept) for i in range(len(begins))]
-    # One that fails says why when it runs alone.
-    pairs = zip(each, begins, strict=True)
-    return [cycle(asked, begin, worn)[0] if one.fault else one for one, begin in pairs]
-
-
-@eqx.filter_jit
-def _side_by_side(asked: Asked, begins: SavedMotion, worn: Worn) -> Cycle:
-    return jax.vmap(lambda begin: compiled_cycle(asked, begin, worn)[0])(begins)
-
-
 @eqx.filter_jit
 def worn_again(asked: Asked, worn: Worn, losses: Losses, share: Any, begin: Any) -> Worn:
     """Depth maps once a cycle has been gone through from its saving time `begin` on: `share` times

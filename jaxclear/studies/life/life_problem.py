@@ -129,34 +129,6 @@ class LifeUntil(AbstractLifeResponse):
         return LAST * last * more if more > 0 else np.inf
 
 
-class LifeEnd(AbstractLifeResponse):
-    """A quantity at the end of the life, in its unit. `sure`: with the error of the life added, the
-    upper end of its 95 % interval; of depths and volumes, whose errors a life tells."""
-
-    name: str = eqx.field(static=True)
-    sure: bool = eqx.field(static=True, default=False, kw_only=True)
-
-    def __check_init__(self):
-        _check_quantity("LifeEnd", self.name, self.sure)
-        if self.sure and self.name.partition(" ")[0] not in (DEPTH, VOLUME):
-            raise ValueError(
-                f'LifeEnd of "{self.name}" cannot be sure: at its end a life tells the errors '
-                "of depths and volumes."
-            )
-
-    def __call__(self, life):
-        if life.ended:
-            return np.nan
-        value = life.at_end(self.name)
-        return value + _error_at_end(life, self.name, value) if self.sure else value
-
-    def unit_among(self, units):
-        return units[self.name]
-
-    def decides_length(self):
-        return False
-
-
 def _error_at_end(life: WearLife, name: str, value: float) -> float:
     """Half of the 95 % interval of a quantity at the end of a life, in its unit."""
     if name in life.problem.response_names:
@@ -173,9 +145,9 @@ def _check_quantity(owner: str, quantity: str, sure: bool) -> None:
 class LifeProblem(AbstractProblem):
     """Lives of the machine of a `problem`, whose duration is one cycle, and what is asked of them.
 
-    `response`: a `jaxclear.LifeUntil` or `jaxclear.LifeEnd`, any function of what
-    `jaxclear.wear_life` returns, or several by name. `cycles`: how long lives are followed, for
-    what is asked of their end and for functions; a `LifeUntil` goes without, and a life is then as
+    `response`: a `jaxclear.LifeUntil`, any function of what `jaxclear.wear_life` returns (its
+    `at_end`, say), or several by name. `cycles`: how long lives are followed, for functions; a
+    `LifeUntil` goes without, and a life is then as
     long as it takes to reach the limits. One whose limit is not reached within `cycles`, or without
     them by a forecast from its last rate not in 100 times what its first cycles say, is infinite:
     longer than told. That counts as such in shares, quantiles and limits; a mean of it is refused.

@@ -25,21 +25,17 @@ from jaxclear.studies.life.cycle import (
     Cycle,
     asked_of,
     cycle,
-    cycles,
     first_state,
     kind_of_cycle,
     worn_again,
     worst_of,
 )
-from jaxclear.studies.life.settling import Patience, Settling, settle, settle_side_by_side
+from jaxclear.studies.life.settling import Patience, Settling, settle
 from jaxclear.studies.life.steps import Cells, CycleFailed, Losses, Rate
 from jaxclear.studies.problem import Problem
 
 # What a narrow contact makes of depths.
 NARROW = (Check.WEAR_BY_CELLS,)
-# So many cycles of a motion that does not settle are simulated side by side where patience lasts
-# for so many times as many: then a life has enough of them to be worth a second program.
-LANES, WORTH = 8, 4
 # So many times the way between two surfaces a line is carried on at the most.
 FURTHEST = 4.0
 # Power by which the parts of a step are shorter towards its end (a graded mesh).
@@ -62,10 +58,6 @@ class Rates:
         seen = problem.integrator.formulation.seen(problem.mechanism)
         self.units = units_of_coordinates(seen)
         self.places: list[Place] = []
-        # Where lanes go on from, of a motion that does not settle.
-        self.begins: list[Any] = []
-        # False from when lanes have gone in file to the end.
-        self.by_lanes = True
         self.settlings: list[Settling] = []
         self.simulated = 0
         self.last_run: Any = None
@@ -76,17 +68,11 @@ class Rates:
     def evaluate(self, row: np.ndarray, set_down: bool = False) -> Rate:
         """What a cycle wears on surfaces of these depths; not the one in which the machine is
         `set_down`. Raises `CycleFailed`."""
-        depth, found = row[: self.count], None
+        depth = row[: self.count]
         self._refuse_worn_through(depth)
-        if self.begins:
-            found = settle_side_by_side(
-                self._cycles, self.begins, self.unflat(depth), self.patience, self._is_known
-            )
-            self.by_lanes = found is not None
-        if found is None:
-            begin = predicted(self.places, depth, self.units) if self.places else self.motion
-            least = 2 if set_down else 1
-            found = settle(self._cycle, begin, self.unflat(depth), self.patience, least=least)
+        begin = predicted(self.places, depth, self.units) if self.places else self.motion
+        least = 2 if set_down else 1
+        found = settle(self._cycle, begin, self.unflat(depth), self.patience, least=least)
         if found.last.fault:
             raise CycleFailed(found.last.fault)
         if not found.periodic:
@@ -94,7 +80,6 @@ class Rates:
             self.places.clear()
         self.places.append(Place(depth, found.last.end))
         self.settlings.append(found)
-        self.begins = self._begins_after(found)
         wear = self._row(found.wear, found.lost)
         return Rate(wear, self._row(found.noise, found.noise_of_lost), len(found.cycles), found)
 
@@ -132,32 +117,14 @@ class Rates:
         return np.concatenate([flattened(worn)[0], self.cells.means(row) + means])
 
     def halves(self, rate: Rate) -> tuple[Rate, Rate] | None:
-        """Of a mean over cycles two rates, by the former and the latter half of these (of lanes: by
-        half of the lanes), by which each surface loses as much; None of a periodic cycle."""
+        """Of a mean over cycles two rates, by the former and the latter half of these, by
+        which each surface loses as much; None of a periodic cycle."""
         taken = rate.settled.taken
         if rate.settled.periodic or len(taken) < 2:
             return None
         middle, lost = len(taken) // 2, rate.settled.lost
         former, latter = _as_much(taken[:middle], lost), _as_much(taken[middle:], lost)
         return rate._replace(settled=former), rate._replace(settled=latter)
-
-    def _begins_after(self, found: Settling) -> list[Any]:
-        """Where lanes go on from after such cycles; none where they have settled, or would go in
-        file."""
-        if found.periodic or not self.by_lanes or self.patience.most < WORTH * LANES:
-            return []
-        ends = found.ends if found.lanes > 1 else found.cycles[-LANES:]
-        settled = all(one.distance <= self.patience.within for one in ends)
-        return [] if settled or len(ends) < LANES else [one.end for one in ends]
-
-    def _is_known(self, found: Settling) -> bool:
-        """Whether all that steps carry on is known as well as is asked for."""
-        noise = self._row(found.noise, found.noise_of_lost)
-        wear = self._row(found.wear, found.lost)
-        shares = [
-            self.cells.shares(of(noise), of(wear)) for of in (self.cells.sizes, self.cells.means)
-        ]
-        return bool(np.max(shares, initial=0.0) <= self.patience.noise)
 
     def _row(self, depths: Worn, volumes: Worn) -> np.ndarray:
         """Depths of all cells, and behind them those of each surface as its volume has it."""
@@ -180,18 +147,6 @@ class Rates:
             self._keep(motion, worn, known)
         self.simulated += 1
         return known
-
-    def _cycles(self, motions: Any, worn: Worn) -> list[Cycle]:
-        """A cycle of each lane, from the store where all are there."""
-        self.simulated += len(motions)
-        known = [self._taken(motion, worn) for motion in motions]
-        if all(one is not None for one in known):
-            return known
-        found = cycles(self.asked, motions, worn)
-        for motion, before, one in zip(motions, known, found, strict=True):
-            if before is None:
-                self._keep(motion, worn, one)
-        return found
 
     def _taken(self, motion: Any, worn: Worn) -> Any:
         """A cycle from the store; None where it is not there."""

@@ -1,12 +1,11 @@
 """Cycles, one after the other on the same surfaces, until one ends as it began; and means over
-cycles where none does. Where a motion is known not to settle, several lanes of cycles go on side by
-side, each by itself; then their means tell how far the mean of all is known.
+cycles where none does.
 
 Surfaces are put back after every cycle: what wears in one is far below what moves a journal, and so
 the motion has a state to settle in.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -20,23 +19,15 @@ from jaxclear.studies.life.cycle import Cycle
 FEWEST = 4
 # A correlation of neighbours above this is told from a trend by no few cycles.
 MOST_CORRELATED = 0.9
-# Lanes go in file where their cycles differ by less than this share of what independent ones would:
-# of seven pairs of those, two in a thousand.
-IN_FILE = 0.35
 # Of a volume [m3] that is none.
 TINY = np.finfo(float).tiny
 
-# Errors are told as those of normal variables, of which 95 % lie within this many.
-NORMAL = 1.96
-
 Runner = Callable[[SavedMotion, Worn], Cycle]
-Runners = Callable[[Sequence[SavedMotion], Worn], list[Cycle]]
 
 
 class Patience(NamedTuple):
     """When settling ends: ends of a cycle `within` of each other [1] (`Cycle`), the mean of
-    the volume lost known to `noise` (1: as large as itself; of lanes: what is worn everywhere), or
-    after `most` cycles."""
+    the volume lost known to `noise` (1: as large as itself), or after `most` cycles."""
 
     within: float
     noise: float
@@ -45,13 +36,11 @@ class Patience(NamedTuple):
 
 class Settling(NamedTuple):
     """The cycles of one settling, whether the last is periodic, and how many of the last ones are
-    to be taken as the motion: those of one lane after those of the other, where there are
-    several."""
+    to be taken as the motion."""
 
     cycles: tuple[Cycle, ...]
     periodic: bool
     measured: int
-    lanes: int = 1
 
     @property
     def taken(self) -> tuple[Cycle, ...]:
@@ -89,26 +78,10 @@ class Settling(NamedTuple):
         """Standard error of `lost` [m3]."""
         return self._errors([c.lost for c in self.taken])
 
-    @property
-    def ends(self) -> tuple[Cycle, ...]:
-        """The last cycle of each lane."""
-        return self.taken[:: -(self.measured // self.lanes)][::-1]
-
     def _errors(self, of_cycles: list[Worn]) -> Worn:
-        """Standard errors of means over the cycles taken: those of one lane are alike as their
-        volumes are, lanes are independent."""
-        if self.lanes > 1:
-            return jax.tree.map(lambda *all: self._between_lanes(np.stack(all)), *of_cycles)
+        """Standard errors of means over the cycles taken, which are alike as their volumes are."""
         factor = correlation_factor([total(c) for c in self.taken])
         return jax.tree.map(lambda *all: factor * standard_error(np.stack(all)), *of_cycles)
-
-    def _between_lanes(self, values: np.ndarray) -> np.ndarray:
-        """Standard error of a mean over the cycles taken, from the means of the lanes; larger by
-        Student's factor, as lanes are few."""
-        import scipy.stats
-
-        means = values.reshape(self.lanes, -1, *values.shape[1:]).mean(axis=1)
-        return float(scipy.stats.t.ppf(0.975, self.lanes - 1)) / NORMAL * standard_error(means)
 
     @property
     def relative_noise(self) -> float:
@@ -121,10 +94,7 @@ class Settling(NamedTuple):
         found = {}
         for name in self.last.responses:
             own = np.array([c.responses[name] for c in self.taken])
-            if self.lanes > 1:
-                error = float(self._between_lanes(own))
-            else:
-                error = correlation_factor(own) * float(standard_error(own))
+            error = correlation_factor(own) * float(standard_error(own))
             found[name] = float(own.mean()), error
         return found
 
@@ -186,43 +156,3 @@ def settle(
             return found
     wanted = len(cycles) - 1 if patience.noise < 1 else len(cycles) // 2
     return Settling(tuple(cycles), False, max(1, wanted))
-
-
-def settle_side_by_side(
-    run: Runners,
-    begins: Sequence[SavedMotion],
-    worn: Worn,
-    patience: Patience,
-    known: Callable[[Settling], bool],
-) -> Settling | None:
-    """Lanes of cycles from several states of a motion that does not settle, until their means are
-    `known` well enough or patience ends. The first of each lane falls into its place and is not
-    taken, nor are those with which lanes go in file: they do not tell how far a mean is known. A
-    cycle that fails is the last. None where lanes go in file until patience ends."""
-    rounds: list[list[Cycle]] = []
-    first = 1
-    while True:
-        rounds.append(run(begins, worn))
-        fault = next((one for one in rounds[-1] if one.fault), None)
-        if fault is not None:
-            return Settling((fault,), False, 1)
-        begins = [one.end for one in rounds[-1]]
-        if len(rounds) > 1 and _in_file(*rounds[-2:]):
-            first = len(rounds)
-        ends = (len(rounds) + 1) * len(begins) > patience.most
-        if first < len(rounds):
-            by_lane = [one for lane in zip(*rounds[first:], strict=True) for one in lane]
-            before = [one for lanes in rounds[:first] for one in lanes]
-            found = Settling((*before, *by_lane), False, len(by_lane), len(begins))
-            if ends or known(found):
-                return found
-        elif ends and len(rounds) > 1:
-            return None
-
-
-def _in_file(before: list[Cycle], now: list[Cycle]) -> bool:
-    """Whether each lane goes the way of the next one a cycle later: as they do that have begun one
-    after the other on one path, until neighbouring paths have parted."""
-    lost = np.array([[total(one) for one in lanes] for lanes in (before, now)])
-    apart = lost[1, :-1] - lost[0, 1:]
-    return bool(np.mean(apart * apart) < 2 * IN_FILE**2 * np.var(lost))

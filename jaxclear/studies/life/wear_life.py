@@ -67,9 +67,7 @@ def wear_life(
     instead, each with the losses at its start. They are those of a periodic cycle (`settled`);
     where none comes a mean over as many as bring its noise below that, `most` at the
     most, and what noise is left belongs to the error. What wears no more is not simulated further;
-    a life ends where a surface is worn through. With `most` of 32 or more such cycles run
-    eight side by side from the second rate on, by a program of their own: once that is compiled
-    (15 s for the 3RSR), each takes a third of the time. `store`: a folder that keeps every
+    a life ends where a surface is worn through. `store`: a folder that keeps every
     cycle; asked again, the life goes on from there. A cycle that fails ends the life, with what was
     reached and why. Raises `ValueError` with a sentence for what cannot be asked, and
     `SimulationError` where the very first cycle fails.

@@ -81,9 +81,10 @@ class Derivative(AbstractShown):
     """Derivative of a statistic of a response over the tolerances (by default its mean) with
     respect to one variable or the width of its distribution, with its 95 % error.
 
-    `value` and `error` are in [response/variable]; see `Sensitivity.unit`. `estimates` are the
-    methods' own answers, `verdict` is a sentence that says whether they agree, and which of their
-    runs warn, and `trustworthy` whether at least two do and hardly any warns.
+    `value` and `error` are in [response/variable]; see `Sensitivity.unit`. The error holds what the
+    steps of the study do, as its replicas tell it. `estimates` are the methods' own answers, whose
+    errors do not; `verdict` is a sentence that says whether they agree, and which of their runs
+    warn, and `trustworthy` whether at least two do and hardly any warns.
     """
 
     response: str = eqx.field(static=True)

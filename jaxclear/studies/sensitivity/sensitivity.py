@@ -46,6 +46,7 @@ from jaxclear.studies.sensitivity.regression import (
     runs_at_ends,
     runs_outside,
 )
+from jaxclear.studies.sensitivity.steps import error_by_steps
 
 METHODS = ("regression", "differences", "pathwise")
 # Independent parts of a sample of differences: as many as of the Monte Carlo sample.
@@ -81,7 +82,8 @@ def sensitivity(
     certain answer, else between values that become likelier and such as become less so, or by steps
     over all), "pathwise" (fixed-step integrators only; the cheapest where nothing opens and closes;
     through contacts it is shown only where another method agrees with it, and is never the answer).
-    `verify`: the sample drawn here has replicas, as in `monte_carlo`; verdicts say what they doubt.
+    `verify`: the sample drawn here has replicas, as in `monte_carlo`: errors hold what steps do to
+    a derivative, as far as they tell it, and verdicts say what they doubt.
     Raises `ValueError` with a sentence for a name that there is not, and for another's sample.
     """
     expect(problem, AbstractProblem, "what is differentiated", "a jaxclear.Problem")
@@ -198,11 +200,16 @@ def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarl
             key = one.label, direction.label
             size = one.size(drawn.good(one.response)[0], step)
             answer = confirmed(*key, estimates, size)
+            # All methods share the steps of the study: what these do to a derivative is no part of
+            # whether they agree.
+            steps = error_by_steps(drawn, direction, one, answer.value, answer.error)
+            unresolved = "" if steps is None or steps.is_resolved else steps.unresolved
             # What brings the sample's response in doubt, and what the sample lacks of what was
             # asked for.
-            doubts = [*drawn.doubts_of(one.response), drawn.unreached]
+            doubts = [unresolved, *drawn.doubts_of(one.response), drawn.unreached]
             told = " ".join(filter(None, [answer.verdict, *doubts]))
-            derivatives[key] = dataclasses.replace(answer, verdict=told)
+            whole = answer.error if steps is None or unresolved else steps.whole
+            derivatives[key] = dataclasses.replace(answer, verdict=told, error=whole)
     problem = drawn.problem
     units = {one.label: one.unit(problem.units()[one.response]) for one in asked}
     units |= {d.label: problem.variable_units[d.variable] for d in found}
