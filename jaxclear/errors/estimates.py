@@ -186,7 +186,7 @@ class Failed(AbstractVerification):
 
 def remedy_of_depths(remedy: str) -> str:
     """What brings errors of worn depths down, beside what does so with all of a run's."""
-    return f"save more often, which is when surfaces wear (with more `updates`), or {remedy}"
+    return f"{remedy}, and save more often, which is when surfaces wear (with more `updates`)"
 
 
 def richardson(differences: list[Any], shares: Sequence[float | None] = (HALF, QUARTER)) -> Any:

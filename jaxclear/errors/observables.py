@@ -1,7 +1,8 @@
 """The standard answers of a run, and how far two runs of one mechanism are apart in them.
 
 Places are judged beside the longest way of a body, or a hundred times the widest gap if that is
-more: bodies that go less far only move within their gaps. Places in gaps are judged beside the
+more: bodies that go less far only move within their gaps; what stands still is judged beside its
+size. Places in gaps are judged beside the
 clearance, forces beside the largest of all joints, wear beside the surface that wears most; all of
 them as the finest run tells them, as errors are shares of what an answer is.
 """
@@ -27,8 +28,9 @@ from jaxclear.results.trajectory import Trajectory
 
 # A body that goes less far than so many of the widest gap is judged beside that.
 GAPS = 100.0
-# Share of the longest arm, and of a radian, by which rounding moves what is at rest.
-AT_REST = 1e-9
+# Bodies that move by less than this share of the longest arm, and of a radian, are judged beside
+# it: a thousandth, the tightest promise, is what Adaptive's absolute tolerance lets through.
+AT_REST = 1e-6
 # Share of the energy turned over below which friction takes nothing that a user would read.
 LEAST_LOSS = 1e-3
 # Worn depth, beside the root of its surface's area, below which nothing wears: a thousand million

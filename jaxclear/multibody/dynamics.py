@@ -21,7 +21,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_alike, map_many
 from jaxclear.ground.grouping import MANY
 from jaxclear.ground.quantity import constant
-from jaxclear.multibody import constraints, kinematics, tree
+from jaxclear.multibody import constraints, kinematics, transmissions, tree
 from jaxclear.multibody.constraints import ClosureEquations, Dependence
 from jaxclear.multibody.forces import Forces, add_action_and_reaction
 from jaxclear.multibody.kinematics import JacobianRow, along
@@ -173,6 +173,15 @@ def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[
     every = constraints.coupled(system, forces.motions, solution.multipliers)
     for term, pose, wrench in constraints.coupled_wrenches(forces.motions, every):
         add_action_and_reaction(wrenches, term.closure, pose, *wrench)
+    meshes = [
+        (own.closure, forces.pressing[name].torque / own.scale)
+        for name, own in system.transmissions.items()
+    ]
+    if system.topology.couplings:
+        rows = constraints.by_closure(system, forces.motions, solution.multipliers)
+        meshes += [(closure, own.get(0, 0.0)) for closure, own in rows]
+    for closure, pose, wrench, _ in transmissions.pulls_of_centres(forces.motions, meshes):
+        add_action_and_reaction(wrenches, closure, pose, *wrench)
     accelerations = kinematics.link_accelerations(system, forces.motions, solution.accelerations)
     out: list[Wrench] = []
     for subtree in system.topology.subtrees:

@@ -236,8 +236,8 @@ def _motions(asked: Ask, q: Array, time: Any) -> tuple:
 
 
 def _undetermined(mechanism: Mechanism, rows: tuple[Row, ...], place: Place) -> tuple[str, ...]:
-    """Joints through which forces can pass that are in equilibrium with themselves: of more than
-    rounding, beside forces and torques on the longest arm of about 1."""
+    """Joints, and couplings, through which forces can pass that are in equilibrium with themselves:
+    of more than rounding, beside forces and torques on the longest arm of about 1."""
     jacobian = np.zeros((len(rows), place.jacobian.shape[1]))
     jacobian[[not row.fixed for row in rows]] = place.jacobian
     ways = np.linalg.svd(jacobian.T)[2][place.rank :]
@@ -245,4 +245,9 @@ def _undetermined(mechanism: Mechanism, rows: tuple[Row, ...], place: Place) -> 
     largest = {
         n: np.abs(ways @ np.asarray(own)).max(initial=0.0) for n, own in place.through.items()
     }
-    return tuple(name for name in mechanism.connections if largest.get(name, 0.0) > least)
+    for row, own in zip(rows, ways.T, strict=True):
+        # The row of a coupling is what it transmits; on coordinates it acts through no joint.
+        if row.joint in mechanism.couplings:
+            largest[row.joint] = np.abs(own).max(initial=0.0)
+    known = (*mechanism.connections, *mechanism.couplings)
+    return tuple(name for name in known if largest.get(name, 0.0) > least)

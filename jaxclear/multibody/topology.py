@@ -61,8 +61,9 @@ class Branch:
 class Redundancy:
     """What is too much in the loops of a mechanism that moves all the same: of the rows that motion
     changes only `rank` are independent, all or, where they `depend` on each other, fewer; `rows`
-    (joint, row) follow from the others or are never changed, and the reactions of `joints` are not
-    unique. `far`: whether the loops are closed from the guess by a damped search only.
+    (joint, row) follow from the others or are never changed, and the reactions of `joints` (and
+    couplings) are not unique. `far`: whether the loops are closed from the guess by a damped search
+    only.
 
     States saved before 0.26 do not say whether rows depend: then it is taken so.
     """
@@ -77,10 +78,7 @@ class Redundancy:
         """The same as a sentence."""
         rows, verb = listed_rows(self.rows), "follow" if len(self.rows) > 1 else "follows"
         least = (
-            f"of the reactions in joints {listed(self.joints)} the least are taken that close the "
-            "loops."
-            if self.joints
-            else "of what the couplings transmit the least is taken."
+            f"of the reactions in {listed(self.joints)} the least are taken that close the loops."
         )
         return (
             f"overconstrained: of the rows that close loops {rows} {verb} from the others. The "

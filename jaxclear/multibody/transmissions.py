@@ -12,6 +12,7 @@ is met by that end. Which flanks count as pressing may be told (`shares`), so th
 equations are smooth.
 """
 
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -19,7 +20,7 @@ import jax.numpy as jnp
 from jaxclear.components.clearance.backlash import middle_of
 from jaxclear.components.function_of_angle import value_and_slope
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import positive_part, safe_divide
+from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import constant
 from jaxclear.laws.transmission import bounded, one_sided
@@ -27,6 +28,7 @@ from jaxclear.multibody import kinematics, pose_rows
 from jaxclear.multibody.coordinate_sums import outer_wrenches, sum_equation
 from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.loops import Closure, CoordinateSum
+from jaxclear.multibody.meshes import Mesh
 from jaxclear.multibody.state import Layout
 from jaxclear.multibody.system import TWIST, System, Transmission
 from jaxclear.multibody.tree import Motion, Wrench
@@ -332,3 +334,20 @@ def on_closures(motions: tuple[Motion, ...], own: Transmission, torque: Any) -> 
     (slope,) = pose_rows.gradients(closure.reading, pose)[1]
     parts = (sp.scale(along, part) for part in slope.wrench(pose))
     return [ActingWrench(closure, pose, Wrench(*parts), None)]
+
+
+def pulls_of_centres(
+    motions: tuple[Motion, ...], meshes: Iterable[tuple[Closure, Any]]
+) -> Iterator[ActingWrench]:
+    """What draws the axes of couplings of bodies together, from their closures and the forces [N]
+    along their residuals."""
+    for closure, force in meshes:
+        if not isinstance(closure.reading, Mesh):
+            continue
+        pose = kinematics.relative_motion(closure, motions)[1]
+        pull = closure.reading.coupling.pull_of_centres(force, pose)
+        if pull is not None:
+            x, y, _ = pose.translation
+            share = -pull / safe_sqrt(jnp.asarray(sp.add(sp.mul(x, x), sp.mul(y, y)), float))
+            wrench = Wrench((sp.mul(share, x), sp.mul(share, y), 0), sp.ZERO)
+            yield ActingWrench(closure, pose, wrench, None)

@@ -316,20 +316,27 @@ def reaction(history: StateHistory, name: str) -> ReactionHistory:
         if isinstance(own, AbstractBodyCoupling) and own.motor is None
     ]
     check_known(name, [*history.mechanism.connections, *meshing], "joint")
-    redundancy = history.mechanism.topology.redundancy
-    unique = redundancy is None or name not in redundancy.joints
-    if not unique:
-        # A force in equilibrium with itself has no power in any motion, nor along a drive.
-        given = (
-            f' What its drive gives is: run.transmitted("{name}").'
-            if name in history.mechanism.driven
-            else ""
-        )
-        warn(
-            f'the reaction of joint "{name}" is not unique: the loops are {redundancy} A body that '
-            f"gives, or a joint with clearance in place of one of them, would tell which.{given}",
-        )
+    kind = "coupling" if name in couplings else "joint"
+    unique = is_unique(history, name, f'the reaction of {kind} "{name}"')
     return dataclasses.replace(_reaction(history, name), unique=unique)
+
+
+def is_unique(history: StateHistory, name: str, what: str) -> bool:
+    """Whether overconstrained loops determine the reaction of a joint, or what a coupling
+    transmits; warns where they do not."""
+    mechanism = history.mechanism
+    redundancy = mechanism.topology.redundancy
+    if redundancy is None or name not in redundancy.joints:
+        return True
+    # A force in equilibrium with itself has no power in any motion, nor along a drive.
+    drive = f' What its drive gives is: run.transmitted("{name}").'
+    remedy = "A body that gives, or a joint with clearance in place of one of them,"
+    remedy = "Stiffness of the couplings" if name in mechanism.couplings else remedy
+    warn(
+        f"{what} is not unique: the loops are {redundancy} {remedy} would tell which."
+        f"{drive if name in mechanism.driven else ''}",
+    )
+    return False
 
 
 @eqx.filter_jit

@@ -354,7 +354,8 @@ class Trajectory(AbstractShown):
         """What a coupling transmits over time, or a drive gives: of coordinates the torque [N m]
         (force [N] where it slides) on the first of them; of bodies the force [N] along its line of
         action; of a driven joint the torque or force along its coordinate, the friction of its own
-        bearing taken off. Unique by power where reactions are not. Of a coupling with play or
+        bearing taken off. Of drives it is unique by power where reactions are not; where redundant
+        couplings leave it open it is the least, and a warning says so. Of a coupling with play or
         stiffness where its play is seen; of a motor that turns with a joint on that joint. Of a
         load on a coordinate, by its name, what it gives there: friction at rest what it holds;
         where it is no function of the state (a rigid stop, friction that sticks) means over the

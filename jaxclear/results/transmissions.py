@@ -19,7 +19,14 @@ from jaxclear.ground.table import as_table
 from jaxclear.multibody.forces import coordinate_effect, force_of
 from jaxclear.multibody.system import coordinate_loads, scale_of
 from jaxclear.multibody.topology import motor_name
-from jaxclear.results.histories import AbstractHistory, driving, measured, of_row, solved
+from jaxclear.results.histories import (
+    AbstractHistory,
+    driving,
+    is_unique,
+    measured,
+    of_row,
+    solved,
+)
 from jaxclear.results.state_history import StateHistory, check_known, over_time
 
 
@@ -100,6 +107,7 @@ def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
         return _of_load(history, name)
     if name not in mechanism.couplings:
         return driving(history, name)
+    is_unique(history, name, f'what coupling "{name}" transmits')
     return (of_row if name in mechanism.topology.couplings else _given)(history, name)
 
 

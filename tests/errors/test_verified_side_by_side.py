@@ -105,6 +105,18 @@ def test_couplings_beside_joints_and_each_other():
     assert 'peak contact force, "l"' in answers(coupled())
 
 
+def test_what_stands_still_is_judged_beside_its_size():
+    """A shaft 0.1 m across that a push moves by less than the absolute tolerance, 1e-9 rad."""
+    spring = jc.load.JointSpring("on wheel", 500.0)
+    rig = jc.Mechanism(
+        {"wheel": jc.Body(10.0, 0.1, (0.1, 0.0))},
+        {"on wheel": jc.Connection(turn(), "ground", "wheel")},
+        {"spring": spring, "push": jc.load.JointTorque("on wheel", 1e-7)},
+    )
+    run = jc.simulate(rig, 0.5, save=11)
+    assert abs(float(run.coordinate("on wheel")[-1])) < 1e-9 and not run.warnings
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("loose", ROUND)
 def test_joints_in_space_beside_each_other(loose):

@@ -340,5 +340,82 @@ def test_whole_turns_that_a_coupling_counts_are_met_or_said():
 def test_redundant_rows_of_couplings_are_called_by_the_coupling():
     said = str(Redundancy(1, rows=(("two", ""), ("pin", "turn"), ("pin", "x"))))
     assert 'loops coupling "two"; turn, x of joint "pin" follow' in said
-    assert said.endswith("of what the couplings transmit the least is taken.")
-    assert 'joints "pin" the least' in str(Redundancy(1, rows=(("pin", "x"),), joints=("pin",)))
+    assert 'reactions in "pin" the least' in str(
+        Redundancy(1, rows=(("pin", "x"),), joints=("pin",))
+    )
+
+
+def tied_twice(second):
+    """Pinion and wheel of 3:1, geared, and tied once more."""
+    couplings = {"mesh": jc.coupling.Gear("A", "B", 3.0), "second": second}
+    plain = gear_pair()
+    return jc.Mechanism(plain.bodies, plain.connections, plain.loads, couplings=couplings)
+
+
+def test_shares_of_couplings_that_say_the_same_are_not_unique():
+    """Two equal rows: any split meets the equations; a chain of two has one."""
+    run = jc.simulate(tied_twice(jc.coupling.Ratio("B", "A", -1 / 3)), 1e-3, save=2)
+    for name in ("mesh", "second"):
+        with pytest.warns(UserWarning, match=f'what coupling "{name}" transmits is not unique'):
+            run.transmitted(name)
+    with pytest.warns(UserWarning, match='reaction of coupling "mesh" is not unique'):
+        assert not run.reaction("mesh").unique
+    soft = jc.coupling.Ratio("B", "A", -1 / 3, stiffness=1e3)
+    run = jc.simulate(tied_twice(soft), 1e-3, save=2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run.transmitted("mesh"), run.transmitted("second")
+        assert run.reaction("mesh").unique
+
+
+FAR, PULL = 0.3, 60.0
+
+
+def belt_drive(belt, torque=None, turned=None):
+    """A pulley that is held at an angle or by a torque, and one that stands still."""
+    held = None if turned is None else jc.drive.Held(turned)
+    turn = lambda drive: jc.joint.Revolute(drive=drive)
+    return jc.Mechanism(
+        {"a": jc.Body(0.5, 1e-3), "b": jc.Body(1.0, 3e-3)},
+        {
+            "A": jc.Connection(turn(held), "ground", "a"),
+            "B": jc.Connection(turn(jc.drive.Held(0.0)), jc.Marker("ground", (FAR, 0.0)), "b"),
+        },
+        {} if torque is None else {"motor": jc.load.JointTorque("A", torque)},
+        couplings={"belt": belt},
+    )
+
+
+def carried_by(tight, slack, sine):
+    """Force of two strands on a pulley, of unit vectors (cos, sin) and (cos, -sin)."""
+    return np.hypot((tight + slack) * np.sqrt(1 - sine**2), (tight - slack) * sine)
+
+
+@pytest.mark.parametrize(
+    "radius, crossed, turned",
+    [(0.04, False, 2e-3), (0.06, False, 2e-3), (0.06, True, 2e-3), (0.04, False, 0.03)],
+    ids=["alike", "unlike", "crossed", "slack"],
+)
+def test_bearings_carry_both_strands_of_a_belt(radius, crossed, turned):
+    """Statics: strands of half the stiffness each pull by F0 + T / 2 r and F0 - T / 2 r, or one
+    alone."""
+    own, stiffness = 0.04, 800.0
+    belt = jc.coupling.Belt(
+        "A", "B", own, radius, crossed=crossed, stiffness=stiffness, pretension=PULL
+    )
+    run = jc.simulate(belt_drive(belt, turned=turned), 1e-3, save=2)
+    stretch = 0.5 * stiffness * turned / own
+    tight, slack = PULL + stretch, max(PULL - stretch, 0.0)
+    sine = (radius + own if crossed else radius - own) / FAR
+    for joint in "AB":
+        found = np.linalg.norm(run.reaction(joint).force[-1])
+        assert found == pytest.approx(carried_by(tight, slack, sine), rel=1e-9)
+
+
+def test_the_shaft_of_a_chain_carries_its_tight_strand():
+    """4 N m on 40 mm: 100 N, whichever way."""
+    chain = jc.coupling.Belt("A", "B", 0.04, 0.06)
+    for torque in (4.0, -4.0):
+        run = jc.simulate(belt_drive(chain, torque), 1e-3, save=2)
+        found = np.linalg.norm(run.reaction("A").force[-1])
+        assert found == pytest.approx(100.0, rel=1e-9)

@@ -238,6 +238,11 @@ class AbstractBodyCoupling(AbstractCoupling):
         """Raises `ValueError` the same way where a part cannot roll on what its carrier moves
         along; it can unless overridden."""
 
+    def pull_of_centres(self, force: Any, pose: Pose) -> Any:
+        """The force [N] that draws the origins of its markers towards each other beside the `force`
+        [N] along its residual, and does not move it; None, as unless overridden: there is none."""
+        return None
+
     def terms(self) -> tuple[CoordinateTerm, ...]:
         """The same as a sum of coordinates, where an end is a `Motor`; the first is that along
         which play is seen, and has factor 1."""

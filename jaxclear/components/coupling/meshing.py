@@ -135,13 +135,14 @@ class Belt(AbstractBodyCoupling):
     r"""A belt or a chain over two pulleys on parallel axes: :math:`r_a` turns of b for
     :math:`r_b` of a, the same way round, or the other way where it is `crossed`.
 
-    It acts on the bodies by the difference of its two strands' forces along them, of half each, so
-    that pulleys of one size do not load their bearings by it; that of the pretension on bearings is
-    a load of your own. Strands do not slip. Without stiffness they do not stretch; with it, which
-    both share, as it is seen at a, and a `pretension` [N] of each, a strand pulls and does not
-    push: beyond a torque of :math:`2 r_a F_0` at a the slack one gives up its share, and half the
-    stiffness is left. Without pretension, as of a chain that is taut both ways, both go on. With a
-    `Motor` as an end it acts on the coordinate of the other alone.
+    It acts on the bodies by the difference of its two strands' forces. Together the strands pull by
+    :math:`\max(2 F_0, |T| / r_a)` for a torque T at a (of a chain the tight one alone): reactions
+    of ideal joints have that too; what moves does not feel it (a journal in its gap, an arm that
+    tightens the belt: give it as a load). Strands do not slip. Without stiffness they do not
+    stretch; with it, which both share, as it is seen at a, and a `pretension` [N] of each, a strand
+    pulls and does not push: beyond a torque of :math:`2 r_a F_0` at a the slack one gives up its
+    share, and half the stiffness is left. Without pretension, as of a chain that is taut both ways,
+    both go on. With a `Motor` as an end it acts on the coordinate of the other alone.
     """
 
     a: str | Motor = end()
@@ -183,6 +184,12 @@ class Belt(AbstractBodyCoupling):
 
     def rest(self, pose, drawn):
         return 0
+
+    def pull_of_centres(self, force, pose):
+        rest = 0.0 if self.pretension is None else 2 * self.pretension
+        step = self.radius_a + (1.0 if self.crossed else -1.0) * self.radius_b
+        sine = jnp.minimum(jnp.abs(step) / _distance(pose), NO_TANGENT)
+        return jnp.maximum(rest, jnp.abs(force)) * jnp.sqrt(1 - sine * sine)
 
     def terms(self):
         side = -1.0 if self.crossed else 1.0
