@@ -165,21 +165,13 @@ class Adaptive(AbstractIntegrator):
         return eqx.tree_at(lambda own: own.largest_step, self, step, is_leaf=lambda x: x is None)
 
     def ending_at(self, times):
-        known = np.zeros(0) if self.breaks is None else on_host(self.breaks)
-        every = np.union1d(known[np.isfinite(known)], times)
+        known = () if self.breaks is None else on_host(self.breaks)
+        every = np.setdiff1d(np.append(known, times), np.inf)
         # So many numbers that few counts of them compile.
-        padded = np.full(max(16, 1 << int(len(every) - 1).bit_length()), np.inf)
-        padded[: len(every)] = every
-        places = lambda own: own.breaks
-        return eqx.tree_at(places, self, jnp.asarray(padded), is_leaf=lambda x: x is None)
-
-    def ends_near(self, time, within):
-        return self.breaks is not None and np.any(abs(on_host(self.breaks) - time) <= within)
-
-    def next_break(self, time, stop):
-        if self.breaks is None:
-            return None
-        return jnp.min(jnp.where(self.breaks > time, self.breaks, stop), initial=stop)
+        every = jnp.append(
+            every, jnp.full((1 << int(len(every)).bit_length()) - len(every), jnp.inf)
+        )
+        return eqx.tree_at(lambda own: own.breaks, self, every, is_leaf=lambda x: x is None)
 
     def evaluations(self, mechanism):
         """Those of the solver's stages, of which the last may be the next step's first."""

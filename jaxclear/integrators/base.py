@@ -105,6 +105,7 @@ class AbstractIntegrator(AbstractQuantified):
 
     pathwise: eqx.AbstractClassVar[bool]
     projects: eqx.AbstractClassVar[bool]
+    breaks = None
 
     @property
     @abstractmethod
@@ -209,15 +210,6 @@ class AbstractIntegrator(AbstractQuantified):
     def ending_at(self, times: Any) -> "AbstractIntegrator":
         """Itself with steps that end at these times [s] too, where it finds their length itself."""
         return self
-
-    def ends_near(self, time: float, within: float) -> bool:
-        """Whether steps end within so many seconds of this time [s] as they were made to."""
-        return False
-
-    def next_break(self, time: Any, stop: Any) -> Any:
-        """The first time [s] after this one at which steps are to end, at the latest `stop`; None
-        where nothing but saving times ends them."""
-        return None
 
     @property
     def promise(self) -> Promise:

@@ -301,6 +301,7 @@ def felt_along(run: Trajectory, integrator: AbstractIntegrator) -> LoadSteps:
     loads, times = own_loads(run.mechanism), np.asarray(run.time)
     step, fixed = concrete(integrator.asked_step()), integrator.steps_between_saves
     step = step if fixed is None else np.diff(times).max() / fixed
+    known = np.zeros(0) if integrator.breaks is None else np.asarray(integrator.breaks)
     breaks, passed = np.zeros(0), dict[str, float]()
     for name, load in loads.items():
         places, speeds = (
@@ -310,8 +311,8 @@ def felt_along(run: Trajectory, integrator: AbstractIntegrator) -> LoadSteps:
         path = CubicHermiteSpline(times, places, speeds, axis=1)
         moving = lambda at, path=path: (at, tuple(path(at)), tuple(path(at, 1)))
         for share, lasts, each in _changes(lambda at, own=load: _effects(own, moving(at)), times):
-            ends = integrator.ends_near(each[0], lasts)
-            if not ends and (step is None or lasts < step):
+            near = np.any(abs(known - np.median(each)) <= lasts)
+            if not near and (step is None or lasts < step):
                 breaks = np.append(breaks, each)
                 passed[name] = passed.get(name, 0.0) + share
     return LoadSteps(integrator.ending_at(breaks) if len(breaks) else integrator, passed)

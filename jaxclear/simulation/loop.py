@@ -313,9 +313,8 @@ def _in_parts(loop: Callable, part: Callable, begun: Any, span: Span) -> Any:
 def _between_instants(turn: _Turn, loop: Callable, part: Callable) -> Callable:
     """A part of a saving interval that is gone through from instant to instant of what is sampled,
     and of what steps are to end at, by a while `loop`; the part itself where there are none."""
-    system, integrator = turn.model.system, turn.integrator
-    broken = integrator.next_break(0.0, 0.0) is not None
-    if not sampled_loads(system) and not broken:
+    system, breaks = turn.model.system, turn.integrator.breaks
+    if not sampled_loads(system) and breaks is None:
         return part
 
     def parts(begun, span):
@@ -325,7 +324,8 @@ def _between_instants(turn: _Turn, loop: Callable, part: Callable) -> Callable:
         def turn(now):
             time, carry, (_, noted) = now
             ahead = next_instant(system, time, span.stop)
-            ahead = integrator.next_break(time, ahead) if broken else ahead
+            if breaks is not None:
+                ahead = jnp.min(jnp.where(breaks > time, breaks, ahead), initial=ahead)
             progress = span.progress * (ahead - time) / (span.stop - span.start)
             carry, (left, more) = part(
                 carry, span._replace(start=time, stop=ahead, progress=progress)

@@ -67,8 +67,6 @@ NOT_BACKWARDS = (
     "a run that shows its progress: leave progress_bar out, or take forward mode (jax.jvp, "
     "jax.jacfwd; jax.jacfwd of it for second derivatives)."
 )
-# So often a run is repeated that has passed over what loads of the user's own do along its motion.
-MOST_AGAIN = 3
 # A mechanism with more coordinates than these may be too long for a kernel.
 FEW_COORDINATES = 32
 
@@ -296,13 +294,10 @@ def _simulated(
 
         with stoppable():
             found = again(Replica(integrator, saved))
-            for _ in range(MOST_AGAIN):
-                steps, more = felt_along(found, integrator)
-                if steps is integrator:
-                    break
+            steps, more = felt_along(found, integrator)
+            if steps is not integrator:
                 integrator, found = steps, again(Replica(steps, saved))
-            else:
-                _, more = felt_along(found, integrator)
+                more = felt_along(found, integrator).passed
             passed = passed | more
             found = judged_by(passed, until_the_end(diagnosed(guarded(found, integrator))))
         found = verified(found, integrator, again, how.verify, asked)
