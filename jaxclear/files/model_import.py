@@ -16,10 +16,18 @@ from jaxclear.components.drive import Held
 from jaxclear.components.load import Gravity
 from jaxclear.files.model_loads import STOPS, gives_way, loads_of
 from jaxclear.files.model_tree import HERE, Tree, equalities_of, rotation_of
-from jaxclear.files.mujoco_model import Compiled, compiled, names_of, not_taken_over
+from jaxclear.files.mujoco_model import (
+    Compiled,
+    compiled,
+    coordinates_at,
+    keyframes,
+    names_of,
+    not_taken_over,
+)
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.warning import warn
+from jaxclear.ground.wording import listed
 from jaxclear.multibody.exchange import without_loads_on
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.topology import grow
@@ -42,7 +50,9 @@ def read_urdf(path: Any, *, floating: bool = False, stops: str = "steady") -> Me
 
 
 @answering
-def read_mjcf(path: Any, *, floating: bool = False, stops: str = "steady") -> Mechanism:
+def read_mjcf(
+    path: Any, *, floating: bool = False, stops: str = "steady", keyframe: str | None = None
+) -> Mechanism:
     """The mechanism in a file of MJCF (or URDF), with the names of the file.
 
     Bodies have the frames, inertias and joints of the model: hinges are `Revolute`, slides
@@ -61,6 +71,8 @@ def read_mjcf(path: Any, *, floating: bool = False, stops: str = "steady") -> Me
       weight and springs of the model's tree they give way as far. "impact": they stop what runs
       into them over the same way and time, and give way 1 / (1 - d) times as far under a steady
       load, for MuJoCo's impedance d (20 times by default).
+    - `keyframe`: that of the file in which it starts, by its name; by default the reference. What
+      closes loops from there is the nearest place; speeds and controls are not taken over.
 
     Dry friction holds what is driven by less; in MuJoCo it creeps. A `NotImported` warning names
     what is not taken over: contacts, actuators, tendons, other equalities, a reference
@@ -68,16 +80,22 @@ def read_mjcf(path: Any, *, floating: bool = False, stops: str = "steady") -> Me
     `ImportedSoft` warning says what gives way under weight and springs, and by how much. Raises
     `ValueError` with a sentence.
     """
-    return _mechanism(compiled(path, floating=floating), stops)
+    return _mechanism(compiled(path, floating=floating), stops, keyframe)
 
 
-def _mechanism(read: Compiled, stops: str = "steady") -> Mechanism:
+def _mechanism(read: Compiled, stops: str, keyframe: str | None = None) -> Mechanism:
     check_known("stops", stops, STOPS)
     model = read.model
     bodies, joints = names_of(model)
     tree = Tree(model, bodies, joints)
     held = equalities_of(model, tree)
-    _warn(read, "not taken over", [*not_taken_over(read, joints), *held.missing], NotImported)
+    missing = [*not_taken_over(read, joints), *held.missing]
+    begins = {} if keyframe is None else coordinates_at(model, joints, keyframe)
+    if keyframe is None and model.nkey:
+        missing.append(
+            f"keyframes {listed(keyframes(model))} (read_mjcf(..., keyframe=...) starts)"
+        )
+    _warn(read, "not taken over", missing, NotImported)
     if not tree.bodies:
         raise ValueError(f"{read.name} has no body with mass.")
     loads = without_loads_on(dict(loads_of(model, joints, stops)), tuple(held.held))
@@ -86,8 +104,10 @@ def _mechanism(read: Compiled, stops: str = "steady") -> Mechanism:
         loads["gravity"] = Gravity(tuple(map(float, model.opt.gravity)))
     connections = _held(tree.connections, held.held) | held.connections
     # Where an equality holds a free body, its place is only near: the loop decides.
-    start = {name: place for name, place in tree.start.items() if name not in held.free}
-    near = {name: place for name, place in tree.start.items() if name in held.free} | held.turned
+    free = tree.start | {name: begins[name] for name in tree.start if begins}
+    start = {name: place for name, place in free.items() if name not in held.free}
+    near = {name: place for name, place in free.items() if name in held.free} | held.turned
+    near |= {n: own for n, own in begins.items() if n not in free and n not in held.held}
     grown = grow(tree.bodies, connections)
     guess = {name: place for name, place in near.items() if grown.branch_of(name) is not None}
     return Mechanism(

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxclear.ground.arguments import check_flags
+from jaxclear.ground.arguments import check_flags, check_known
 from jaxclear.ground.wording import described, listed
 
 # Of mjtJoint; slides and hinges come after balls.
@@ -200,6 +200,26 @@ def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
 def _named(name: str, k: int) -> str:
     """A name in quotes; of what has none its number in the file."""
     return f'"{name}"' if name else str(k)
+
+
+def keyframes(model: Any) -> list[str]:
+    """Names of the keyframes of a model; of those without one their numbers."""
+    return [model.key(k).name or str(k) for k in range(model.nkey)]
+
+
+def coordinates_at(model: Any, joints: list[str], keyframe: str) -> dict[str, tuple[float, ...]]:
+    """The coordinates of joints at a keyframe, from the reference on; of balls and free joints as
+    they are. Raises `ValueError` for another name."""
+    known = keyframes(model)
+    check_known("keyframe", keyframe, known)
+    own, found = model.key_qpos[known.index(keyframe)], {}
+    sizes = {FREE: 7, SPHERICAL: 4}
+    for k, name in enumerate(joints):
+        place, size = int(model.jnt_qposadr[k]), sizes.get(int(model.jnt_type[k]), 1)
+        part = slice(place, place + size)
+        values = own[part] if size > 1 else own[part] - model.qpos0[part]
+        found[name] = tuple(map(float, values))
+    return found
 
 
 def has_stop(model: Any) -> np.ndarray:

@@ -37,7 +37,7 @@ class Outcome(AbstractOutcome):
         "here.",
     )
     TOO_MANY_STEPS = 2, "The allowed number of steps between two saved times was used up."
-    NOT_FINITE = 3, "The state became infinite or not a number."
+    NOT_FINITE = 3, "The state grew without bound, or became no number."
     ENERGY_GAINED = (
         4,
         "The mechanism gained energy that nothing gave it: the steps are too long for its contacts "

@@ -6,13 +6,17 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.components.acting import AbstractCoordinateLoad
+from jaxclear.components.clearance.backlash import middle_of
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import listed
+from jaxclear.multibody import transmissions
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.newton import independent
-from jaxclear.multibody.start_equations import Start, ask, retract
+from jaxclear.multibody.start_equations import Start, ask, motions_at, retract
 from jaxclear.multibody.system import System
-from jaxclear.multibody.topology import coordinate_joint
+from jaxclear.multibody.topology import coordinate_joint, moves_along
 from jaxclear.native.compiled import compiled_quickly
 
 # What may be left of a closure [m, 1].
@@ -20,6 +24,9 @@ CLOSED = 1e-8
 # By how much a given number may be missed [rad, longest arms]: numbers written with six digits
 # close a loop that leaves them no freedom.
 HELD = 1e-6
+# How far a coordinate may start beyond a stop, or inside a flank [rad, longest arms]: as deep as
+# contacts of hard parts are ever pressed.
+PRESSED = 2e-3
 # Beside the longest arm: a loop that is open by less may be one whose lengths ought to fit.
 NEARLY = 0.05
 
@@ -217,3 +224,58 @@ def _free(mechanism: Mechanism, concentric: bool, q: Any, jolt: Any) -> dict[str
 def _jolt(start: Start) -> np.ndarray:
     """A small step from the start, to where no position is singular by chance."""
     return 1e-3 * np.random.default_rng(0).normal(size=start.speeds.shape)
+
+
+def beyond_limits(mechanism: Mechanism, start: Start) -> str:
+    """A sentence where a coordinate starts beyond a stop or inside the flank of a play; "" where
+    none does, and for what is being traced."""
+    stops = {n: own for n, own in mechanism.loads.items() if _sides(own)}
+    plays = {n: own for n, own in mechanism.couplings.items() if own.gives and own.play}
+    if not (stops or plays) or is_traced((mechanism, start)):
+        return ""
+    arm, *depths = _limits_passed(mechanism, tuple(stops), tuple(plays), start.coordinates)
+    said = []
+    for name, depth in zip((*stops, *plays), map(float, depths), strict=True):
+        slides = moves_along(mechanism, stops.get(name, plays.get(name)))
+        if depth > PRESSED * (float(arm) if slides else 1.0):
+            where = f"{depth:.3g} {'m' if slides else 'rad'}"
+            what = f'inside a flank of coupling "{name}"'
+            if name in stops:
+                what = f'beyond stop "{name}" of joint "{stops[name].coordinates()[0]}"'
+            said.append(f"The start lies {where} {what}")
+    if not said:
+        return ""
+    more = f", and {len(said) - 1} more such" if len(said) > 1 else ""
+    return (
+        f"{said[0]}{more}, whose spring throws it out: give start={{...}} within (of an imported "
+        "model keyframe=...)."
+    )
+
+
+def _sides(load: Any) -> tuple:
+    return load.sides() if isinstance(load, AbstractCoordinateLoad) else ()
+
+
+@compiled_quickly
+def _limits_passed(
+    mechanism: Mechanism, stops: tuple[str, ...], plays: tuple[str, ...], q: Any
+) -> list:
+    """The longest arm [m], and how far the start is beyond stops and inside flanks [rad, m];
+    stops of joints outside the tree are not looked at."""
+    asked = ask(mechanism, False)
+    system, still = asked.system, jnp.zeros(asked.system.topology.speed_count)
+    motions = motions_at(asked, q, still, 0.0)[2]
+    found = [asked.arm]
+    for name in stops:
+        load = mechanism.loads[name]
+        branch = system.topology.branch_of(load.coordinates()[0])
+        own = None if branch is None else motions[system.topology.branches.index(branch)]
+        place = [] if own is None else own.coordinates[:1]
+        depths = [side.beyond(x) for side in _sides(load) for x in place]
+        found.append(jnp.max(sp.stack(depths), initial=0.0))
+    for name in plays:
+        giving = system.transmissions[name]
+        play = giving.coupling.play
+        twist = transmissions.twist_of(system, motions, giving).value
+        found.append(jnp.abs(sp.sub(twist, middle_of(play))) - 0.5 * play.play)
+    return found

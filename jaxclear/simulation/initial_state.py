@@ -10,6 +10,7 @@ from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import listed
+from jaxclear.multibody import start_check
 from jaxclear.multibody.assembly import Start, ready, ready_from
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import names
@@ -27,7 +28,8 @@ class Past(eqx.Module):
 
 class Beginning(NamedTuple):
     """A mechanism that knows its redundant rows, its consistent start, what is taken over, and a
-    sentence where another way to assemble is about as near to what is guessed."""
+    sentence where another way to assemble is about as near to what is guessed, or where it begins
+    beyond a stop."""
 
     mechanism: Mechanism
     start: Start
@@ -48,7 +50,9 @@ def beginning(mechanism: Mechanism, formulation: AbstractFormulation, state: Sta
     past = past_of(mechanism, formulation, state)
     if state.motion is None:
         found = ready(mechanism, state.concentric, past.worn)
-        return Beginning(found.mechanism, found.start, past, found.doubt)
+        beyond = start_check.beyond_limits(found.mechanism, found.start)
+        doubt = " ".join(filter(None, (found.doubt, beyond)))
+        return Beginning(found.mechanism, found.start, past, doubt)
     return Beginning(*ready_from(mechanism, *state.motion.moving), past)
 
 

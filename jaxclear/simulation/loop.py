@@ -57,6 +57,10 @@ NOT_THROUGH_SWEEPS = (
 )
 
 
+# A coordinate or speed so large is off by rounding by a radian, or a metre.
+BOUNDLESS = 1 / np.finfo(float).eps
+
+
 class Extras(NamedTuple):
     """What a run does beside its motion: the energies of its `balance`, a `report` of its progress,
     how many `events` (touches and releases) of each contact it keeps between two saving times, and
@@ -266,7 +270,8 @@ class _Turn:
         ahead = self._ahead(span, running, now.peaks)
         begun = sampled(model, span.start, now.state)
         result = self.advance(self.arrays, now.read, ahead, begun, now.warm_start)
-        sound = jnp.all(jnp.isfinite(result.state))
+        moving = result.state[: layout.memory_start]
+        sound = jnp.all(jnp.isfinite(result.state)) & jnp.all(abs(moving) < BOUNDLESS)
         reached = closure_coordinates.anchored(model.system, layout, span.stop, result.state)
         state = jnp.where(running & sound, reached, now.state)
         # What is not held to a tolerance (worn volumes, energies) can be lost while the steps still

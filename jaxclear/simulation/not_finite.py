@@ -40,7 +40,18 @@ def told_of_the_end(trajectory: Trajectory) -> str:
     why = _of_loads(trajectory.history)
     if not why and int(trajectory.outcome) == Outcome.NOT_FINITE:
         why = _of_bristles(trajectory.mechanism)
+        why = why or _of_controllers(trajectory.mechanism)
     return f"{trajectory.result} {why}".rstrip()
+
+
+def _of_controllers(mechanism: Mechanism) -> str:
+    names = [name for name, load in coordinate_loads(mechanism) if load.sampled_every() is not None]
+    if not names:
+        return ""
+    return (
+        f"{listed(names)} act at sampled instants: gains that are stable without a period may not "
+        "be so with it. Lower the gains, or the period or delay."
+    )
 
 
 def _of_bristles(mechanism: Mechanism) -> str:

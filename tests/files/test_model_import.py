@@ -308,3 +308,42 @@ def test_a_robot_is_drawn_by_what_is_to_be_seen_of_it(tmp_path):
     assert {body: list(own) for body, own in jc.read_shapes(tmp_path / "r.urdf").items()} == {
         "a": ["hull"]
     }
+
+
+KEYED = """
+<mujoco><compiler autolimits="true"/><worldbody>
+ <body name="base" pos="0 0 1"><freejoint/><geom type="box" size="0.2 0.1 0.1"/>
+  <body name="thigh" pos="0.1 0 0"><joint name="hip" type="ball"/>
+   <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.03"/>
+   <body name="toe" pos="0 0 -0.3"><joint name="ankle" axis="0 1 0" range="-140 -30" ref="10"/>
+    <geom type="capsule" fromto="0 0 0 0.1 0 0" size="0.02"/></body></body></body>
+</worldbody><keyframe>
+ <key name="home" qpos="0.1 0.2 0.9 0.8 0 0.6 0 0.6 0.8 0 0 -1.2"/>
+</keyframe></mujoco>"""
+
+
+def test_a_keyframe_is_where_a_mechanism_starts_or_is_named(tmp_path):
+    """Centres of mass beside those of MuJoCo at the keyframe. At the reference the ankle is 0.7 rad
+    beyond its limit."""
+    import mujoco
+
+    file = tmp_path / "leg.xml"
+    file.write_text(KEYED)
+    with warnings.catch_warnings(record=True):
+        warnings.simplefilter("always")
+        rig = jc.read_mjcf(file, keyframe="home")
+    run = jc.simulate(rig, 1e-3, save=2)
+    assert not run.warnings
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    for name in ("base", "thigh", "toe"):
+        there = data.xipos[model.body(name).id]
+        np.testing.assert_allclose(run.body(name).com[0], there, atol=1e-9)
+    with pytest.warns(jc.NotImported, match='keyframes "home"'):
+        plain = jc.read_mjcf(file)
+    (said,) = jc.simulate(plain, 1e-3, save=2).warnings
+    assert 'rad beyond stop "ankle' in said and "keyframe=" in said
+    with pytest.raises(ValueError, match='keyframe "hom".*"home"'):
+        jc.read_mjcf(file, keyframe="hom")

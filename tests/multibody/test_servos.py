@@ -194,3 +194,11 @@ def test_slopes_behind_a_limited_integral_are_nan_and_say_why():
 
     slope = jax.jacfwd(end)(40.0)
     assert jnp.isnan(slope) and "torque limit" in jc.why_unknown(slope)
+
+
+def test_a_sampled_servo_that_is_unstable_says_so():
+    """A double integrator J under k_d held for 0.1 s: its speed goes by 1 - 0.1 k_d / J a
+    period, here by -7, to 1e42 in 5 s."""
+    rig = arm(jc.load.Servo("A", 0.5, 1e-3, kd=40.0, period=0.1), speeds={"A": 1.0})
+    with pytest.raises(jc.SimulationError, match="grew without bound.*sampled instants"):
+        jc.simulate(rig, 5.0, save=11)

@@ -348,3 +348,28 @@ def test_what_is_given_is_differentiated():
     for derivative in (jax.jacfwd(start)(0.6), jax.jacrev(start)(0.6)):
         assert float(derivative[0]) == pytest.approx(1.0, abs=1e-12)
         np.testing.assert_allclose(derivative, differences, rtol=1e-7, atol=1e-7)
+
+
+def limited(place, **limits):
+    """An arm of two limits, or with play behind a coupling."""
+    turn = jc.Connection(jc.joint.Revolute(), "ground", "arm")
+    return jc.Mechanism({"arm": jc.Body(2.0, 0.5)}, {"A": turn}, start={"A": place}, **limits)
+
+
+STOPPED = {"loads": {"ends": jc.load.JointStop("A", -0.5, 0.5, stiffness=1e4)}}
+HELD = {"couplings": {"hold": jc.coupling.Hold("A", 0.0, play=2e-2, stiffness=1e4, damping=1.0)}}
+
+
+@pytest.mark.parametrize(
+    "limits, inside, beyond, said",
+    [
+        (STOPPED, 0.5, 0.6, '0.1 rad beyond stop "ends" of joint "A"'),
+        (STOPPED, -0.5001, -0.8, '0.3 rad beyond stop "ends" of joint "A"'),
+        (HELD, 0.01, -0.06, '0.05 rad inside a flank of coupling "hold"'),
+    ],
+)
+def test_a_start_beyond_a_stop_or_inside_a_flank_says_so(limits, inside, beyond, said):
+    """As far as contacts of hard parts give way it may be meant."""
+    assert not jc.simulate(limited(inside, **limits), 1e-3, save=2).warnings
+    (sentence,) = jc.simulate(limited(beyond, **limits), 1e-3, save=2).warnings
+    assert said in sentence
