@@ -2,6 +2,7 @@
 one simulation.
 """
 
+import dataclasses
 import functools
 from typing import Any, ClassVar
 
@@ -73,6 +74,10 @@ ROUNDED_OFF = 0.5
 TRUSTED = 8e-4
 
 
+def _as_times(given: Any) -> Any:
+    return None if given is None else jnp.asarray(given, float)
+
+
 class Adaptive(AbstractIntegrator):
     """A diffrax solver under error control: cost follows difficulty.
 
@@ -127,12 +132,7 @@ class Adaptive(AbstractIntegrator):
     )
     largest_step: Scalar | None = quantity(None, "s", "largest step", above=0, kw_only=True)
     most_steps: int = count(200_000, "most steps between two saving times", kw_only=True)
-    breaks: Any = eqx.field(
-        default=None,
-        kw_only=True,
-        converter=lambda x: None if x is None else jnp.asarray(x, float),
-        metadata={"wanted": "times [s], or None"},
-    )
+    breaks: Any = eqx.field(default=None, kw_only=True, converter=_as_times)
 
     @property
     def promise(self):
@@ -148,7 +148,8 @@ class Adaptive(AbstractIntegrator):
             return None
         sizes = on_device(finer * rtol), on_device(finer * atol)
         own = eqx.tree_at(lambda own: (own.rtol, own.atol), self, sizes)
-        return own if self.largest_step is None else own.held(share * self.largest_step)
+        step = self.largest_step
+        return own if step is None else dataclasses.replace(own, largest_step=share * step)
 
     def counting_in(self, gap, arm):
         loosest = jnp.minimum(LOOSEST, LOOSEST_IN_GAP * (gap / arm))
@@ -159,19 +160,6 @@ class Adaptive(AbstractIntegrator):
     @property
     def remedy(self):
         return "tighten rtol"
-
-    def held(self, step):
-        step = step if self.largest_step is None else jnp.minimum(step, self.largest_step)
-        return eqx.tree_at(lambda own: own.largest_step, self, step, is_leaf=lambda x: x is None)
-
-    def ending_at(self, times):
-        known = () if self.breaks is None else on_host(self.breaks)
-        every = np.setdiff1d(np.append(known, times), np.inf)
-        # So many numbers that few counts of them compile.
-        every = jnp.append(
-            every, jnp.full((1 << int(len(every)).bit_length()) - len(every), jnp.inf)
-        )
-        return eqx.tree_at(lambda own: own.breaks, self, every, is_leaf=lambda x: x is None)
 
     def evaluations(self, mechanism):
         """Those of the solver's stages, of which the last may be the next step's first."""

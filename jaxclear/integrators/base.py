@@ -203,14 +203,6 @@ class AbstractIntegrator(AbstractQuantified):
         """What makes the errors of a run by it smaller."""
         return "take shorter steps"
 
-    def held(self, step: Scalar) -> "AbstractIntegrator":
-        """Itself with no step longer than this [s], where it finds their length itself."""
-        return self
-
-    def ending_at(self, times: Any) -> "AbstractIntegrator":
-        """Itself with steps that end at these times [s] too, where it finds their length itself."""
-        return self
-
     @property
     def promise(self) -> Promise:
         """The largest errors with which a run by it says nothing of its numbers."""

@@ -15,6 +15,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import Scalar
 from jaxclear.laws.rebound import damping_ratio_of
 from jaxclear.multibody import constraints, dynamics, kinematics, tree
+from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.system import System, coordinate_loads
 from jaxclear.multibody.tree import Motion
@@ -61,6 +62,11 @@ def with_damped_stops(system: System, motions: tuple[Motion, ...]) -> System:
     pairs = zip(stops.items(), inertias, strict=True)
     damped = {name: stop.damped(inertia) for (name, stop), inertia in pairs}
     return dataclasses.replace(system, loads=system.loads | damped)
+
+
+def forces_at(system: System, motions: tuple[Motion, ...], *others: Any) -> Forces:
+    """`forces.applied_forces`, with the damping of stops as the links stand."""
+    return applied_forces(with_damped_stops(system, motions), motions, *others)
 
 
 def coordinate_row(system: System, motions: tuple[Motion, ...], name: str) -> JacobianRow:

@@ -3,14 +3,13 @@ between the instants at which a step looks, and nothing in a run's numbers tells
 
 So functions of time are looked at alone, before a run: what steps of that length make of their
 impulse, by Simpson's rule over each, beside the impulse as it is. Steps that find their own length
-(`Adaptive`) are held to one that sees them, and end where one changes between any looks
-(`load_changes`). Loads of the user's own may change with the motion too: they are looked at along
-a run, behind it (`felt_along`).
+(`Adaptive`) are to end where a function changes between coarser looks. Loads of the user's own may
+change with the motion too: they are looked at along a run, behind it.
 """
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -24,21 +23,21 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.latest import Key
 from jaxclear.ground.quantity import concrete, is_traced, on_device, on_host
+from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.load_changes import changes_between, with_signs
 
 # Instants at which a function is looked at: so many in a step, and in the whole run at least and at
 # most. Of more steps than these nothing is said.
-IN_A_STEP, LEAST, MOST = 4, 2**13, 2**23
-# So many at once, whatever their number, so that nothing is compiled anew.
+IN_A_STEP, LEAST, MOST = 4, 2**18, 2**23
+# So many at once, whatever their number, so that nothing is compiled anew; and so many coarser
+# looks, between which steps under error control are to end where a function departs from a straight
+# line by this share of its integral, and changes by this share of that: at so many times at most.
 TOGETHER = 2**13
-# Share of an impulse up to which steps under error control see what changes, and so many steps at
-# most a run is made to take by holding them.
-SEEN, MOST_HELD = 0.02, 10**6
+SEEN, DIFFERENT, MOST_BREAKS = 1e-3, 0.01, 2**10
 
 
 def functions_of_time(mechanism: Mechanism) -> dict[str, Any]:
@@ -66,7 +65,7 @@ def check_finite(functions: Mapping[str, Any], times: np.ndarray) -> None:
     two of them, is no finite number."""
     looked_at = np.linspace(times[0], times[-1], TOGETHER)
     found = jax.device_get(_values(dict(functions), on_device(looked_at)))
-    for name, (*told, _) in found.items():
+    for name, told in found.items():
         bad = ~np.all([np.isfinite(row) for row in jax.tree.leaves(told)], axis=0)
         if np.any(bad):
             driven = isinstance(functions[name], AbstractDrive)
@@ -89,16 +88,9 @@ def passed_over(functions: Mapping[str, Any], edges: np.ndarray) -> dict[str, fl
     times = edges[:-1, None] + steps[:, None] * np.arange(parts) / parts
     times = np.append(times.ravel(), edges[-1])
     rates, impulses = _sampled(dict(functions), times)
-    return {
-        name: max(
-            (
-                _share(rate, impulse, steps, parts)
-                for rate, impulse in zip(rates[name], impulses[name], strict=True)
-            ),
-            default=0.0,
-        )
-        for name in functions
-    }
+    every = {name: zip(rates[name], impulses[name], strict=True) for name in functions}
+    shares = {name: [_share(*own, steps, parts) for own in each] for name, each in every.items()}
+    return {name: max(each, default=0.0) for name, each in shares.items()}
 
 
 def _share(rate: np.ndarray, impulse: np.ndarray, steps: np.ndarray, parts: int) -> float:
@@ -116,10 +108,8 @@ def _share(rate: np.ndarray, impulse: np.ndarray, steps: np.ndarray, parts: int)
 
 @compiled_quickly
 def _values(functions: dict[str, Any], times: jax.Array) -> dict[str, tuple]:
-    """Of each function its rates, their integrals where these are known, and its signs
-    (`load_changes`), at these times."""
-    at = lambda own, t: (*(found := with_signs(lambda t: _at(own, t), t))[0], found[1])
-    return {name: jax.vmap(functools.partial(at, own))(times) for name, own in functions.items()}
+    """Of each function its rates, and their integrals where these are known, at these times."""
+    return {name: jax.vmap(functools.partial(_at, own))(times) for name, own in functions.items()}
 
 
 def _at(function: Any, time: Any) -> tuple[list, list | None]:
@@ -138,50 +128,25 @@ def _columns(found: Any) -> list:
 
 def _sampled(functions: dict[str, Any], times: np.ndarray) -> tuple[dict, dict]:
     """By name the rates and impulses of each function at these times, a list of histories."""
+    from scipy.integrate import cumulative_simpson
+
     padded = np.append(times, np.full(-len(times) % TOGETHER, times[-1]))
     rows = jnp.asarray(padded.reshape(-1, TOGETHER))
-    without_signs = lambda row: {name: own[:2] for name, own in _values(functions, row).items()}
-    found = [jax.device_get(without_signs(row)) for row in rows]
+    found = [jax.device_get(_values(functions, row)) for row in rows]
     joined = jax.tree.map(lambda *parts: np.concatenate(parts)[: len(times)], *found)
     rates = {name: rate for name, (rate, _) in joined.items()}
     impulses = {
-        name: [_integrated(each, times) for each in rate] if known is None else known
+        name: [cumulative_simpson(x, x=times, initial=0) for x in rate] if known is None else known
         for name, (rate, known) in joined.items()
     }
     return rates, impulses
-
-
-def _changes(found_at: Callable, times: np.ndarray) -> list:
-    """The changes between samples over these times [s] (`changes_between`) of a function, of which
-    `found_at(times)` are values, ..., and signs."""
-
-    def sampled(at):
-        rows = np.append(at, np.full(-len(at) % TOGETHER, at[-1])).reshape(-1, TOGETHER)
-        found = [jax.device_get(found_at(row)) for row in rows]
-        values = np.concatenate([np.stack(rates, axis=1) for rates, *_ in found])
-        return values[: len(at)], np.concatenate([signs for *_, signs in found])[: len(at)]
-
-    return list(changes_between(sampled, np.linspace(times[0], times[-1], TOGETHER)))
-
-
-def _integrated(rate: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """The integral of a rate from the first time to each, by Simpson's rule over pairs of parts."""
-    h = np.diff(times)[::2]
-    begin, middle, end = rate[:-1:2], rate[1::2], rate[2::2]
-    found = np.zeros(len(times))
-    found[2::2] = np.cumsum(h * (begin + 4 * middle + end) / 3)
-    found[1::2] = found[:-1:2] + h * (5 * begin + 8 * middle - end) / 12
-    return found
 
 
 def step_ends(times: np.ndarray, step: float | None, fixed: int | None = None) -> np.ndarray | None:
     """Ends [s] of steps no longer than `step` [s] between saving times, or of the `fixed` number;
     None where they are more than anybody looks at."""
     intervals = np.diff(times)
-    if fixed is None:
-        counts = np.maximum(np.ceil(intervals / step * (1 - SLIVER)), 1)
-    else:
-        counts = np.full(intervals.shape, fixed)
+    counts = np.maximum(np.ceil(intervals / (step or np.inf) * (1 - SLIVER)), fixed or 1)
     if np.sum(counts) * IN_A_STEP > MOST:
         return None
     pairs = zip(times[:-1], intervals, counts.astype(int), strict=True)
@@ -222,97 +187,68 @@ def load_steps(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any)
     step, fixed = concrete(integrator.asked_step()), integrator.steps_between_saves
     # What is known of them is looked at, also where something else is being traced.
     with jax.ensure_compile_time_eval():
-        length, breaks, passed = _seen(Key(functions, np.asarray(times), step, fixed))
-    integrator = integrator.ending_at(breaks) if len(breaks) else integrator
-    return LoadSteps(integrator if length is None else integrator.held(length), passed)
+        breaks, passed = _seen(Key(functions, np.asarray(times), step, fixed))
+    return LoadSteps(_ending_at(integrator, breaks), passed)
+
+
+def _ending_at(integrator: AbstractIntegrator, breaks: np.ndarray) -> AbstractIntegrator:
+    """The integrator with steps that end at these times [s] too; itself where there are none."""
+    known = [] if integrator.breaks is None else on_host(integrator.breaks)
+    if not isinstance(integrator, Adaptive) or np.isin(breaks, known).all():
+        return integrator
+    every = np.append(np.union1d(known, breaks), np.full(MOST_BREAKS, np.inf))[:MOST_BREAKS]
+    return dataclasses.replace(integrator, breaks=every)
 
 
 @functools.lru_cache(maxsize=64)
-def _seen(question: Key) -> tuple[float | None, np.ndarray, dict[str, float]]:
-    """The length [s] to which steps that find it themselves are to be held (None: they need not
-    be), the times [s] at which they are to end, and by name the shares that steps pass over."""
+def _seen(question: Key) -> tuple[np.ndarray, dict[str, float]]:
+    """The times [s] at which steps that find their own length are to end, and by name the shares
+    that others pass over."""
     everything, times, step, fixed = question.asked
     functions = {name: each for name, each in everything.items() if changes(each)}
     check_finite(functions, times)
-    if not functions:
-        return None, np.zeros(0), {}
-    # Of what knows its integral samples tell all.
-    unknown = [n for n, each in functions.items() if not isinstance(each, AbstractFunctionOfTime)]
-    unseen = {n: _changes(lambda at, n=n: _values(functions, at)[n], times) for n in unknown}
-    if step is not None or fixed is not None:
-        edges = step_ends(times, step, fixed)
-        if edges is None:
-            return None, np.zeros(0), {}
-        longest, passed = np.diff(edges).max(), passed_over(functions, edges)
-        for name, own in unseen.items():
-            short = sum(share for share, lasts, _ in own if lasts < longest)
-            passed |= {name: max(passed.get(name, 0.0), short)}
-        return None, np.zeros(0), passed
-    breaks = [instant for own in unseen.values() for *_, each in own for instant in each]
-    breaks = np.setdiff1d(breaks, times)
-    times, passed = np.union1d(times, breaks), {}
-    for halvings, (length, passed) in enumerate(_halved(functions, times)):
-        if max(passed.values(), default=0.0) <= SEEN:
-            return length if halvings else None, breaks, {}
-    return None, breaks, passed
+    edges = step_ends(times, step, fixed) if step is not None or fixed is not None else None
+    passed = passed_over(functions, edges) if functions and edges is not None else {}
+    if not functions or step is not None or fixed is not None:
+        return np.zeros(0), passed
+    looks = np.linspace(times[0], times[-1], LEAST + 1)
+    rates = _sampled(functions, looks)[0].values()
+    return np.concatenate([_changes(rate, looks) for own in rates for rate in own]), {}
 
 
-def _halved(
-    functions: dict[str, Any], times: np.ndarray
-) -> Iterator[tuple[float, dict[str, float]]]:
-    """Steps [s] from the longest between saving times on, each half as long as the one before, with
-    what they pass over."""
-    length = np.diff(times).max()
-    while times[-1] - times[0] <= MOST_HELD * length:
-        edges = step_ends(times, length)
-        if edges is None:
-            return
-        yield length, passed_over(functions, edges)
-        length = 0.5 * length
+def _changes(rate: np.ndarray, looks: np.ndarray) -> np.ndarray:
+    """The looks [s] between which a function changes that coarser ones do not tell."""
+    every = (len(looks) - 1) // TOGETHER
+    off = np.abs(rate - np.interp(looks, looks[::every], rate[::every]))
+    unseen = off[1:].reshape(-1, every).sum(axis=1) > SEEN * max(np.abs(rate).sum(), 1e-300)
+    changed = np.repeat(unseen, every) & (np.abs(np.diff(rate)) > DIFFERENT * off.max())
+    return looks[np.append(changed, False) | np.append(False, changed)][:MOST_BREAKS]
 
 
-def own_loads(mechanism: Mechanism) -> dict[str, AbstractStateLoad]:
-    """Loads on coordinates of the user's own classes, which may change with anything, by name."""
-    ours = __name__.partition(".")[0]
-    return {
-        name: load
-        for name, load in mechanism.loads.items()
-        if isinstance(load, AbstractStateLoad)
-        and load.sampled_every() is None
-        and type(load).__module__.partition(".")[0] != ours
-    }
+def felt_along(run: Trajectory, integrator: AbstractIntegrator) -> AbstractIntegrator:
+    """The integrator with which a run feels what loads of the user's own do along its motion."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    if is_traced((run.states, run.time)) or not run.succeeded:
+        return integrator
+    times, breaks = np.asarray(run.time), np.zeros(0)
+    looks = np.linspace(times[0], times[-1], LEAST + 1)
+    for load in run.mechanism.loads.values():
+        own = type(load).__module__.partition(".")[0] != __name__.partition(".")[0]
+        if own and isinstance(load, AbstractStateLoad) and load.sampled_every() is None:
+            paths = [
+                CubicHermiteSpline(times, np.ravel(run.coordinate(x)), np.ravel(run.speed(x)))
+                for x in load.coordinates()
+            ]
+            places, speeds = (tuple(path(looks, k) for path in paths) for k in (0, 1))
+            for force in jax.device_get(_effects(load, looks, places, speeds)):
+                breaks = np.append(breaks, _changes(force, looks))
+    return _ending_at(integrator, breaks)
 
 
 @compiled_quickly
-def _effects(load: AbstractStateLoad, motion: tuple) -> tuple:
-    """Forces of a load, and their signs, at (times, positions, speeds)."""
+def _effects(load: AbstractStateLoad, times: Any, places: tuple, speeds: tuple) -> tuple:
+    """Forces of a load at these times [s]."""
     states = tuple(jnp.asarray(each.start, float) for each in load.states())
-    effect = lambda *now: _columns(load.effect(*now, states).forces)
-    return jax.vmap(functools.partial(with_signs, effect))(*motion)
-
-
-def felt_along(run: Trajectory, integrator: AbstractIntegrator) -> LoadSteps:
-    """The integrator with which a run feels what the user's own loads do along its motion, and by
-    name the shares that its steps have passed over; the same integrator where it has felt all."""
-    from scipy.interpolate import CubicHermiteSpline
-
-    if is_traced((run.states, run.time, integrator)) or not run.succeeded:
-        return LoadSteps(integrator, {})
-    loads, times = own_loads(run.mechanism), np.asarray(run.time)
-    step, fixed = concrete(integrator.asked_step()), integrator.steps_between_saves
-    step = step if fixed is None else np.diff(times).max() / fixed
-    known = np.zeros(0) if integrator.breaks is None else np.asarray(integrator.breaks)
-    breaks, passed = np.zeros(0), dict[str, float]()
-    for name, load in loads.items():
-        places, speeds = (
-            np.stack([np.asarray(read(each)) for each in load.coordinates()])
-            for read in (run.coordinate, run.speed)
-        )
-        path = CubicHermiteSpline(times, places, speeds, axis=1)
-        moving = lambda at, path=path: (at, tuple(path(at)), tuple(path(at, 1)))
-        for share, lasts, each in _changes(lambda at, own=load: _effects(own, moving(at)), times):
-            near = np.any(abs(known - np.median(each)) <= lasts)
-            if not near and (step is None or lasts < step):
-                breaks = np.append(breaks, each)
-                passed[name] = passed.get(name, 0.0) + share
-    return LoadSteps(integrator.ending_at(breaks) if len(breaks) else integrator, passed)
+    forces = lambda *now: _columns(load.effect(*now, states).forces)
+    return jax.vmap(forces)(jnp.asarray(times), places, speeds)

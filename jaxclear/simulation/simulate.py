@@ -294,11 +294,10 @@ def _simulated(
 
         with stoppable():
             found = again(Replica(integrator, saved))
-            steps, more = felt_along(found, integrator)
-            if steps is not integrator:
+            for _ in range(2):
+                if (steps := felt_along(found, integrator)) is integrator:
+                    break
                 integrator, found = steps, again(Replica(steps, saved))
-                more = felt_along(found, integrator).passed
-            passed = passed | more
             found = judged_by(passed, until_the_end(diagnosed(guarded(found, integrator))))
         found = verified(found, integrator, again, how.verify, asked)
     return dataclasses.replace(found, doubts=(doubt,)) if doubt else found
