@@ -72,8 +72,9 @@ def numbers_in_words(part: Any, unit: Unit = unit_of_field) -> str:
 
 
 def fields_in_words(part: Any, unit: Unit = unit_of_field) -> Iterator[tuple[str, str]]:
-    """Every field that holds something, by name: numbers with units, parts by their kind."""
-    for field in dataclasses.fields(part):
+    """Every field that holds something, by name, in the order of its arguments: numbers with units,
+    parts by their kind."""
+    for field in sorted(dataclasses.fields(part), key=lambda own: bool(own.kw_only)):
         value = getattr(part, field.name)
         empty = isinstance(value, (str, tuple, dict)) and not value
         if value is not None and not empty:
