@@ -12,6 +12,7 @@ import functools
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -36,7 +37,7 @@ IN_A_STEP, LEAST, MOST = 4, 2**18, 2**23
 # So many at once, whatever their number, so that nothing is compiled anew; and so many coarser
 # looks, between which steps under error control are to end where a function departs from a straight
 # line by this share of its integral, and changes by this share of that: at so many times at most.
-TOGETHER = 2**13
+TOGETHER, COARSE = 2**16, 2**13
 SEEN, DIFFERENT, MOST_BREAKS = 1e-3, 0.01, 2**10
 
 
@@ -80,6 +81,8 @@ def check_finite(functions: Mapping[str, Any], times: np.ndarray) -> None:
 def passed_over(functions: Mapping[str, Any], edges: np.ndarray) -> dict[str, float]:
     """By name the share of what each gives that steps with these ends [s] pass over: the largest
     error of its impulse, beside how far the impulse goes. Of what never changes that is 0."""
+    from scipy.integrate import cumulative_simpson
+
     count = len(edges) - 1
     parts = 2 * max(IN_A_STEP // 2, -(-LEAST // (2 * count)))
     if count * parts > MOST:
@@ -87,9 +90,12 @@ def passed_over(functions: Mapping[str, Any], edges: np.ndarray) -> dict[str, fl
     steps = np.diff(edges)
     times = edges[:-1, None] + steps[:, None] * np.arange(parts) / parts
     times = np.append(times.ravel(), edges[-1])
-    rates, impulses = _sampled(dict(functions), times)
-    every = {name: zip(rates[name], impulses[name], strict=True) for name in functions}
-    shares = {name: [_share(*own, steps, parts) for own in each] for name, each in every.items()}
+    shares = dict[str, list[float]]()
+    for name, (rates, known) in _sampled(dict(functions), times).items():
+        known = (
+            [cumulative_simpson(x, x=times, initial=0) for x in rates] if known is None else known
+        )
+        shares[name] = [_share(*own, steps, parts) for own in zip(rates, known, strict=True)]
     return {name: max(each, default=0.0) for name, each in shares.items()}
 
 
@@ -126,20 +132,13 @@ def _columns(found: Any) -> list:
     return [x for leaf in jax.tree.leaves(found) for x in jnp.ravel(jnp.asarray(leaf, float))]
 
 
-def _sampled(functions: dict[str, Any], times: np.ndarray) -> tuple[dict, dict]:
-    """By name the rates and impulses of each function at these times, a list of histories."""
-    from scipy.integrate import cumulative_simpson
-
+def _sampled(functions: dict[str, Any], times: np.ndarray) -> dict[str, tuple]:
+    """By name the rates of each function at these times, and their integrals where these are known
+    (None: they are not), as lists of histories."""
     padded = np.append(times, np.full(-len(times) % TOGETHER, times[-1]))
     rows = jnp.asarray(padded.reshape(-1, TOGETHER))
     found = [jax.device_get(_values(functions, row)) for row in rows]
-    joined = jax.tree.map(lambda *parts: np.concatenate(parts)[: len(times)], *found)
-    rates = {name: rate for name, (rate, _) in joined.items()}
-    impulses = {
-        name: [cumulative_simpson(x, x=times, initial=0) for x in rate] if known is None else known
-        for name, (rate, known) in joined.items()
-    }
-    return rates, impulses
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[: len(times)], *found)
 
 
 def step_ends(times: np.ndarray, step: float | None, fixed: int | None = None) -> np.ndarray | None:
@@ -181,7 +180,11 @@ def judged_by(passed: dict[str, float], run: Trajectory) -> Trajectory:
 def load_steps(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any) -> LoadSteps:
     """How a run that is saved at these times [s], the first of which it begins at, sees what its
     loads and drives do. Nothing is said of numbers that are being traced."""
-    functions = on_host(functions_of_time(mechanism))
+    return _looked_at(functions_of_time(mechanism), integrator, times)
+
+
+def _looked_at(functions: dict[str, Any], integrator: AbstractIntegrator, times: Any) -> LoadSteps:
+    functions = on_host(functions)
     if not functions or is_traced((functions, integrator, times)):
         return LoadSteps(integrator, {})
     step, fixed = concrete(integrator.asked_step()), integrator.steps_between_saves
@@ -212,43 +215,49 @@ def _seen(question: Key) -> tuple[np.ndarray, dict[str, float]]:
     if not functions or step is not None or fixed is not None:
         return np.zeros(0), passed
     looks = np.linspace(times[0], times[-1], LEAST + 1)
-    rates = _sampled(functions, looks)[0].values()
-    return np.concatenate([_changes(rate, looks) for own in rates for rate in own]), {}
+    rates = [rate for own, _ in _sampled(functions, looks).values() for rate in own]
+    return np.concatenate([_changes(rate, looks) for rate in rates]), {}
 
 
 def _changes(rate: np.ndarray, looks: np.ndarray) -> np.ndarray:
     """The looks [s] between which a function changes that coarser ones do not tell."""
-    every = (len(looks) - 1) // TOGETHER
+    every = (len(looks) - 1) // COARSE
     off = np.abs(rate - np.interp(looks, looks[::every], rate[::every]))
     unseen = off[1:].reshape(-1, every).sum(axis=1) > SEEN * max(np.abs(rate).sum(), 1e-300)
     changed = np.repeat(unseen, every) & (np.abs(np.diff(rate)) > DIFFERENT * off.max())
     return looks[np.append(changed, False) | np.append(False, changed)][:MOST_BREAKS]
 
 
-def felt_along(run: Trajectory, integrator: AbstractIntegrator) -> AbstractIntegrator:
-    """The integrator with which a run feels what loads of the user's own do along its motion."""
+class _AlongRun(eqx.Module):
+    """What a load does along a run, as a function of time [s]: coordinates and speeds are
+    polynomials between its saving times."""
+
+    load: Any
+    times: Any
+    places: Any
+    speeds: Any
+
+    def __call__(self, time):
+        i = jnp.clip(jnp.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2)
+        at = lambda pieces: tuple(jnp.polyval(pieces[:, i], time - self.times[i]))
+        states = tuple(jnp.asarray(each.start, float) for each in self.load.states())
+        return self.load.effect(time, at(self.places), at(self.speeds), states).forces
+
+
+def felt_along(run: Trajectory, integrator: AbstractIntegrator) -> LoadSteps:
+    """The same for what loads of the user's own on coordinates do along a run; the integrator
+    itself where the run has felt them."""
     from scipy.interpolate import CubicHermiteSpline
 
-    if is_traced((run.states, run.time)) or not run.succeeded:
-        return integrator
-    times, breaks = np.asarray(run.time), np.zeros(0)
-    looks = np.linspace(times[0], times[-1], LEAST + 1)
-    for load in run.mechanism.loads.values():
-        own = type(load).__module__.partition(".")[0] != __name__.partition(".")[0]
+    functions, times, ours = {}, run.time, __name__.partition(".")[0]
+    known = not is_traced(run) and run.succeeded
+    for name, load in run.mechanism.loads.items():
+        own = type(load).__module__.partition(".")[0] != ours and known
         if own and isinstance(load, AbstractStateLoad) and load.sampled_every() is None:
-            paths = [
-                CubicHermiteSpline(times, np.ravel(run.coordinate(x)), np.ravel(run.speed(x)))
-                for x in load.coordinates()
-            ]
-            places, speeds = (tuple(path(looks, k) for path in paths) for k in (0, 1))
-            for force in jax.device_get(_effects(load, looks, places, speeds)):
-                breaks = np.append(breaks, _changes(force, looks))
-    return _ending_at(integrator, breaks)
-
-
-@compiled_quickly
-def _effects(load: AbstractStateLoad, times: Any, places: tuple, speeds: tuple) -> tuple:
-    """Forces of a load at these times [s]."""
-    states = tuple(jnp.asarray(each.start, float) for each in load.states())
-    forces = lambda *now: _columns(load.effect(*now, states).forces)
-    return jax.vmap(forces)(jnp.asarray(times), places, speeds)
+            read = lambda what, load=load: np.stack(
+                [np.ravel(what(x)) for x in load.coordinates()], 1
+            )
+            path = CubicHermiteSpline(np.asarray(times), read(run.coordinate), read(run.speed))
+            pieces = jnp.asarray(path.c), jnp.asarray(path.derivative().c)
+            functions[name] = _AlongRun(load, jnp.asarray(times), *pieces)
+    return _looked_at(functions, integrator, times)

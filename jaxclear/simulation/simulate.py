@@ -295,7 +295,9 @@ def _simulated(
         with stoppable():
             found = again(Replica(integrator, saved))
             for _ in range(2):
-                if (steps := felt_along(found, integrator)) is integrator:
+                steps, more = felt_along(found, integrator)
+                passed = passed | more
+                if steps is integrator:
                     break
                 integrator, found = steps, again(Replica(steps, saved))
             found = judged_by(passed, until_the_end(diagnosed(guarded(found, integrator))))
