@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.errors.estimates import remedy_of_depths
 from jaxclear.errors.observables import GAPS
 from jaxclear.errors.verification import between, replica
 from jaxclear.ground.precision import check_double_precision
@@ -335,8 +334,7 @@ class Problem(AbstractMechanismProblem):
         return allowed(self.accuracy, response, size)
 
     def remedy(self, response):
-        worn, remedy = needs_of(self.response[response]) == "worn depth", self.integrator.remedy
-        return remedy_of_depths(remedy) if worn else remedy
+        return self.integrator.remedy
 
     def doubts(self):
         return checked_by(self._load_steps().passed, Checks()).warnings

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.surface.polynomials import levels, norms_of, orthonormal, powers, products
+from jaxclear.studies.surface.polynomials import levels, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
 
@@ -70,7 +70,6 @@ def fitted(
     found: SampleResult,
     *,
     degree: int | None = None,
-    truncation: float = 1.0,
     gradients: dict[str, np.ndarray] | None = None,
 ) -> ResponseSurface:
     """The surface through runs that are there: `found` are their outcomes at `values` (runs,
@@ -88,7 +87,7 @@ def fitted(
             f"surface of {values.shape[1]} variables: take more runs (sample=...)."
         )
     polynomials = orthonormal(values, degrees[-1])
-    table = powers(levels(polynomials), degrees[-1], truncation)
+    table = powers(levels(polynomials), degrees[-1])
     if degree is not None and len(table) > MOST_SHARE * equations:
         wanted = int(np.ceil(len(table) / MOST_SHARE * len(values) / equations))
         raise ValueError(
@@ -96,8 +95,7 @@ def fitted(
             f"and {len(values)} runs reached their end; take at least {wanted} runs, or a lower "
             "degree."
         )
-    sizes = norms_of(table, truncation)
-    kept = [np.flatnonzero(sizes <= d * (1 + 1e-9)) for d in degrees]
+    kept = [np.flatnonzero(table.sum(axis=1) <= d) for d in degrees]
     system = _equations(polynomials, table, values, target, slopes)
     coefficients, chosen, which = _best(*system, kept)
     by_name = lambda numbers: dict(zip(names, numbers, strict=True))
