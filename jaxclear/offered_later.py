@@ -1,5 +1,5 @@
 """What is offered of studies, static positions, meshes and files: loaded when the first of these
-names is asked for, as a run needs none.
+names is asked for, as a run needs none. `jaxclear.__all__` lists them.
 """
 
 from jaxclear import mesh
@@ -34,69 +34,5 @@ from jaxclear.studies.statistics.sobol_indices import sobol_indices
 from jaxclear.studies.surface.correction import corrected
 from jaxclear.studies.surface.surface import surface
 from jaxclear.studies.sweep import sweep
-from jaxclear.studies.variable import (
-    AbstractMechanismVariable,
-    Condition,
-    Heating,
-    Variable,
-)
+from jaxclear.studies.variable import AbstractMechanismVariable, Condition, Heating, Variable
 from jaxclear.studies.worst_case import worst_case
-
-__all__ = [
-    "AbstractLifeResponse",
-    "AbstractMechanismVariable",
-    "AbstractProblem",
-    "AbstractVariable",
-    "Condition",
-    "DesignSettings",
-    "Dimension",
-    "FunctionProblem",
-    "Heating",
-    "ImportedSoft",
-    "LifeProblem",
-    "LifeUntil",
-    "Measurement",
-    "NotImported",
-    "PilotSettings",
-    "PositionProblem",
-    "Problem",
-    "Scene",
-    "Variable",
-    "advise",
-    "campaign",
-    "catalogue",
-    "corrected",
-    "cost",
-    "design",
-    "design_front",
-    "distribution",
-    "identify",
-    "limit",
-    "limit_state",
-    "mesh",
-    "monte_carlo",
-    "multi_fidelity",
-    "open_campaign",
-    "positions",
-    "read_mjcf",
-    "read_scene",
-    "read_shapes",
-    "read_urdf",
-    "reliability",
-    "remaining_life",
-    "scene_schema",
-    "screening",
-    "seated",
-    "sensitivity",
-    "sensor",
-    "settled",
-    "shapley_effects",
-    "sobol_indices",
-    "surface",
-    "sweep",
-    "wear_life",
-    "wear_life_derivatives",
-    "wear_lives",
-    "worst_case",
-    "write_scene",
-]

@@ -21,29 +21,15 @@ from jaxclear.ground import cache_folder
 from jaxclear.studies.ledger.ledger import OtherStudy
 from jaxclear.studies.ledger.pieces import Unwritable
 
-STUDIES = {
-    "four-bar": four_bar,
-    "antenna": antenna,
-    "guide": guide,
-    "flap": flap,
-    "3rsr": parallel_3rsr,
-    "arm": arm,
-    "wear-life": wear_life,
-    "design": design,
-}
+STUDIES = (antenna, arm, design, flap, four_bar, guide, parallel_3rsr, wear_life)
 # Programs that compile faster than this are not kept [s].
 WORTH_KEEPING = 0.5
 
-
-COMMANDS: dict[str, Callable[..., None]] = {
-    "run": run,
-    "monte-carlo": monte_carlo,
-    "identify": identify,
-    "report": report,
-    "example": example,
-    "parameters": parameters,
-    "cache": cache,
-    **{name: one.study for name, one in STUDIES.items()},
+# What answers each command, by its name with low lines.
+OWN_SCENE = (run, monte_carlo, identify, report, example, parameters, cache)
+COMMANDS: dict[str, Callable[..., None]] = {one.__name__: one for one in OWN_SCENE}
+COMMANDS |= {
+    study.__name__.rpartition(".")[2].removeprefix("parallel_"): study.study for study in STUDIES
 }
 
 
@@ -55,7 +41,7 @@ def answer(name: str, options: dict[str, Any]) -> None:
     if "quiet" in given:
         given["show"] = not given.pop("quiet")
     try:
-        COMMANDS[name](**given)
+        COMMANDS[name.replace("-", "_")](**given)
     except (jc.SimulationError, OtherStudy, Unwritable) as error:
         raise click.ClickException(str(error)) from None
 

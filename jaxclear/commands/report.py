@@ -23,7 +23,6 @@ from matplotlib.figure import Figure
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.ground.table import as_table
-from jaxclear.plot.canvas import canvas
 from jaxclear.studies.campaign.samples import holds_campaign
 
 DOTS_PER_INCH = 130
@@ -131,7 +130,7 @@ def _contributions(found: Any) -> list[Shown]:
     shown = []
     if told:
         title = "What each variable contributes to the variance"
-        shown.append(drawn(_budget(found, told), title))
+        shown.append(drawn(plot.error_budget(found, *told), title))
     for name in endless:
         words = f'"{name}" is infinite in some samples: there is no variance of it to share out.'
         shown.append(Shown("text", words))
@@ -142,22 +141,6 @@ def _statistics(found: Any) -> pandas.DataFrame:
     """Of the summary what has an error, and how many samples there are."""
     known = [name for kind in STATISTICS for name in (kind, f"{kind} error")]
     return found.summary()[["response", "unit", "samples", "failed", "warned", *known]]
-
-
-def _budget(found: Any, names: list[str]) -> Figure:
-    """Contributions to the variance as shares of it, with their errors, of these responses."""
-    figure, axes = canvas(1, len(names), (4.6 * len(names), 3.2), squeeze=False)
-    for axis, response in zip(axes[0], names, strict=True):
-        budget = found.error_budget(response)
-        rows = range(len(budget))
-        percent = 100 / float(found.standard_deviation(response).value) ** 2
-        values = [percent * float(one.value) for one in budget.values()]
-        errors = [percent * float(one.error) for one in budget.values()]
-        axis.barh(rows, values, xerr=errors, color="C0", alpha=0.8)
-        axis.set_yticks(rows, list(budget))
-        axis.invert_yaxis()
-        axis.set_xlabel(f"share of the variance of {response} [%]")
-    return figure
 
 
 def _endings(found: Any) -> Section:

@@ -72,8 +72,9 @@ def numbers_in_words(part: Any, unit: Unit = unit_of_field) -> str:
 
 
 def fields_in_words(part: Any, unit: Unit = unit_of_field) -> Iterator[tuple[str, str]]:
-    """Every field that holds something, by name: numbers with units, parts by their kind."""
-    for field in dataclasses.fields(part):
+    """Every field that holds something, by name, in the order of its arguments: numbers with units,
+    parts by their kind."""
+    for field in sorted(dataclasses.fields(part), key=lambda own: bool(own.kw_only)):
         value = getattr(part, field.name)
         empty = isinstance(value, (str, tuple, dict)) and not value
         if value is not None and not empty:
@@ -143,6 +144,11 @@ class AbstractShown(eqx.Module):
 
     def __delattr__(self, name: str) -> NoReturn:
         raise dataclasses.FrozenInstanceError(_read_only(type(self), name))
+
+    def __reduce__(self):
+        # Copies and what is unpickled: Equinox takes what its own `__new__` makes outside of a call
+        # of the class for something that is being built, and keeps it until the process ends.
+        return object.__new__, (type(self),), vars(self)
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""

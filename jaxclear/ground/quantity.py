@@ -379,6 +379,27 @@ def with_fields(module: Of, **values: Any) -> Of:
     return own
 
 
+def with_quantities(tree: Any) -> Any:
+    """A tree, the quantities of its parts float64 arrays, in whatever form they were put in their
+    places: `equinox.tree_at` and `jax.tree.map` do not ask the fields. A number of Python's would
+    become a constant of the program, which is compiled anew for each."""
+    is_one = lambda leaf: eqx.is_array(leaf) and leaf.dtype == FLOAT64
+    if all(is_one(leaf) or callable(leaf) for leaf in jax.tree.leaves(tree)):
+        return tree
+    if not isinstance(tree, eqx.Module):
+        inner = lambda x: isinstance(x, eqx.Module)
+        again = lambda x: with_quantities(x) if inner(x) else x
+        return jax.tree.map(again, tree, is_leaf=inner)
+    fields = {f.name: f.metadata for f in dataclasses.fields(tree) if not f.metadata.get("static")}
+    values = {name: with_quantities(getattr(tree, name)) for name in fields}
+    converted = {
+        name: fields[name]["converter"](values[name])
+        for name in fields
+        if "unit" in fields[name] and "converter" in fields[name]
+    }
+    return with_fields(tree, **values | converted)
+
+
 def is_tracing() -> bool:
     """Whether a program is being traced, whatever is known in it."""
     return isinstance(jax.lax.neg_p.bind(ANY), jax.core.Tracer)

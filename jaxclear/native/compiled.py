@@ -27,6 +27,7 @@ from jaxclear.ground.quantity import is_traced, is_tracing
 from jaxclear.native import check, dispatch, verdicts
 from jaxclear.native.derivative_rules import columns_p
 from jaxclear.native.forms import Untold, function_in_text, in_text, surroundings, tree_in_text
+from jaxclear.native.rows import operations_of
 from jaxclear.native.verdicts import NoKernel, only_kernels
 
 # XLA's newer emitters of fusions compile a third longer. Around a loop of machine code they gain
@@ -52,8 +53,10 @@ SETTINGS = (
 )
 # JAX records this where it finds a program that an earlier process has compiled.
 FOUND_BY_JAX = "/jax/compilation_cache/cache_hits"
-# Programs that a process has at hand beside those that JAX keeps.
-LATEST = 256
+# Programs that a process has at hand take so much of its memory [B], as far as their operations
+# tell: of slider-crank and four-bar a program takes 3 kB an operation beside 0.5 MB.
+AT_HAND = 50e6
+A_PROGRAM, AN_OPERATION = 0.5e6, 3e3
 
 
 @dataclass(frozen=True)
@@ -65,12 +68,19 @@ class Place:
     given: bool = False
 
 
+class _About(NamedTuple):
+    """Whether a program calls `lapack`, and how many `operations` it writes out."""
+
+    lapack: bool
+    operations: int
+
+
 class _Found:
-    """A compiled program over a list of arrays, whether it calls `lapack`, and what its results are
+    """A compiled program over a list of arrays, what is known `about` it, and what its results are
     put together to: things that are no arrays, and `Place`s for those that are."""
 
-    def __init__(self, program: Any, lapack: bool, leaves: list[Any], structure: Any):
-        self.program, self.lapack = program, lapack
+    def __init__(self, program: Any, about: "_About", leaves: list[Any], structure: Any):
+        self.program, self.about = program, about
         self.leaves, self.structure = leaves, structure
         places = [(i, x) for i, x in enumerate(leaves) if type(x) is Place]
         self.own = [(i, place.number) for i, place in places if not place.given]
@@ -86,7 +96,7 @@ class _Found:
         return jax.tree.unflatten(self.structure, out)
 
 
-_AT_HAND: Latest[_Found] = Latest(LATEST)
+_AT_HAND: Latest[_Found] = Latest(AT_HAND)
 
 
 def compiled_quickly(
@@ -140,7 +150,7 @@ def prepared(function: Callable[..., Any], *arguments: Any) -> Prepared | None:
     if found is None:
         return None
     arrays = [jax.device_put(leaf) for leaf in leaves[:-1] if eqx.is_array(leaf)]
-    return Prepared(lambda last: found([*arrays, last]), found.lapack)
+    return Prepared(lambda last: found([*arrays, last]), found.about.lapack)
 
 
 def _known(options: dict[str, Any], unknown: frozenset[str]) -> dict[str, Any]:
@@ -157,7 +167,7 @@ def _found(function: Callable, options: dict[str, Any], leaves: list, tree: Any)
     found = _AT_HAND.get(form)
     if found is None:
         found = _kept_or_compiled(function, options, leaves, tree)
-        _AT_HAND.keep(form, found)
+        _AT_HAND.keep(form, found, A_PROGRAM + AN_OPERATION * found.about.operations)
     return found
 
 
@@ -219,13 +229,14 @@ def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: A
         left, (out, structure) = iter(places), form
         out = [next(left) if eqx.is_array(leaf) else leaf for leaf in out]
         lapack = verdicts.any_lapack(lowered.compiler_ir().operation)
+        about = _About(lapack, operations_of(traced.jaxpr.jaxpr))
         before = _found_by_jax()
-        found = _Found(lowered.compile(compiler_options=options), lapack, out, structure)
+        found = _Found(lowered.compile(compiler_options=options), about, out, structure)
     # One that XLA has read and writes again lacks its functions, and fails when it is called.
     if key is None or _found_by_jax() > before:
         return found
     try:
-        content = pickle.dumps((_packed(found), lapack, verdicts.SENTENCES))
+        content = pickle.dumps((_packed(found), tuple(about), verdicts.SENTENCES))
     except Exception:
         # Not every program can be kept: one that calls back into Python, for one.
         return found
@@ -310,9 +321,10 @@ def _from_disk(key: str) -> _Found | None:
     if content is None:
         return None
     try:
-        (program, given, taken, whole), lapack, sentences = pickle.load(io.BytesIO(content))
+        (program, given, taken, whole), about, sentences = pickle.load(io.BytesIO(content))
         dispatch.known_to_xla()
-        if lapack:
+        about = _About(*about)
+        if about.lapack:
             _begin_lapack()
         trees = jax.tree.structure(((0,) * given, {})), jax.tree.structure([0] * taken)
         loaded = serialize_executable.deserialize_and_load(program, *trees)
@@ -320,7 +332,7 @@ def _from_disk(key: str) -> _Found | None:
         # Of another version, or without its kernels: as if it were not there.
         return None
     verdicts.SENTENCES.update(sentences)
-    return _Found(loaded, lapack, *jax.tree.flatten(whole))
+    return _Found(loaded, about, *jax.tree.flatten(whole))
 
 
 @functools.cache

@@ -6,7 +6,7 @@ and by models of two kinds, probabilities of failing.
 
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -276,12 +276,34 @@ def error_budget(study: MonteCarlo | Campaign, *responses: str, ax: Any = None) 
     return sheet.done()
 
 
-def _by_variable(kind: str, told: Mapping[tuple[str, str], Any], ax: Any) -> Any:
-    """A panel for each response with a row for each variable, and the names of both."""
+def _by_variable(
+    what: str, study: Any, kinds: dict, ax: Any, label: str, said: str, measured: bool = False
+) -> Any:
+    """A panel for each response with a row for each variable, and in it each of the `kinds` of
+    numbers with its interval; `measured`: in units of the response."""
+    told = next(iter(kinds.values()))
     names = list(dict.fromkeys(response for response, _ in told))
     variables = list(dict.fromkeys(variable for _, variable in told))
     size = (WIDE * len(names), 1.4 + 0.4 * len(variables))
-    return panels(kind, ax, 1, len(names), size, sharey=True), names, variables
+    sheet = panels(what, ax, 1, len(names), size, sharey=True)
+    places = (-0.15, 0.15) if len(kinds) > 1 else (0.0,)
+    for axis, name in zip(sheet.axes.flat, names, strict=True):
+        factor, unit = 1.0, "1"
+        if measured:
+            sizes = [own[name, variable].value for own in kinds.values() for variable in variables]
+            factor, unit = readable(sizes, study.problem.units()[name])
+        for k, (kind, own) in enumerate(kinds.items()):
+            for row, variable in enumerate(variables):
+                named = kind if row == 0 else None
+                numbers = [factor * number for number in own[name, variable]]
+                _interval(axis, row + places[k], *numbers, color=f"C{k}", label=named)
+        _rows(axis, variables)
+        axis.axvline(0.0, color="0.7", lw=0.8)
+        axis.set_xlabel(f"{label} {name} [{unit}]")
+    if len(kinds) > 1:
+        sheet.legend()
+    sheet.title(f"{said}, {study.runs} runs")
+    return sheet
 
 
 @answering
@@ -289,21 +311,8 @@ def sobol_indices(study: SobolIndices, *, ax: Any = None) -> Any:
     """First-order and total index of each variable, with 95 % intervals. `ax`: axes for each
     response."""
     expect(study, SobolIndices, "the study", "what jaxclear.sobol_indices returns")
-    sheet, names, variables = _by_variable("sobol_indices", study.first, ax)
-    for axis, name in zip(sheet.axes.flat, names, strict=True):
-        for own, off, colour, label in (
-            (study.first, -0.15, "C0", "first order"),
-            (study.total, 0.15, "C1", "total"),
-        ):
-            for row, variable in enumerate(variables):
-                named = label if row == 0 else None
-                _interval(axis, row + off, *own[name, variable], color=colour, label=named)
-        _rows(axis, variables)
-        axis.axvline(0.0, color="0.7", lw=0.8)
-        axis.set_xlabel(f"index of {name} [1]")
-    sheet.legend()
-    sheet.title(f"Sobol' indices, {study.runs} runs")
-    return sheet.done()
+    kinds = {"first order": study.first, "total": study.total}
+    return _by_variable("sobol_indices", study, kinds, ax, "index of", "Sobol' indices").done()
 
 
 @answering
@@ -311,36 +320,17 @@ def screening(study: Screening, *, ax: Any = None) -> Any:
     """Mean size `mu*` and deviation `sigma` of the elementary effects of each variable, with 95 %
     intervals. `ax`: axes for each response."""
     expect(study, Screening, "the study", "what jaxclear.screening returns")
-    sheet, names, variables = _by_variable("screening", study.mu_star, ax)
-    for axis, name in zip(sheet.axes.flat, names, strict=True):
-        drawn = ((study.mu_star, -0.15, "C0", "mu*"), (study.sigma, 0.15, "C1", "sigma"))
-        sizes = [own[name, variable].value for own, *_ in drawn for variable in variables]
-        factor, unit = readable(sizes, study.problem.units()[name])
-        for own, off, colour, label in drawn:
-            for row, variable in enumerate(variables):
-                named = label if row == 0 else None
-                numbers = [factor * number for number in own[name, variable]]
-                _interval(axis, row + off, *numbers, color=colour, label=named)
-        _rows(axis, variables)
-        axis.axvline(0.0, color="0.7", lw=0.8)
-        axis.set_xlabel(f"elementary effect on {name} [{unit}]")
-    sheet.legend()
-    sheet.title(f"Screening, {study.runs} runs")
-    return sheet.done([*study.warnings])
+    kinds = {"mu*": study.mu_star, "sigma": study.sigma}
+    told = "elementary effect on", "Screening", True
+    return _by_variable("screening", study, kinds, ax, *told).done([*study.warnings])
 
 
 @answering
 def shapley_effects(study: ShapleyEffects, *, ax: Any = None) -> Any:
     """Effect of each variable, with 95 % intervals. `ax`: axes for each response."""
     expect(study, ShapleyEffects, "the study", "what jaxclear.shapley_effects returns")
-    sheet, names, variables = _by_variable("shapley_effects", study.effects, ax)
-    for axis, name in zip(sheet.axes.flat, names, strict=True):
-        for row, variable in enumerate(variables):
-            _interval(axis, row, *study.effects[name, variable], color="C0")
-        _rows(axis, variables)
-        axis.axvline(0.0, color="0.7", lw=0.8)
-        axis.set_xlabel(f"Shapley effect on {name} [1]")
-    sheet.title(f"Shapley effects, {study.runs} runs")
+    told = "Shapley effect on", "Shapley effects"
+    sheet = _by_variable("shapley_effects", study, {"effect": study.effects}, ax, *told)
     return sheet.done([study.remark] if study.remark else [])
 
 

@@ -164,9 +164,16 @@ def is_compared(mechanism: Mechanism, integrator: AbstractIntegrator) -> bool:
     return integrator.with_finer_steps(HALF) is not None and not refusal(mechanism, integrator)
 
 
-def in_other_steps(integrator: Any, share: Any) -> Any:
-    """The integrator in steps that share as long (None: as they are)."""
-    return integrator if share is None else integrator.with_finer_steps(share)
+def in_other_steps(integrator: Any, share: Any, times: Any) -> Any:
+    """The integrator in steps that share as long (None: as they are). Those that a tolerance
+    decides are shorter than intervals between saving `times` [s] too: at rest no tolerance makes
+    them so, and they are too long for a derivative."""
+    if share is None:
+        return integrator
+    finer = integrator.with_finer_steps(share)
+    if integrator.asked_step() is not None:
+        return finer
+    return finer.held(jnp.where(share < 1, share * jnp.max(jnp.diff(times)), jnp.inf))
 
 
 def order_of(integrator: AbstractIntegrator) -> int:

@@ -12,6 +12,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.printing import in_a_line, number_in_words
@@ -31,6 +32,12 @@ class SampleResult(eqx.Module):
     outcome: Array
     ended: Array
     checks: Checks = eqx.field(default_factory=Checks)
+
+    def reached_responses(self) -> dict[str, np.ndarray]:
+        """Of samples (samples,) the responses by name, nan in those whose run did not reach its
+        end."""
+        reached = np.asarray(self.outcome) == Outcome.REACHED
+        return {name: np.where(reached, own, np.nan) for name, own in self.responses.items()}
 
 
 class AbstractVariable(AbstractQuantified):

@@ -26,13 +26,8 @@ from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import answered, check_told, endless_sentences, refuse_endless
 from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
-from jaxclear.studies.sampling import (
-    Drawing,
-    check_sampled,
-    checked_scramblings,
-    groups,
-)
-from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, responses_of, until_accurate
+from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
+from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, until_accurate
 from jaxclear.studies.statistics.accuracy import NumericalError, asked_of
 from jaxclear.studies.statistics.limits import (
     SIDES,
@@ -344,13 +339,13 @@ def monte_carlo(
 
         def grown(count):
             sample.to(count)
-            return [(responses_of(problem, sample.found), groups(count, parts))]
+            return [(sample.found.reached_responses(), groups(count, parts))]
 
         short = until_accurate(problem, first_of(first, parts), samples, asked, grown)
-    found, values = sample.found, sample.values
+    found, values, reached = sample.found, sample.values, sample.found.reached_responses()
     ends = (np.asarray(found.outcome), np.asarray(found.ended))
     told = (
-        responses_of(problem, found),
+        {name: reached[name] for name in problem.response_names},
         *ends,
         seed,
         chunk,

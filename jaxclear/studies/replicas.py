@@ -119,13 +119,8 @@ def together_with(
 ) -> Replicas:
     """The replicas of the first samples, of the responses that these and their finer runs gave."""
     own, other = (
-        {
-            name: np.where(
-                one.outcome[:count] == Outcome.REACHED, one.responses[name][:count], np.nan
-            )
-            for name in names
-        }
-        for one in (found, finer)
+        {name: reached[name][:count] for name in names}
+        for reached in (found.reached_responses(), finer.reached_responses())
     )
     return Replicas(own, other, np.asarray(finer.outcome[:count]), np.asarray(finer.ended[:count]))
 

@@ -73,12 +73,7 @@ class Screening(AbstractAnswer):
 
 @answering
 def screening(
-    problem: AbstractProblem,
-    trajectories: int = 16,
-    *,
-    seed: int = 0,
-    chunk: int | None = None,
-    progress_bar: bool = False,
+    problem: AbstractProblem, trajectories: int = 16, *, seed: int = 0, progress_bar: bool = False
 ) -> Screening:
     """Which variables of a problem matter, by the method of Morris: `trajectories` times one run
     more than there are variables.
@@ -92,7 +87,7 @@ def screening(
     check_flags("screening", progress_bar=progress_bar)
     shares = _trajectories(len(problem.names), trajectories, seed)
     values = jnp.asarray(all_values(problem, normal_scores(shares)))
-    found = evaluate_all(problem, values, chunk=chunk, progress_bar=progress_bar, label="screening")
+    found = evaluate_all(problem, values, progress_bar=progress_bar, label="screening")
     refuse_endless(problem, found.responses, "elementary effect")
     own = {name: np.asarray(found.responses[name], float) for name in problem.response_names}
     finite = np.all([np.isfinite(responses) for responses in own.values()], axis=0)

@@ -44,34 +44,6 @@ else:
 AXES = ("x", "y", "z")
 
 
-def noise_field() -> Any:
-    """Field of the standard deviation of white noise."""
-    meaning = "standard deviation of white noise"
-    return quantity(0.0, "(its unit)", meaning, at_least=0, kw_only=True)
-
-
-def bandwidth_field() -> Any:
-    """Field of a cut-off frequency [Hz]."""
-    meaning = "cut-off frequency of its first-order low-pass (None: passes all)"
-    return quantity(None, "Hz", meaning, above=0, kw_only=True)
-
-
-def gain_field() -> Any:
-    """Field of a gain [1]."""
-    return quantity(1.0, "1", "what it shows beside what there is", kw_only=True)
-
-
-def delay_field() -> Any:
-    """Field of a delay [s]."""
-    return quantity(0.0, "s", "time by which it lags", at_least=0, kw_only=True)
-
-
-def sampling_field() -> Any:
-    """Field of a sampling rate [Hz]."""
-    meaning = "its own sampling rate, held in between (None: the record's)"
-    return quantity(None, "Hz", meaning, above=0, kw_only=True)
-
-
 def as_marker(where: Any) -> Any:
     """A marker; a body's name stands for its frame."""
     return Marker(where) if isinstance(where, str) else where
@@ -85,11 +57,25 @@ class AbstractSensor(AbstractSignal):
     `jaxclear.Dimension` where it is not known: it is then drawn for each run of a sample.
     """
 
-    noise: eqx.AbstractVar[Any]
-    bandwidth: eqx.AbstractVar[Any]
-    gain: eqx.AbstractVar[Any]
-    delay: eqx.AbstractVar[Any]
-    sampling: eqx.AbstractVar[Any]
+    noise: Drawn = quantity(
+        0.0, "(its unit)", "standard deviation of white noise", at_least=0, kw_only=True
+    )
+    bandwidth: Drawn | None = quantity(
+        None,
+        "Hz",
+        "cut-off frequency of its first-order low-pass (None: passes all)",
+        above=0,
+        kw_only=True,
+    )
+    gain: Drawn = quantity(1.0, "1", "what it shows beside what there is", kw_only=True)
+    delay: Drawn = quantity(0.0, "s", "time by which it lags", at_least=0, kw_only=True)
+    sampling: Drawn | None = quantity(
+        None,
+        "Hz",
+        "its own sampling rate, held in between (None: the record's)",
+        above=0,
+        kw_only=True,
+    )
 
     @abstractmethod
     def unit_in(self, mechanism: Any) -> str:
@@ -170,11 +156,6 @@ class Accelerometer(AbstractSensor):
 
     marker: Marker = eqx.field(converter=as_marker)
     axis: str = eqx.field(static=True, default="x")
-    noise: Drawn = noise_field()
-    bandwidth: Drawn | None = bandwidth_field()
-    gain: Drawn = gain_field()
-    delay: Drawn = delay_field()
-    sampling: Drawn | None = sampling_field()
 
     def __check_init__(self):
         _check_axis(self)
@@ -198,11 +179,6 @@ class Gyroscope(AbstractSensor):
 
     marker: Marker = eqx.field(converter=as_marker)
     axis: str = eqx.field(static=True, default="z")
-    noise: Drawn = noise_field()
-    bandwidth: Drawn | None = bandwidth_field()
-    gain: Drawn = gain_field()
-    delay: Drawn = delay_field()
-    sampling: Drawn | None = sampling_field()
 
     def __check_init__(self):
         _check_axis(self)
@@ -223,11 +199,6 @@ class Displacement(AbstractSensor):
 
     marker: Marker = eqx.field(converter=as_marker)
     axis: str = eqx.field(static=True, default="x")
-    noise: Drawn = noise_field()
-    bandwidth: Drawn | None = bandwidth_field()
-    gain: Drawn = gain_field()
-    delay: Drawn = delay_field()
-    sampling: Drawn | None = sampling_field()
 
     def __check_init__(self):
         _check_axis(self)
@@ -246,11 +217,6 @@ class ForceGauge(AbstractSensor):
 
     joint: str = eqx.field(static=True)
     axis: str = eqx.field(static=True, default="x")
-    noise: Drawn = noise_field()
-    bandwidth: Drawn | None = bandwidth_field()
-    gain: Drawn = gain_field()
-    delay: Drawn = delay_field()
-    sampling: Drawn | None = sampling_field()
 
     def __check_init__(self):
         if self.axis:
@@ -274,11 +240,6 @@ class Encoder(AbstractSensor):
     resolution: Scalar | None = quantity(
         None, "(its unit)", "steps in which it counts (None: none)", above=0, kw_only=True
     )
-    noise: Drawn = noise_field()
-    bandwidth: Drawn | None = bandwidth_field()
-    gain: Drawn = gain_field()
-    delay: Drawn = delay_field()
-    sampling: Drawn | None = sampling_field()
 
     def unit_in(self, mechanism):
         return coordinate_unit(mechanism, self.joint, self.index)
@@ -301,11 +262,6 @@ class Series(AbstractSensor):
 
     name: str = eqx.field(static=True)
     given: bool = eqx.field(static=True, default=False)
-    noise: Drawn = noise_field()
-    bandwidth: Drawn | None = bandwidth_field()
-    gain: Drawn = gain_field()
-    delay: Drawn = delay_field()
-    sampling: Drawn | None = sampling_field()
 
     def unit_in(self, mechanism):
         return "1"

@@ -6,7 +6,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import INSTEAD
 from jaxclear.studies.sampling import Drawing
@@ -81,9 +80,3 @@ class Grown:
             values = np.concatenate([self.values, values[again:]])
             found = jax.tree.map(lambda *both: np.concatenate(both), self.found, new)
         self.values, self.found = values, found
-
-
-def responses_of(problem: AbstractProblem, found: SampleResult) -> dict[str, np.ndarray]:
-    """Responses of the samples, nan of those that failed."""
-    good = found.outcome == Outcome.REACHED
-    return {name: np.where(good, found.responses[name], np.nan) for name in problem.response_names}

@@ -75,18 +75,13 @@ class Sweep(AbstractAnswer):
 
 @answering
 def sweep(
-    problem: AbstractProblem,
-    over: Mapping[str, Sequence[float]],
-    *,
-    chunk: int | None = None,
-    progress_bar: bool = False,
+    problem: AbstractProblem, over: Mapping[str, Sequence[float]], *, progress_bar: bool = False
 ) -> Sweep:
     """Responses at every point of a grid, in one compiled program.
 
     `over`: the values of each variable to sweep, by its name, in its unit; the others stand at
-    their nominal values. `chunk`: points run together, by default what fits memory. A point that
-    fails is kept and named, the others go on. Raises `ValueError` for names that there are not, and
-    for values that are no finite numbers.
+    their nominal values. A point that fails is kept and named, the others go on. Raises
+    `ValueError` for names that there are not, and for values that are no finite numbers.
     """
     expect(problem, AbstractProblem, "what is swept", "a jaxclear.Problem")
     expect(over, Mapping, "over of sweep", "values by the names of variables")
@@ -98,9 +93,7 @@ def sweep(
     values = np.tile(np.asarray(problem.nominal()), (grid[0].size, 1))
     for name, own in zip(axes, grid, strict=True):
         values[:, problem.names.index(name)] = own.ravel()
-    found = evaluate_all(
-        problem, jnp.asarray(values), chunk=chunk, progress_bar=progress_bar, label="sweep"
-    )
+    found = evaluate_all(problem, jnp.asarray(values), progress_bar=progress_bar, label="sweep")
     outcome, ended = np.asarray(found.outcome), np.asarray(found.ended)
     good = (outcome == Outcome.REACHED) & answered(problem, found.responses)
     shape = grid[0].shape

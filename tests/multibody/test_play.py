@@ -477,7 +477,7 @@ def driven_by_a_motor(play, friction=None):
     """A body behind a gear with play, whose motor a sine drives."""
     loads = {"drive": jc.load.JointTorque("G.motor", lambda t: 0.05 * jnp.sin(40.0 * t))}
     if friction is not None:
-        loads["friction"] = jc.load.JointFriction("J", torque=friction)
+        loads["friction"] = jc.load.JointFriction("J", torque=friction, presliding=1e-4)
     gear = jc.coupling.Gear(
         jc.coupling.Motor(2e-5),
         "J",

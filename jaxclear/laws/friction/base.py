@@ -87,6 +87,13 @@ class AbstractForceFriction(AbstractFrictionLaw):
     `slip_speed`, rounded above 0. `bristles`: deflections [m] of each direction, () without any.
     """
 
+    def coulomb(self):
+        """Coulomb's law with its `mu_kinetic` and, where it has one, its `mu_static`; to be
+        overridden by laws that call these otherwise."""
+        kinetic = getattr(self, "mu_kinetic", None)
+        static = getattr(self, "mu_static", None)
+        return None if kinetic is None else Coulomb(mu_kinetic=kinetic, mu_static=static)
+
     @abstractmethod
     def tractions(
         self, normal_force: Scalar, bristles: tuple, slip: tuple, slip_speed: Scalar

@@ -14,7 +14,6 @@ from jaxclear.ground.numerics import positive_part, safe_divide
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.friction.base import (
     AbstractForceFriction,
-    Coulomb,
     check_static,
     mu_kinetic_field,
     mu_static_field,
@@ -141,9 +140,6 @@ class Dahl(AbstractBristleFriction):
     mu_kinetic: Scalar = mu_kinetic_field()
     presliding: Scalar = quantity(1e-6, "m", "deflection z_0 at which the bristles yield", above=0)
 
-    def coulomb(self) -> Coulomb:
-        return Coulomb(mu_kinetic=self.mu_kinetic)
-
     def deflection_rate(self, deflection: Scalar, slip: Scalar, slip_speed: Scalar) -> Scalar:
         return slip - slip_speed * deflection / self.presliding
 
@@ -183,9 +179,6 @@ class LuGre(AbstractBristleFriction):
 
     def __check_init__(self):
         check_static(self)
-
-    def coulomb(self) -> Coulomb:
-        return Coulomb(mu_kinetic=self.mu_kinetic, mu_static=self.mu_static)
 
     def deflection_rate(self, deflection: Scalar, slip: Scalar, slip_speed: Scalar) -> Scalar:
         return slip - slip_speed * deflection / self._yield_deflection(slip_speed)

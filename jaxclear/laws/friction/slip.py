@@ -13,7 +13,6 @@ from jaxclear.ground.numerics import positive_part, safe_divide, smooth_sign, sm
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.friction.base import (
     AbstractForceFriction,
-    Coulomb,
     check_static,
     mu_kinetic_field,
     mu_static_field,
@@ -89,9 +88,6 @@ class CoulombTanh(AbstractSlipFriction):
         1e-3, "m/s", "speed v_0 at which three quarters of the friction act", above=0
     )
 
-    def coulomb(self) -> Coulomb:
-        return Coulomb(mu_kinetic=self.mu_kinetic)
-
     def largest_slope(self, step):
         return self.mu_kinetic / self.transition_speed
 
@@ -121,9 +117,6 @@ class Ambrosio(AbstractSlipFriction):
 
     def __check_init__(self):
         check_increasing(self, "inner_speed", "outer_speed")
-
-    def coulomb(self) -> Coulomb:
-        return Coulomb(mu_kinetic=self.mu_kinetic)
 
     def largest_slope(self, step):
         return self.mu_kinetic / (self.outer_speed - self.inner_speed)
@@ -155,9 +148,6 @@ class ThreeZone(AbstractSlipFriction):
         check_static(self)
         check_increasing(self, "static_speed", "kinetic_speed")
 
-    def coulomb(self) -> Coulomb:
-        return Coulomb(mu_kinetic=self.mu_kinetic, mu_static=self.mu_static)
-
     def coefficient(self, slip_speed: Scalar) -> Scalar:
         rise = jnp.sin(jnp.pi / 2 * jnp.minimum(slip_speed / self.static_speed, 1.0))
         share = jnp.clip(
@@ -188,9 +178,6 @@ class AdamsStep(AbstractSlipFriction):
         check_static(self)
         check_increasing(self, "static_speed", "kinetic_speed")
 
-    def coulomb(self) -> Coulomb:
-        return Coulomb(mu_kinetic=self.mu_kinetic, mu_static=self.mu_static)
-
     def coefficient(self, slip_speed: Scalar) -> Scalar:
         # STEP from -v_s to v_s, written about 0 so that it cancels nothing: mu_s x (3 - x^2) / 2
         share = jnp.minimum(slip_speed / self.static_speed, 1.0)
@@ -215,9 +202,6 @@ class Threlfall(AbstractSlipFriction):
         1e-3, "m/s", "speed v_r from which friction is kinetic", above=0
     )
     steepness: Scalar = quantity(3.0, "1", "Threlfall's 3: exponent reached at v_r", above=0)
-
-    def coulomb(self) -> Coulomb:
-        return Coulomb(mu_kinetic=self.mu_kinetic)
 
     def largest_slope(self, step):
         return (
@@ -249,9 +233,6 @@ class BengisuAkay(AbstractSlipFriction):
 
     def __check_init__(self):
         check_static(self)
-
-    def coulomb(self) -> Coulomb:
-        return Coulomb(mu_kinetic=self.mu_kinetic, mu_static=self.mu_static)
 
     def coefficient(self, slip_speed: Scalar) -> Scalar:
         missing = 1 - jnp.minimum(slip_speed / self.peak_speed, 1.0)
@@ -285,9 +266,6 @@ class Stribeck(AbstractSlipFriction):
     def __check_init__(self):
         check_static(self)
         check_increasing(self, "transition_speed", "stribeck_speed")
-
-    def coulomb(self) -> Coulomb:
-        return Coulomb(mu_kinetic=self.mu_kinetic, mu_static=self.mu_static)
 
     def largest_slope(self, step):
         return self.mu_static / self.transition_speed + (

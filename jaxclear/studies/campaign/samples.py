@@ -16,7 +16,6 @@ import numpy as np
 
 from jaxclear.ground.datasets import told_versions
 from jaxclear.ground.warning import warn
-from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.ledger.batch import LEAST_CHUNK, devices, usual_batch
@@ -217,9 +216,9 @@ class Samples:
     def write(self, number: int, values: np.ndarray, found: SampleResult) -> None:
         """Keeps a chunk, signed with the versions that computed it. Samples that failed have no
         responses."""
-        good = (found.outcome == Outcome.REACHED)[:, None]
-        responses = np.stack([found.responses[name] for name in self._names], axis=1)
-        columns: dict[str, Any] = {VALUES: values, RESPONSES: np.where(good, responses, np.nan)}
+        reached = found.reached_responses()
+        responses = np.stack([reached[name] for name in self._names], axis=1)
+        columns: dict[str, Any] = {VALUES: values, RESPONSES: responses}
         columns |= {OUTCOME: np.asarray(found.outcome, np.int8), ENDED: found.ended}
         figures = found.checks.figures
         if figures:
@@ -331,7 +330,7 @@ class Samples:
             if names:
                 warn(
                     f"chunks in {self.folder} were computed by other versions ({', '.join(told)}); "
-                    "numbers may differ from theirs in the last digits.",
+                    "numbers may differ from theirs in the last digits."
                 )
 
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import listed
-from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
@@ -113,11 +112,9 @@ class Told(NamedTuple):
 
 def told_by(model: Model, names: tuple[str, ...], found: Any) -> Told:
     """What samples of a model tell of the responses of these names."""
-    reached = np.asarray(found.outcome) == Outcome.REACHED
-    nothing = np.full(len(reached), np.nan)
+    reached, nothing = found.reached_responses(), np.full(len(found.outcome), np.nan)
     refuse_endless(model.problem, found.responses, "mean or deviation")
-    columns = [np.asarray(found.responses.get(name, nothing), float) for name in names]
     own = [i for i, name in enumerate(names) if name in model.problem.response_names]
-    responses = np.where(reached[:, None], np.stack(columns, axis=1), np.nan)
+    responses = np.stack([reached.get(name, nothing) for name in names], axis=1)
     good = np.all(np.isfinite(responses[:, own]), axis=1)
     return Told(np.where(good[:, None], responses, np.nan), good)

@@ -55,7 +55,7 @@ def surface_where_it_fails(
     too few runs reach their end."""
     variables, cuts = len(model.problem.names), model.limit.cut_sets()
     rng = np.random.default_rng([seed, 6])
-    runs = max(RUNS_PER_TERM * len(powers(np.full(variables, 2), 2, 1.0)), FEWEST)
+    runs = max(RUNS_PER_TERM * len(powers(np.full(variables, 2), 2)), FEWEST)
     seen = [_counted(model, WIDE * scrambled_normal(runs, variables, rng))]
     for _ in range(MOST_ROUNDS):
         values, found = _together(seen)
@@ -249,11 +249,7 @@ def _from_points(
 
 
 def _searched(
-    model: RunModel,
-    surface: ResponseSurface | None,
-    wanted: Sequence[str],
-    seed: int,
-    reach: Reach,
+    model: RunModel, surface: ResponseSurface | None, wanted: Sequence[str], seed: int, reach: Reach
 ) -> tuple[list[DesignPoint], ResponseSurface | None, list[str]]:
     """Design points, the surface on which they were found (None: on runs), and sentences."""
     if set(wanted) <= {"subset"}:

@@ -25,7 +25,6 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.inputs import Inputs
@@ -100,9 +99,7 @@ def runs_outside(
     found = evaluate_all(
         problem, jnp.asarray(values), progress_bar=progress_bar, label="further out"
     )
-    reached = np.asarray(found.outcome) == Outcome.REACHED
-    responses = {name: np.where(reached, own, np.nan) for name, own in found.responses.items()}
-    return Outer(normal, values, responses, group)
+    return Outer(normal, values, found.reached_responses(), group)
 
 
 def mixture_weights(normal: np.ndarray, inside: int) -> np.ndarray:
@@ -173,10 +170,7 @@ def runs_at_ends(
     values[:, :, variable] = float(problem.nominal()[variable]) + ends[:, None]
     flat = jnp.asarray(values.reshape(-1, values.shape[2]))
     found = evaluate_all(problem, flat, progress_bar=progress_bar, label="ends")
-    good = found.outcome == Outcome.REACHED
-    responses = {
-        name: np.where(good, r, np.nan).reshape(2, -1) for name, r in found.responses.items()
-    }
+    responses = {name: r.reshape(2, -1) for name, r in found.reached_responses().items()}
     group = np.full(1, -1) if alone else np.arange(scramblings)
     return Ends(densities, ends, values, responses, group)
 

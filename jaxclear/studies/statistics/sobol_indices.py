@@ -27,13 +27,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags
 from jaxclear.ground.printing import left_out
 from jaxclear.integrators import Outcome
-from jaxclear.studies.answer import (
-    RESPONSE,
-    VARIABLE,
-    AbstractAnswer,
-    Stated,
-    with_interval,
-)
+from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, with_interval
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless, undrawn_levels
 from jaxclear.studies.inputs import Inputs
@@ -306,9 +300,9 @@ class _Polynomial(NamedTuple):
             return None
         polynomials = orthonormal(at[:2].reshape(-1, at.shape[2]), HIGHEST)
         highest, degree = levels(polynomials), 1
-        while degree < HIGHEST and len(powers(highest, degree + 1, 1.0)) <= most:
+        while degree < HIGHEST and len(powers(highest, degree + 1)) <= most:
             degree += 1
-        table = powers(highest, degree, 1.0)
+        table = powers(highest, degree)
         own = lambda values: products(polynomials, jnp.asarray(table), values)
         terms = np.asarray(jax.jit(jax.vmap(jax.vmap(own)))(jnp.asarray(at)))
         matrices = np.array([_equations(terms[:, own], terms[:, own]) for own in scramblings])

@@ -20,13 +20,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.printing import shown_in_words, with_error
 from jaxclear.integrators import Outcome
-from jaxclear.studies.answer import (
-    RESPONSE,
-    AbstractAnswer,
-    Column,
-    Stated,
-    means_and_deviations,
-)
+from jaxclear.studies.answer import RESPONSE, AbstractAnswer, Column, Stated, means_and_deviations
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
@@ -111,7 +105,6 @@ def corrected(
     scramblings: int = 16,
     limits: Mapping[str, AbstractLimitState] | None = None,
     seed: int = 1,
-    chunk: int | None = None,
     progress_bar: bool = False,
 ) -> Corrected:
     """Statistics of a problem from its surface and fresh runs that correct it, without bias.
@@ -129,7 +122,7 @@ def corrected(
         check_limit(limit, problem.response_names, "corrected")
     normal = normal_blocks(scramblings, samples, len(problem.names), (seed, 0))
     values = jnp.asarray(all_values(problem, normal))
-    found = evaluate_all(problem, values, chunk=chunk, progress_bar=progress_bar, label="corrected")
+    found = evaluate_all(problem, values, progress_bar=progress_bar, label="corrected")
     own = {name: np.asarray(found.responses[name], float) for name in problem.response_names}
     refuse_endless(problem, own, "mean or deviation", "jaxclear.monte_carlo serves")
     finite = np.all([np.isfinite(own[name]) for name in own], axis=0)

@@ -13,7 +13,13 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.surface.polynomials import levels, norms_of, orthonormal, powers, products
+from jaxclear.studies.surface.polynomials import (
+    MOST_TERMS,
+    levels,
+    orthonormal,
+    powers,
+    products,
+)
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
 
@@ -23,6 +29,8 @@ RANK = 1e-10
 HIGHEST = 4
 # Terms of a fit for each of its equations, at the most.
 MOST_SHARE = 0.7
+# Numbers of a fit, equations times terms, at the most: 2 GiB, of which it takes a few.
+MOST_NUMBERS = 1 << 28
 
 
 class Fit(NamedTuple):
@@ -70,7 +78,6 @@ def fitted(
     found: SampleResult,
     *,
     degree: int | None = None,
-    truncation: float = 1.0,
     gradients: dict[str, np.ndarray] | None = None,
 ) -> ResponseSurface:
     """The surface through runs that are there: `found` are their outcomes at `values` (runs,
@@ -88,7 +95,16 @@ def fitted(
             f"surface of {values.shape[1]} variables: take more runs (sample=...)."
         )
     polynomials = orthonormal(values, degrees[-1])
-    table = powers(levels(polynomials), degrees[-1], truncation)
+    table = powers(levels(polynomials), degrees[-1])
+    if len(table) * equations > MOST_NUMBERS:
+        fewer = ", or slopes=False" if gradients is not None else ""
+        raise ValueError(
+            f"a surface of degree {degrees[-1]} in {values.shape[1]} variables has {len(table)} "
+            f"terms, and {len(values)} runs give {equations} equations for them: "
+            f"{8 * len(table) * equations / 2**30:.2g} GiB, and several times that to solve. Take "
+            f"{MOST_NUMBERS // len(table) * len(values) // equations} runs at the most, or a lower "
+            f"degree{fewer}."
+        )
     if degree is not None and len(table) > MOST_SHARE * equations:
         wanted = int(np.ceil(len(table) / MOST_SHARE * len(values) / equations))
         raise ValueError(
@@ -96,8 +112,7 @@ def fitted(
             f"and {len(values)} runs reached their end; take at least {wanted} runs, or a lower "
             "degree."
         )
-    sizes = norms_of(table, truncation)
-    kept = [np.flatnonzero(sizes <= d * (1 + 1e-9)) for d in degrees]
+    kept = [np.flatnonzero(table.sum(axis=1) <= d) for d in degrees]
     system = _equations(polynomials, table, values, target, slopes)
     coefficients, chosen, which = _best(*system, kept)
     by_name = lambda numbers: dict(zip(names, numbers, strict=True))
@@ -148,10 +163,11 @@ def _good(
 
 
 def _degrees(variables: int, equations: int) -> tuple[int, ...]:
-    """Degrees that so many equations determine."""
-    return tuple(
-        d for d in range(1, HIGHEST + 1) if comb(variables + d, d) <= MOST_SHARE * equations
+    """Degrees that so many equations determine, and that memory has room for."""
+    most = min(
+        MOST_SHARE * equations, MOST_TERMS, max(MOST_NUMBERS // max(equations, 1), 1 + variables)
     )
+    return tuple(d for d in range(1, HIGHEST + 1) if comb(variables + d, d) <= most)
 
 
 def _equations(

@@ -78,37 +78,28 @@ def levels(polynomials: Polynomials) -> np.ndarray:
     return np.cumprod(np.asarray(polynomials.norms) > 0, axis=0).sum(axis=0)
 
 
-def powers(highest: np.ndarray, degree: int, truncation: float) -> np.ndarray:
-    """Degrees (terms, variables) of the products with $(\\sum_i a_i^q)^{1/q}$ at most `degree`,
-    lowest first; q is `truncation` (1: all of that total degree; less: fewer mixed ones), and no
-    variable is beyond its own `highest` (variables,). Raises `ValueError` where they are too many.
-
-    Source: Blatman & Sudret 2011, J. Comput. Phys. 230, 2345, doi:10.1016/j.jcp.2010.12.021.
+def powers(highest: np.ndarray, degree: int) -> np.ndarray:
+    """Degrees (terms, variables) of the products of a total degree of at most `degree`, lowest
+    first; no variable is beyond its own `highest` (variables,). Raises `ValueError` where they are
+    too many.
     """
-    allowed = degree**truncation * (1 + 1e-9)
     found: list[dict[int, int]] = [{}]
-    sums = [0.0]
+    sums = [0]
     for variable, most in enumerate(highest):
         for place in range(len(found)):
             for power in range(1, int(min(most, degree)) + 1):
-                total = sums[place] + power**truncation
-                if total <= allowed:
+                if sums[place] + power <= degree:
                     found.append(found[place] | {variable: power})
-                    sums.append(total)
+                    sums.append(sums[place] + power)
         if len(found) > MOST_TERMS:
             raise ValueError(
                 f"degree {degree} in {len(highest)} variables has more than {MOST_TERMS} terms; "
-                "take a lower degree, or a truncation below 1."
+                "take a lower degree."
             )
     table = np.zeros((len(found), len(highest)), int)
     for row, term in zip(table, found, strict=True):
         row[list(term)] = list(term.values())
     return table[np.argsort(sums, kind="stable")]
-
-
-def norms_of(table: np.ndarray, truncation: float) -> np.ndarray:
-    """$(\\sum_i a_i^q)^{1/q}$ of each row of `table` (terms, variables)."""
-    return (table.astype(float) ** truncation * (table > 0)).sum(axis=1) ** (1.0 / truncation)
 
 
 def products(

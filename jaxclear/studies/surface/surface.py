@@ -76,7 +76,6 @@ def surface(
     sample: int | GivenSample | None = None,
     *,
     degree: int | None = None,
-    truncation: float = 1.0,
     over: Region = 1.0,
     slopes: bool = False,
     seed: int = 0,
@@ -86,10 +85,9 @@ def surface(
 
     `sample`: how many runs (by default three for each term of a quadratic), or a Monte Carlo study
     or a campaign of the problem that is there. `degree`: of the polynomials; by default that of 1
-    to 4 which predicts runs best, for each response. `truncation` q [1] in (0, 1]: 1 takes all
-    products of that total degree, less fewer mixed ones (hyperbolic). `over`: where it is fitted: a
-    number widens the spread of the variables so many times, for rare parts; {name: (low, high)}
-    fills ranges of these variables evenly, for nominal values that are to be chosen. `slopes`: take
+    to 4 which predicts runs best, for each response. `over`: where it is fitted: a number
+    widens the spread of the variables so many times, for rare parts; {name: (low, high)} fills
+    ranges of these variables evenly, for nominal values that are to be chosen. `slopes`: take
     the exact slopes of each run as equations too, which a problem has where no contact opens and
     closes. Raises `ValueError` for what cannot be asked, and where too few runs reach their end.
     """
@@ -98,7 +96,6 @@ def surface(
         raise ValueError("the problem has no variables; a surface would have none: give it some.")
     if degree is not None:
         check_count("degree of surface", degree)
-    check_number("truncation of surface", truncation, above=0, at_most=1)
     check_count("seed of surface", seed, at_least=0)
     check_flags("surface", slopes=slopes, progress_bar=progress_bar)
     check_region(problem, over)
@@ -109,16 +106,14 @@ def surface(
         values, found, lacking = _there(given_sample(problem, sample), slopes)
         gradients = None
     else:
-        count = len(powers(np.full(len(problem.names), 2), 2, truncation))
+        count = len(powers(np.full(len(problem.names), 2), 2))
         runs = max(RUNS_PER_TERM * count, FEWEST) if sample is None else sample
         check_count("sample of surface (how many runs, a Monte Carlo study or a campaign)", runs)
         values = drawn(problem, runs, over, seed)
         found, gradients = run(problem, values, slopes=slopes, progress_bar=progress_bar)
         lacking = ""
     refuse_endless(problem, found.responses, "surface", INSTEAD)
-    through = fitted(
-        problem, values, found, degree=degree, truncation=truncation, gradients=gradients
-    )
+    through = fitted(problem, values, found, degree=degree, gradients=gradients)
     return dataclasses.replace(through, unreached=lacking)
 
 
