@@ -27,10 +27,7 @@ from jaxclear.ground.quantity import (
 from jaxclear.ground.tangents import derived_once
 from jaxclear.integrators.base import LOOSE, REFERENCE, AbstractIntegrator, Advance
 from jaxclear.integrators.checks import Outcome
-from jaxclear.integrators.derivative_error import (
-    NO_SECOND,
-    trusted,
-)
+from jaxclear.integrators.derivative_error import NO_SECOND, trusted
 from jaxclear.integrators.error_control import (
     EndingAtTouches,
     Solved,
