@@ -203,6 +203,10 @@ class AbstractIntegrator(AbstractQuantified):
         """What makes the errors of a run by it smaller."""
         return "take shorter steps"
 
+    def held(self, step: Scalar) -> "AbstractIntegrator":
+        """Itself with no step longer than this [s], where it finds their length itself."""
+        return self
+
     @property
     def promise(self) -> Promise:
         """The largest errors with which a run by it says nothing of its numbers."""
