@@ -35,7 +35,7 @@ from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.error_weights import error_weights
 from jaxclear.simulation.initial_state import Past
-from jaxclear.simulation.invariants import contact_names, judged, sunk_in
+from jaxclear.simulation.invariants import contact_names, contacts_that_turn, judged, sunk_in
 from jaxclear.simulation.sampling import next_instant, sampled, sampled_loads
 from jaxclear.simulation.saving import with_few_enough_steps
 from jaxclear.simulation.wear import (
@@ -186,7 +186,8 @@ def run(
     if noted is not None:
         noted = noted._replace(counts=noted.counts * (times[:-1] <= last.ended)[:, None])
     met = last.peaks
-    extremes = None if met is None else Extremes(*met, contact_names(model))
+    contacts = contact_names(model), contacts_that_turn(mechanism, model)
+    extremes = None if met is None else Extremes(*met, *contacts)
     ends = history, last.worn, last.outcome, last.ended, stats
     return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn)
 
@@ -209,7 +210,12 @@ def sketched(
         jnp.asarray(Outcome.REACHED),
         times[-1],
         RunStats(none, none, none),
-        extremes=Extremes(jnp.zeros(len(contacts)), jnp.zeros(len(contacts)), contacts),
+        extremes=Extremes(
+            jnp.zeros(len(contacts)),
+            jnp.zeros(len(contacts)),
+            contacts,
+            contacts_that_turn(mechanism, model),
+        ),
         noted=Events(blank, blank, blank[:, :, 0]) if events else None,
     )
 
