@@ -2,6 +2,7 @@
 one simulation.
 """
 
+import dataclasses
 import functools
 from typing import Any, ClassVar
 
@@ -70,6 +71,10 @@ ROUNDED_OFF = 0.5
 TRUSTED = 8e-4
 
 
+def _as_times(given: Any) -> Any:
+    return None if given is None else jnp.asarray(given, float)
+
+
 class Adaptive(AbstractIntegrator):
     """A diffrax solver under error control: cost follows difficulty.
 
@@ -79,7 +84,9 @@ class Adaptive(AbstractIntegrator):
     narrowest gap beside the longest arm, where that is less): impacts make errors grow, and looser
     runs save next to no time. A step in which a contact closes or parts is repeated to end there;
     steps end at saving times too, so saving more often than steps are long costs as many more, and
-    none is so long that it would pass over what a load or drive does.
+    none is so long that it would pass over what a load or drive does as a function of time: where
+    one changes between looks is found in it, and steps end there. `breaks`: more times [s] at which
+    they end.
 
     Solvers that are no explicit tableau run in diffrax's loop, and hand on the mean of their steps.
     In a batch all samples wait for the slowest.
@@ -121,6 +128,7 @@ class Adaptive(AbstractIntegrator):
     )
     largest_step: Scalar | None = quantity(None, "s", "largest step", above=0, kw_only=True)
     most_steps: int = count(200_000, "most steps between two saving times", kw_only=True)
+    breaks: Any = eqx.field(default=None, kw_only=True, converter=_as_times)
 
     @property
     def promise(self):
@@ -136,7 +144,8 @@ class Adaptive(AbstractIntegrator):
             return None
         sizes = on_device(finer * rtol), on_device(finer * atol)
         own = eqx.tree_at(lambda own: (own.rtol, own.atol), self, sizes)
-        return own if self.largest_step is None else own.held(share * self.largest_step)
+        step = self.largest_step
+        return own if step is None else dataclasses.replace(own, largest_step=share * step)
 
     def counting_in(self, gap, arm):
         loosest = jnp.minimum(LOOSEST, LOOSEST_IN_GAP * (gap / arm))
@@ -147,10 +156,6 @@ class Adaptive(AbstractIntegrator):
     @property
     def remedy(self):
         return "tighten rtol"
-
-    def held(self, step):
-        step = step if self.largest_step is None else jnp.minimum(step, self.largest_step)
-        return eqx.tree_at(lambda own: own.largest_step, self, step, is_leaf=lambda x: x is None)
 
     def evaluations(self, mechanism):
         """Those of the solver's stages, of which the last may be the next step's first."""

@@ -105,6 +105,7 @@ class AbstractIntegrator(AbstractQuantified):
 
     pathwise: eqx.AbstractClassVar[bool]
     projects: eqx.AbstractClassVar[bool]
+    breaks = None
 
     @property
     @abstractmethod
@@ -201,10 +202,6 @@ class AbstractIntegrator(AbstractQuantified):
     def remedy(self) -> str:
         """What makes the errors of a run by it smaller."""
         return "take shorter steps"
-
-    def held(self, step: Scalar) -> "AbstractIntegrator":
-        """Itself with no step longer than this [s], where it finds their length itself."""
-        return self
 
     @property
     def promise(self) -> Promise:

@@ -39,7 +39,7 @@ from jaxclear.simulation.derivatives import (
     until_the_end,
 )
 from jaxclear.simulation.initial_state import Beginning, beginning, state_of
-from jaxclear.simulation.load_steps import LoadSteps, judged_by, load_steps
+from jaxclear.simulation.load_steps import LoadSteps, felt_along, judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.not_finite import told_of_the_end
 from jaxclear.simulation.sampling import check_instants
@@ -295,6 +295,12 @@ def _simulated(
 
         with stoppable():
             found = again(Replica(integrator, saved))
+            for _ in range(2):
+                steps, more = felt_along(found, integrator)
+                passed = passed | more
+                if steps is integrator:
+                    break
+                integrator, found = steps, again(Replica(steps, saved))
             found = judged_by(passed, until_the_end(diagnosed(guarded(found, integrator))))
         found = verified(found, integrator, again, how.verify, asked)
     return dataclasses.replace(found, doubts=(doubt,)) if doubt else found
