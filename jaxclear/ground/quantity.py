@@ -383,8 +383,8 @@ def with_quantities(tree: Any) -> Any:
     """A tree, the quantities of its parts float64 arrays, in whatever form they were put in their
     places: `equinox.tree_at` and `jax.tree.map` do not ask the fields. A number of Python's would
     become a constant of the program, which is compiled anew for each."""
-    is_one = lambda leaf: eqx.is_array(leaf) and leaf.dtype == FLOAT64
-    if all(is_one(leaf) or callable(leaf) for leaf in jax.tree.leaves(tree)):
+    leaves = jax.tree.leaves(tree)
+    if all((eqx.is_array(x) and x.dtype == FLOAT64) or callable(x) for x in leaves):
         return tree
     inner = lambda x: isinstance(x, eqx.Module)
     if not inner(tree):

@@ -78,9 +78,7 @@ class _Found:
     writes out, and what its results are put together to: things that are no arrays, and `Place`s
     for those that are."""
 
-    def __init__(
-        self, program: Any, lapack: bool, operations: int, leaves: list[Any], structure: Any
-    ):
+    def __init__(self, program: Any, lapack: bool, operations: int, leaves: list, structure: Any):
         self.program, self.lapack, self.operations = program, lapack, operations
         self.leaves, self.structure = leaves, structure
         places = [(i, x) for i, x in enumerate(leaves) if type(x) is Place]
