@@ -33,12 +33,7 @@ from jaxclear.ground.compiling import map_alike
 from jaxclear.ground.grouping import unstacked
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.damped_stops import forces_at, with_damping_ratios
-from jaxclear.multibody.forces import (
-    Forces,
-    contact_reports,
-    pressing_of,
-    relative_motions,
-)
+from jaxclear.multibody.forces import Forces, contact_reports, pressing_of, relative_motions
 from jaxclear.multibody.state import (
     components,
     impact_speed_places,
@@ -264,12 +259,7 @@ class CompliantContact(AbstractFormulation):
         return speeds or any(own.has_twist for own in model.system.transmissions.values())
 
     def remember(
-        self,
-        model: Model,
-        state: State,
-        before: ContactMotion,
-        after: ContactMotion,
-        length: Any,
+        self, model: Model, state: State, before: ContactMotion, after: ContactMotion, length: Any
     ) -> State:
         """The state at the end of a step of `length` [s] with the impact speeds of contacts that
         have closed or parted in it."""

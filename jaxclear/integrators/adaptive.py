@@ -2,7 +2,6 @@
 one simulation.
 """
 
-import dataclasses
 import functools
 from typing import Any, ClassVar
 
@@ -27,10 +26,7 @@ from jaxclear.ground.quantity import (
 from jaxclear.ground.tangents import derived_once
 from jaxclear.integrators.base import LOOSE, REFERENCE, AbstractIntegrator, Advance
 from jaxclear.integrators.checks import Outcome
-from jaxclear.integrators.derivative_error import (
-    NO_SECOND,
-    trusted,
-)
+from jaxclear.integrators.derivative_error import NO_SECOND, trusted
 from jaxclear.integrators.error_control import (
     EndingAtTouches,
     Solved,
@@ -144,8 +140,7 @@ class Adaptive(AbstractIntegrator):
             return None
         sizes = on_device(finer * rtol), on_device(finer * atol)
         own = eqx.tree_at(lambda own: (own.rtol, own.atol), self, sizes)
-        step = self.largest_step
-        return own if step is None else dataclasses.replace(own, largest_step=share * step)
+        return own if self.largest_step is None else own.held(share * self.largest_step)
 
     def counting_in(self, gap, arm):
         loosest = jnp.minimum(LOOSEST, LOOSEST_IN_GAP * (gap / arm))
@@ -156,6 +151,10 @@ class Adaptive(AbstractIntegrator):
     @property
     def remedy(self):
         return "tighten rtol"
+
+    def held(self, step):
+        step = step if self.largest_step is None else jnp.minimum(step, self.largest_step)
+        return eqx.tree_at(lambda own: own.largest_step, self, step, is_leaf=lambda x: x is None)
 
     def evaluations(self, mechanism):
         """Those of the solver's stages, of which the last may be the next step's first."""

@@ -203,6 +203,10 @@ class AbstractIntegrator(AbstractQuantified):
         """What makes the errors of a run by it smaller."""
         return "take shorter steps"
 
+    def held(self, step: Scalar) -> "AbstractIntegrator":
+        """Itself with no step longer than this [s], where it finds their length itself."""
+        return self
+
     @property
     def promise(self) -> Promise:
         """The largest errors with which a run by it says nothing of its numbers."""
@@ -257,11 +261,7 @@ def counted(one: Callable[[Any, Any], Any], steps: int, first: Any) -> Any:
 
 
 def arrived(
-    end: Any,
-    steps: Any,
-    warm_start: Any,
-    met: Peaks | None = None,
-    watch: Watch | None = None,
+    end: Any, steps: Any, warm_start: Any, met: Peaks | None = None, watch: Watch | None = None
 ) -> Advance:
     """The answer of steps that are never rejected, and that have `met` so deep contacts; `watch`:
     events on the way."""

@@ -27,7 +27,7 @@ class StopOfRatio(AbstractCoordinateLoad):
     """A `stop` whose damping is this `ratio` [1] of the critical one."""
 
     connection: str = eqx.field(static=True)
-    stop: Any
+    stop: AbstractCoordinateLoad
     ratio: Scalar
 
     def force(self, time, position, speed):

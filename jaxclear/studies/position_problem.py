@@ -31,9 +31,7 @@ from jaxclear.studies.mechanism_problem import (
     responses_of,
     wanted_of,
 )
-from jaxclear.studies.variable import (
-    AbstractMechanismVariable,
-)
+from jaxclear.studies.variable import AbstractMechanismVariable
 
 # Samples a chunk: beyond it the rows of the kernel leave the cache
 # (benchmarks/claims/positions.py).

@@ -77,9 +77,7 @@ from jaxclear.studies.mechanism_problem import (
     responses_of,
     wanted_of,
 )
-from jaxclear.studies.variable import (
-    AbstractMechanismVariable,
-)
+from jaxclear.studies.variable import AbstractMechanismVariable
 
 # Histories that a response may build from the saved states, in multiples of these.
 HISTORY_FACTOR = 12

@@ -195,3 +195,16 @@ def test_a_load_of_the_users_own_is_felt_however_shortly_it_acts(save):
 def test_steps_of_fixed_length_say_what_they_pass_over_of_a_load_of_the_users_own():
     run = jc.simulate(with_own(Strip, 6.0), 1.0, save=3, integrator=jc.integrator.FixedStep(1e-3))
     assert ['of the impulse of "own"' in said for said in run.warnings].count(True) == 1
+
+
+def test_slopes_of_a_short_push_are_those_of_its_impulse():
+    """Of impulse over mass, by mass."""
+
+    def after(mass):
+        slide = jc.Connection(jc.joint.Prismatic(), "ground", "cart", axis="x")
+        loads = {"push": jc.load.JointTorque("G", pulse)}
+        rig = jc.Mechanism({"cart": jc.Body(mass, 1.0)}, {"G": slide}, loads)
+        return jc.simulate(rig, 60.0, save=6, throw=False).speed("G")[-1]
+
+    slope = jax.jvp(after, (MASS,), (1.0,))[1]
+    assert float(slope) == pytest.approx(-impulse(pulse, 60.0) / MASS**2, rel=1e-4)
