@@ -26,10 +26,7 @@ from jaxclear.ground.quantity import (
 from jaxclear.ground.tangents import derived_once
 from jaxclear.integrators.base import LOOSE, REFERENCE, AbstractIntegrator, Advance
 from jaxclear.integrators.checks import Outcome
-from jaxclear.integrators.derivative_error import (
-    NO_SECOND,
-    trusted,
-)
+from jaxclear.integrators.derivative_error import NO_SECOND, trusted
 from jaxclear.integrators.error_control import (
     EndingAtTouches,
     Solved,
@@ -70,6 +67,10 @@ ROUNDED_OFF = 0.5
 TRUSTED = 8e-4
 
 
+def _as_times(given: Any) -> Any:
+    return None if given is None else jnp.asarray(given, float)
+
+
 class Adaptive(AbstractIntegrator):
     """A diffrax solver under error control: cost follows difficulty.
 
@@ -79,7 +80,9 @@ class Adaptive(AbstractIntegrator):
     narrowest gap beside the longest arm, where that is less): impacts make errors grow, and looser
     runs save next to no time. A step in which a contact closes or parts is repeated to end there;
     steps end at saving times too, so saving more often than steps are long costs as many more, and
-    none is so long that it would pass over what a load or drive does.
+    none is so long that it would pass over what a load or drive does as a function of time: where
+    one changes between looks is found in it, and steps end there. `breaks`: more times [s] at which
+    they end.
 
     Solvers that are no explicit tableau run in diffrax's loop, and hand on the mean of their steps.
     In a batch all samples wait for the slowest.
@@ -121,6 +124,7 @@ class Adaptive(AbstractIntegrator):
     )
     largest_step: Scalar | None = quantity(None, "s", "largest step", above=0, kw_only=True)
     most_steps: int = count(200_000, "most steps between two saving times", kw_only=True)
+    breaks: Any = eqx.field(default=None, kw_only=True, converter=_as_times)
 
     @property
     def promise(self):
