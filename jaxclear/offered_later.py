@@ -34,10 +34,5 @@ from jaxclear.studies.statistics.sobol_indices import sobol_indices
 from jaxclear.studies.surface.correction import corrected
 from jaxclear.studies.surface.surface import surface
 from jaxclear.studies.sweep import sweep
-from jaxclear.studies.variable import (
-    AbstractMechanismVariable,
-    Condition,
-    Heating,
-    Variable,
-)
+from jaxclear.studies.variable import AbstractMechanismVariable, Condition, Heating, Variable
 from jaxclear.studies.worst_case import worst_case

@@ -101,10 +101,7 @@ def four_bar_question() -> Asked:
         jc.limit.MeanAndDeviation("follower error", at_most=FOLLOWER, deviations=2),
         jc.limit.WorstCase("clearance", at_least=LEAST_CLEARANCE),
     ]
-    choices = {
-        "tolerance": dict.fromkeys(PLACES, TOLERANCES),
-        "nominal": {"clearance": CLEARANCES},
-    }
+    choices = {"tolerance": dict.fromkeys(PLACES, TOLERANCES), "nominal": {"clearance": CLEARANCES}}
     return Asked(problem, cost, limits, choices)
 
 

@@ -134,6 +134,16 @@ class AbstractStateLoad(AbstractLoad):
         set-valued, and do not ask for its `effect`."""
         return None
 
+    def needs_inertia(self) -> bool:
+        """Whether numbers of it follow from the inertia along its only coordinate where a run
+        starts; not unless overridden."""
+        return False
+
+    def for_inertia(self, inertia: Scalar, delay: Scalar, times: Any) -> "AbstractStateLoad":
+        """Itself with these numbers, for an inertia [kg m^2, kg], a `delay` [s] that steps resolve
+        and the saving times [s] of the run; the same unless overridden."""
+        return self
+
     def pressed_by(self) -> str | None:
         """The load on a coordinate, or the coupling, by whose force it is pressed; None, as unless
         overridden: by none."""

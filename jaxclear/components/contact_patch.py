@@ -137,10 +137,12 @@ class Cells(Protocol):
 
 def depth_lost(volume: Scalar, patch: Cells) -> tuple[Float[Array, "around along"], Scalar]:
     r"""(depth [m] that each cell loses, `volume` [m3] in all; eccentricity [m] of the part): in
-    proportion to its mean pressure after the loss, :math:`\Delta h = (V/S) w m\sqrt{u - \Delta h}`
-    with u the largest overlap on the way before it, w the contact's share, m the mean of the roots
-    over the way beside the largest and S the integral of w times the root of a contact.
+    proportion to its mean pressure once a part of it is lost (`volume_before_pressure`),
+    :math:`\Delta h = (V/S) w m\sqrt{u - \Delta h}` with V that part, u the largest overlap on the
+    way before it, w the contact's share, m the mean of the roots over the way beside the largest
+    and S the integral of w times the root of a contact.
     """
+    removed = volume_before_pressure(volume, patch.elasticity)
 
     def total(cells):
         # A product with a vector is several times faster than a sum.
@@ -151,7 +153,7 @@ def depth_lost(volume: Scalar, patch: Cells) -> tuple[Float[Array, "around along
         return next_level(level, volume + patch.elasticity.overlap, total(overlap), total(slope))
 
     # Held as they are: a loop that ends by itself has no derivative in reverse mode.
-    held = jax.lax.stop_gradient((volume, patch))
+    held = jax.lax.stop_gradient((removed, patch))
 
     def turn(now):
         count, _, level = now
@@ -160,9 +162,17 @@ def depth_lost(volume: Scalar, patch: Cells) -> tuple[Float[Array, "around along
     first = jnp.zeros((), int), jnp.zeros((), bool), held[1].start
     level = jax.lax.while_loop(lambda now: ~now[1] & (now[0] < MOST_STEPS), turn, first)[2]
     for _ in range(LAST_STEPS - 1):
-        _, level = closer(volume, patch, level)
-    pressure = patch.pressures(volume, level)
+        _, level = closer(removed, patch, level)
+    pressure = patch.pressures(removed, level)
     return volume * safe_divide(1.0, total(pressure)) * pressure, level
+
+
+def volume_before_pressure(volume: Scalar, load: Elasticity) -> Scalar:
+    """Volume [m3] after whose loss a pressure shares the whole `volume` among cells: V (V/(V+L))^2
+    with L the overlap of the load. A volume that is small beside L leaves the pressure as it is; of
+    a large one the wall has the shape of the part when most of it is lost."""
+    share = volume / (volume + load.overlap)
+    return volume * share * share
 
 
 def next_level(
@@ -385,13 +395,14 @@ def _shared(loss: Callable[[], Loss], volume: Scalar, depth: Depth, pressure: De
 
     def turn(now):
         own = loss()
-        level = _level(own, depth)
+        removed = volume_before_pressure(own.volume, own.load)
+        level = _level(own, removed, depth)
         touched = own.touched(jax.lax.stop_gradient(level))
 
         def visit(column, place, carry):
             total, pressure = carry
             cell = own.cell(column, place[1], entry(depth, place))
-            found = cell.pressures(own.volume, level)
+            found = cell.pressures(removed, level)
             return total + cell.area * found, with_entry(pressure, place, found)
 
         first = jnp.zeros(()), now[2]
@@ -405,8 +416,8 @@ def _shared(loss: Callable[[], Loss], volume: Scalar, depth: Depth, pressure: De
     return while_loop(lambda now: now[0], turn, first, (False, False, True))[1:]
 
 
-def _level(loss: Loss, depth: Depth) -> Scalar:
-    """Eccentricity [m] of the part after the loss, as `depth_lost` finds it."""
+def _level(loss: Loss, removed: Scalar, depth: Depth) -> Scalar:
+    """Eccentricity [m] of the part once a volume [m3] is removed, as `depth_lost` finds it."""
 
     def turn(now):
         count, left, level = now
@@ -419,7 +430,7 @@ def _level(loss: Loss, depth: Depth) -> Scalar:
         nothing = jnp.zeros(()), jnp.zeros(())
         touched = loss.touched(jax.lax.stop_gradient(level))
         overlap, slope = through(touched, loss.cells, visit, nothing, False, loss.in_column)
-        wanted = loss.volume + loss.load.overlap
+        wanted = removed + loss.load.overlap
         near, level = next_level(level, wanted, overlap, slope)
         return count + 1, jnp.where(near, left - 1, left), level
 

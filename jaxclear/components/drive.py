@@ -23,15 +23,7 @@ from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.numerics import smooth_step
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
 
-__all__ = [
-    "AbstractDrive",
-    "ConstantSpeed",
-    "Harmonic",
-    "Held",
-    "Position",
-    "RampUp",
-    "Speed",
-]
+__all__ = ["AbstractDrive", "ConstantSpeed", "Harmonic", "Held", "Position", "RampUp", "Speed"]
 __getattr__, __dir__ = nothing_else("jaxclear.drive", __all__)
 
 

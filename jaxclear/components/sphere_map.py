@@ -317,6 +317,9 @@ class SphereMap(AbstractWearMap):
         bands = jnp.diff(jnp.sin(jnp.linspace(-jnp.pi / 2, jnp.pi / 2, along + 1)))
         return jnp.ones((around, 1)) * bands * (2 * jnp.pi / around) * self.radius**2
 
+    def path(self, features):
+        return 2.0 * arc(safe_sqrt(jnp.sum(features[:3] ** 2))) / self.wall.cell
+
     def angles(self) -> Float[Array, " around"]:
         """Azimuth of the centre of each cell [rad]."""
         return (jnp.arange(self.cells[0]) + 0.5) * (2 * jnp.pi / self.cells[0])

@@ -4,10 +4,12 @@ Steps with percussions or set-valued friction find their forces themselves, from
 `dry_friction`; elsewhere they are springs with a damper.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from jaxclear.components.acting import (
@@ -124,6 +126,15 @@ class JointStop(AbstractCoordinateLoad):
         return push, stored, (push - spring) * rate
 
 
+# Of a bristle that is not given: its deflection [rad, m], as of asperities (Armstrong-Helouvry,
+# Dupont & Canudas de Wit 1994, Automatica 30, 1083, doi:10.1016/0005-1098(94)90209-7), and its
+# damping time [s] where no run has settled it.
+DEFLECTION, SETTLING = 1e-6, 1e-2
+# What a friction takes from a joint that nobody knows before a run [m/s^2, rad/s^2]: as mu = 1 does
+# from what its weight presses. And the least speed at which any is full.
+UNKNOWN, SLOWEST = 10.0, 1e-9
+
+
 class Pressed(AbstractQuantified):
     """Friction of a clutch or a brake that a force presses, in proportion to its size.
 
@@ -149,8 +160,13 @@ class JointFriction(AbstractStateLoad):
     .. math:: F = -\operatorname{clip}(\tau\,(z + t_0\,\dot q)/z_0,\ \pm\tau), \qquad
         \dot z = \dot q \text{ within } \pm z_0,
 
-    so that a joint at rest stands by up to :math:`z_0` beside where it came to rest; the steps must
-    resolve the spring :math:`\tau/z_0`. With a `transition_speed` :math:`v_0` it is a function of
+    so that a joint at rest stands by up to :math:`z_0` beside where it came to rest. Where
+    `presliding` and `settling_time` are not given friction comes within 50 us, or within a step
+    where steps have a length: :math:`t_0/z_0` is the inverse of the speed that :math:`\tau` takes
+    from the joint in that time, for the inertia along its coordinate where a run starts, and
+    :math:`z_0` is 1e-6 (rad, m) or what that damps critically; derivatives of `Adaptive` then want
+    an `rtol` of 1e-7. With a `transition_speed`
+    :math:`v_0` it is a function of
     the speed instead, :math:`F = -\tau\tanh(\dot q/v_0)`, in every integrator, and creeps under a
     steady load. The friction of a clutch or a brake ends and begins with what presses it: a
     function of time, of which what is below 0 counts as 0, or `Pressed`, the force of another load
@@ -179,15 +195,19 @@ class JointFriction(AbstractStateLoad):
         "holds)",
         above=0,
     )
-    presliding: Scalar = quantity(
-        1e-4,
+    presliding: Scalar | None = quantity(
+        None,
         "rad",
-        "deflection z_0 at which the bristle yields (m for a sliding joint)",
+        "deflection z_0 at which the bristle yields (m if sliding; None: from the inertia)",
         above=0,
         kw_only=True,
     )
-    settling_time: Scalar = quantity(
-        1e-2, "s", "damping time t_0 of the bristle", above=0, kw_only=True
+    settling_time: Scalar | None = quantity(
+        None,
+        "s",
+        "damping time t_0 of the bristle (None: 0.01 beside a presliding, else from the inertia)",
+        above=0,
+        kw_only=True,
     )
 
     def coordinates(self):
@@ -196,7 +216,7 @@ class JointFriction(AbstractStateLoad):
     def states(self):
         if self.transition_speed is not None:
             return ()
-        return (LoadState("bristle", "rad", most=self.presliding),)
+        return (LoadState("bristle", "rad", most=self._yields),)
 
     def __check_init__(self):
         check_function_of_time(self, "torque")
@@ -206,18 +226,41 @@ class JointFriction(AbstractStateLoad):
         if self.transition_speed is not None:
             force = -torque * smooth_sign(jnp.asarray(speed, float), self.transition_speed)
             return CoordinateEffect((force,), (), 0, -force * speed, 0)
-        own = holding(states[0], speed, self.presliding, self.settling_time)
+        own = holding(states[0], speed, self._yields, self._settles)
         friction = torque * own.share
         if callable(self.torque):
             # What the bristle stores changes with what presses it: all counts as lost.
             return CoordinateEffect((-friction,), (own.rate,), 0, friction * speed, 0)
-        elastic = jnp.clip(states[0] / self.presliding, -1.0, 1.0)
-        stored = 0.5 * torque * self.presliding * elastic * elastic
+        elastic = jnp.clip(states[0] / self._yields, -1.0, 1.0)
+        stored = 0.5 * torque * self._yields * elastic * elastic
         wound = jnp.where(jnp.abs(elastic) < 1, torque * elastic * own.rate, 0.0)
         return CoordinateEffect((-friction,), (own.rate,), stored, friction * speed - wound, 0)
 
     def reads_position(self):
         return False
+
+    @property
+    def _yields(self):
+        return DEFLECTION if self.presliding is None else self.presliding
+
+    @property
+    def _settles(self):
+        return SETTLING if self.settling_time is None else self.settling_time
+
+    def needs_inertia(self):
+        return self.presliding is None and self.transition_speed is None
+
+    def for_inertia(self, inertia, delay, times):
+        most: Any = self.torque
+        if isinstance(most, Pressed):
+            most = UNKNOWN * inertia
+        elif callable(most):
+            most = jnp.max(jax.vmap(self._pressed)(times))
+        speed = jnp.maximum(most / inertia * delay, SLOWEST)
+        if self.settling_time is not None:
+            return dataclasses.replace(self, presliding=speed * self.settling_time)
+        deflection = jnp.maximum(4 * speed * delay, DEFLECTION)
+        return dataclasses.replace(self, presliding=deflection, settling_time=deflection / speed)
 
     def _pressed(self, time):
         """Friction at a time, by a function of it."""

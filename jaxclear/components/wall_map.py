@@ -32,7 +32,7 @@ from jaxclear.components.contact_patch import (
     worn_in_turn,
 )
 from jaxclear.components.wear_map import AbstractWearMap, mean_along
-from jaxclear.ground.numerics import positive_part, safe_divide
+from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 
 # A tilted face overlaps a wall along so many cells at least, and any face by this share of the
@@ -198,8 +198,7 @@ class Loss(NamedTuple):
 def loss_of(wall: Wall, volume: Scalar, features: Float[Array, "6"]) -> Loss:
     """What an event with these location features takes off walls (see `WallMap`)."""
     middle, square, fall, indentation, side, end = features
-    # What is spread evenly to either side has a third of the square of its half as variance.
-    half = jnp.sqrt(3.0 * positive_part(square - middle * middle) + (LEAST_WAY * wall.cell) ** 2)
+    half = jnp.sqrt(_half_path_squared(middle, square) + (LEAST_WAY * wall.cell) ** 2)
     slope = fall / wall.face
     least = LEAST_CELLS * wall.cell * positive_part(slope) + LEAST_OVERLAP * wall.clearance
     face = Face(jnp.maximum(indentation, least), slope, wall.face)
@@ -209,6 +208,12 @@ def loss_of(wall: Wall, volume: Scalar, features: Float[Array, "6"]) -> Loss:
     sunk = _sunk((volume + overlap) / wall.breadth, wall.face, half, slope)
     place = middle + 0.5 * end * wall.face
     return Loss(wall, volume, side, end, place, half, slope, load, sunk)
+
+
+def _half_path_squared(middle: Scalar, square: Scalar) -> Scalar:
+    """Square of half of a path [m2] of this mean place [m] and mean square [m2]: what is spread
+    evenly to either side has a third of that as variance."""
+    return 3.0 * positive_part(square - middle * middle)
 
 
 def _sunk(area: Scalar, face: Scalar, half: Scalar, slope: Scalar) -> Scalar:
@@ -255,6 +260,9 @@ class WallMap(AbstractWearMap):
     def over_three(self, depth):
         # Either row is a wall of its own.
         return mean_along(depth)
+
+    def path(self, features):
+        return 2.0 * safe_sqrt(_half_path_squared(features[0], features[1])) / self.wall.cell
 
     def places(self) -> Float[Array, " along"]:
         """Where the centre of each cell lies along the guide (or slider) [m]."""

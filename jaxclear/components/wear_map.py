@@ -226,11 +226,10 @@ class Wearing(AbstractQuantified):
     `acceleration` multiplies the worn volume: one simulated cycle standing for many (linear
     extrapolation, as in cycle-jump schemes). `worn_radius`: whether what the contact law takes from
     the geometry, its stiffness say, is that of the radius as worn at the contact, not as made.
-    `updates`: how often in a run the surface is worn at the most, evenly (None: at every saving
-    time), where more states are saved than wear asks for; a worn depth asks for some hundred in a
-    turn. Replicas wear it more often in proportion, so that an error of that is part of the one
-    told; below some fifty in a turn they may agree on a wrong depth. A run whose steps are counted
-    (`steps_per_save`) wears it at each saving time.
+    The surface is updated whenever a contact has moved by half a cell, and at the saving times;
+    companion runs halve that path, so that its error is part of the estimate. `updates`: the most
+    updates of the surface in a run (None: no bound); a depth may then be wrong by more than the
+    estimate. A run whose steps are counted (`steps_per_save`) updates it at each saving time.
     """
 
     law: AbstractWearLaw
@@ -277,6 +276,10 @@ class AbstractWearMap(AbstractQuantified):
     @abstractmethod
     def areas(self) -> Float[Array, "around along"]:
         """Area of each cell [m2]."""
+
+    def path(self, features: Float[Array, " n"]) -> Any:
+        """How far [cells] a contact has moved in an event with these location features."""
+        return 0.0
 
     def over_three(self, depth: Float[Array, "around along"]) -> Float[Array, "around along"]:
         """Mean depth over each cell and those beside it, three to a side; beyond a last row it is
@@ -327,6 +330,9 @@ class CylinderMap(AbstractWearMap):
         return (
             jnp.full(self.cells, 1.0) * (2 * jnp.pi * self.radius / around) * (self.length / along)
         )
+
+    def path(self, features):
+        return 2.0 * arc(safe_sqrt(features[0] ** 2 + features[1] ** 2)) / self._cell
 
     def angles(self) -> Float[Array, " around"]:
         """Direction of the centre of each cell [rad]."""

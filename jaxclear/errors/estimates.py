@@ -108,8 +108,7 @@ class Verified(AbstractVerification):
         worst, others = beyond[0], len(beyond) - 1
         more = f" (and {others} more answer{'s' * (others > 1)})" if others else ""
         told = f"{worst.share:.2g} {WORDS[worst.part]} ({worst.promised:g} promised)"
-        todo = remedy_of_depths(self.remedy) if worst.answer == "worn depth" else self.remedy
-        return f"{worst.name[0].upper()}{worst.name[1:]}: error about {told}{more}; {todo}."
+        return f"{worst.name[0].upper()}{worst.name[1:]}: error about {told}{more}; {self.remedy}."
 
     def estimate(self, run, response):
         value = response(run)
@@ -182,11 +181,6 @@ class Failed(AbstractVerification):
 
     def attributes(self):
         return {"verification": str(self)}
-
-
-def remedy_of_depths(remedy: str) -> str:
-    """What brings errors of worn depths down, beside what does so with all of a run's."""
-    return f"{remedy}, and save more often, which is when surfaces wear (with more `updates`)"
 
 
 def richardson(differences: list[Any], shares: Sequence[float | None] = (HALF, QUARTER)) -> Any:

@@ -17,13 +17,7 @@ import numpy as np
 
 from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.coupling import Ratio
-from jaxclear.components.joint import (
-    Fixed,
-    Free,
-    Prismatic,
-    Revolute,
-    Spherical,
-)
+from jaxclear.components.joint import Fixed, Free, Prismatic, Revolute, Spherical
 from jaxclear.files.mujoco_model import FREE, SLIDE, SPHERICAL, free_name
 
 # Of mjtJoint, in its order.

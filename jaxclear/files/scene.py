@@ -320,10 +320,7 @@ def _check_variable(variable: Any, mechanism: Mechanism, node: Node, name: str) 
 
 def _check_response(response: Any, mechanism: Mechanism, node: Node, name: str) -> None:
     """That a response asks about a joint and a body that there are."""
-    parts: dict[str, Mapping[str, Any]] = {
-        "joint": mechanism.connections,
-        "body": mechanism.bodies,
-    }
+    parts: dict[str, Mapping[str, Any]] = {"joint": mechanism.connections, "body": mechanism.bodies}
     for what, known in parts.items():
         own = getattr(response, what, None)
         if isinstance(own, str) and own not in known:

@@ -25,11 +25,7 @@ from jaxclear.formulations.contacts_over_step import (
     memories_after,
     passive_rates_over,
 )
-from jaxclear.formulations.delassus import (
-    ContactSolution,
-    LinearLaws,
-    implicit_contact,
-)
+from jaxclear.formulations.delassus import ContactSolution, LinearLaws, implicit_contact
 from jaxclear.formulations.impact_speed import Flight, taken_in_flight
 from jaxclear.formulations.laws_over_step import Averaging, PastSlip
 from jaxclear.formulations.model import Model

@@ -37,16 +37,8 @@ from jaxclear.formulations.loads_over_step import (
     with_rigid_flanks,
 )
 from jaxclear.formulations.model import Model, State
-from jaxclear.formulations.permanent_reactions import (
-    check_unique,
-    touching,
-    with_friction,
-)
-from jaxclear.formulations.permanent_report import (
-    friction_of,
-    joint_components,
-    report_of_means,
-)
+from jaxclear.formulations.permanent_reactions import check_unique, touching, with_friction
+from jaxclear.formulations.permanent_report import friction_of, joint_components, report_of_means
 from jaxclear.formulations.rubbing_percussions import (
     Rubbed,
     RubbedOver,

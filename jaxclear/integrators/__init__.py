@@ -9,11 +9,7 @@ your own derives from `AbstractIntegrator`.
 
 from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.integrators.adaptive import Adaptive
-from jaxclear.integrators.base import (
-    AbstractIntegrator,
-    Advance,
-    Interval,
-)
+from jaxclear.integrators.base import AbstractIntegrator, Advance, Interval
 from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.fixed_step import FixedStep
 from jaxclear.integrators.implicit_step import ImplicitStep

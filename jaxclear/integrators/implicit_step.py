@@ -19,12 +19,7 @@ from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, constant, count, quantity
 from jaxclear.integrators.base import AbstractIntegrator, arrived, counted, divide, march
 from jaxclear.integrators.events import Peaks, among, nothing_met, risen, since, watch_from, watched
-from jaxclear.integrators.variational import (
-    beside_steps,
-    nothing_beside,
-    so_far,
-    trusted_beside,
-)
+from jaxclear.integrators.variational import beside_steps, nothing_beside, so_far, trusted_beside
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, prepare
 

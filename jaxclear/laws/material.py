@@ -8,12 +8,7 @@ from jaxclear.ground.argument_errors import answering, nothing_else
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 
-__all__ = [
-    "Material",
-    "aluminium",
-    "combined_modulus",
-    "steel",
-]
+__all__ = ["Material", "aluminium", "combined_modulus", "steel"]
 __getattr__, __dir__ = nothing_else("jaxclear.material", __all__)
 
 

@@ -11,11 +11,7 @@ from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.law import AbstractLaw
 
-__all__ = [
-    "AbstractWearLaw",
-    "Archard",
-    "Fouvry",
-]
+__all__ = ["AbstractWearLaw", "Archard", "Fouvry"]
 __getattr__, __dir__ = nothing_else("jaxclear.wear", __all__)
 
 

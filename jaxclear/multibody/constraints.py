@@ -16,13 +16,7 @@ from jaxclear.multibody import kinematics, loops, pose_rows, tree
 from jaxclear.multibody.coordinate_sums import outer_wrenches, sum_equation
 from jaxclear.multibody.forces import add_action_and_reaction
 from jaxclear.multibody.kinematics import JacobianRow
-from jaxclear.multibody.loops import (
-    Baumgarte,
-    Closure,
-    CoordinateSum,
-    Relative,
-    SummedCoordinate,
-)
+from jaxclear.multibody.loops import Baumgarte, Closure, CoordinateSum, Relative, SummedCoordinate
 from jaxclear.multibody.meshes import Mesh
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench

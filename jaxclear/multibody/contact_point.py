@@ -348,14 +348,7 @@ def assemble(
     rates = tuple(response.memory_rates for response in responses)
     contact_power, contact_loss, friction_loss = sums
     return JointReport(
-        force,
-        torque,
-        rates,
-        wear_rates,
-        contact_power,
-        contact_loss,
-        friction_loss,
-        tuple(reports),
+        force, torque, rates, wear_rates, contact_power, contact_loss, friction_loss, tuple(reports)
     )
 
 

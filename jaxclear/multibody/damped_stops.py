@@ -1,7 +1,8 @@
 """The damping of stops that say which share of a speed comes back, where their force is that of a
-spring: it follows from the inertia along their coordinate as the mechanism stands.
+spring: it follows from the inertia along their coordinate as the mechanism stands. And the numbers
+of other loads that follow from that inertia where a run starts.
 
-Nothing here is evaluated in a mechanism without such stops, nor where stops are rigid.
+Nothing here is evaluated in a mechanism without such loads, nor where stops are rigid.
 """
 
 import dataclasses
@@ -10,12 +11,14 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxclear.components.acting import AbstractCoordinateLoad
+from jaxclear.components.acting import AbstractCoordinateLoad, AbstractStateLoad
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import Scalar
 from jaxclear.laws.rebound import damping_ratio_of
 from jaxclear.multibody import constraints, dynamics, kinematics, tree
+from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.kinematics import JacobianRow
+from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.system import System, coordinate_loads
 from jaxclear.multibody.tree import Motion
 
@@ -24,7 +27,7 @@ class StopOfRatio(AbstractCoordinateLoad):
     """A `stop` whose damping is this `ratio` [1] of the critical one."""
 
     connection: str = eqx.field(static=True)
-    stop: Any
+    stop: AbstractCoordinateLoad
     ratio: Scalar
 
     def force(self, time, position, speed):
@@ -61,6 +64,30 @@ def with_damped_stops(system: System, motions: tuple[Motion, ...]) -> System:
     pairs = zip(stops.items(), inertias, strict=True)
     damped = {name: stop.damped(inertia) for (name, stop), inertia in pairs}
     return dataclasses.replace(system, loads=system.loads | damped)
+
+
+def forces_at(system: System, motions: tuple[Motion, ...], *others: Any) -> Forces:
+    """`forces.applied_forces`, with the damping of stops as the links stand."""
+    return applied_forces(with_damped_stops(system, motions), motions, *others)
+
+
+def with_settled_loads(
+    mechanism: Mechanism, system: System, motions: tuple[Motion, ...], delay: Any, times: Any
+) -> Mechanism:
+    """The mechanism with the numbers of its loads that follow from the inertia along their
+    coordinates, for a run that begins as the links stand and is saved at these times [s]."""
+    names = loads_to_settle(mechanism)
+    loads: dict[str, Any] = dict(mechanism.loads)
+    rows = [coordinate_row(system, motions, *loads[name].coordinates()) for name in names]
+    for name, lightness in zip(names, _lightness_along(system, motions, rows), strict=True):
+        loads[name] = loads[name].for_inertia(1 / lightness, delay, times)
+    return rebuilt(mechanism, loads=loads)
+
+
+def loads_to_settle(mechanism: Mechanism) -> list[str]:
+    """The loads of which numbers follow from the inertia along their coordinate."""
+    every = mechanism.loads.items()
+    return [n for n, x in every if isinstance(x, AbstractStateLoad) and x.needs_inertia()]
 
 
 def coordinate_row(system: System, motions: tuple[Motion, ...], name: str) -> JacobianRow:

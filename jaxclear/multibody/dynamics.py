@@ -235,10 +235,7 @@ def mechanical_energy(system: System, forces: Forces) -> tuple[Any, Any]:
             sp.add(sp.mul(mass, sp.dot(v, v)), sp.dot(w, sp.apply(inertia, w)))
             + sp.mul(2.0, sp.dot(v, sp.cross(w, moment)))
         )
-        weighted = sp.plus(
-            sp.scale(mass, pose.translation),
-            sp.apply(pose.rotation, moment),
-        )
+        weighted = sp.plus(sp.scale(mass, pose.translation), sp.apply(pose.rotation, moment))
         return moving, sp.dot(system.gravity, weighted)
 
     pairs = list(zip(system.links, forces.motions, strict=True))

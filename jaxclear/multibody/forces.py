@@ -25,13 +25,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_alike, map_many
 from jaxclear.ground.pose import Pose
 from jaxclear.laws.transmission import holding
-from jaxclear.multibody import (
-    closure_coordinates,
-    contact_point,
-    kinematics,
-    transmissions,
-    tree,
-)
+from jaxclear.multibody import closure_coordinates, contact_point, kinematics, transmissions, tree
 from jaxclear.multibody.contact_point import JointReport
 from jaxclear.multibody.loops import Closure, Relative
 from jaxclear.multibody.state import Followed

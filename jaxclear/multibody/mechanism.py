@@ -27,13 +27,7 @@ from jaxclear.ground.printing import (
     number_in_words,
     numbers_in_words,
 )
-from jaxclear.ground.quantity import (
-    IF_ANY,
-    AbstractQuantified,
-    as_number,
-    on_device,
-    with_fields,
-)
+from jaxclear.ground.quantity import IF_ANY, AbstractQuantified, as_number, on_device, with_fields
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described, public_name
 from jaxclear.multibody import validation

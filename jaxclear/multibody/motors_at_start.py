@@ -14,11 +14,7 @@ from jaxclear.multibody.topology import motors
 
 
 def turned(
-    mechanism: Mechanism,
-    system: System,
-    q: Float[Array, " q"],
-    v: Float[Array, " v"],
-    time: Any,
+    mechanism: Mechanism, system: System, q: Float[Array, " q"], v: Float[Array, " v"], time: Any
 ) -> tuple[Array, Array]:
     """Coordinates and speeds with those of motors that are not given."""
     names, given = motors(mechanism.couplings), {*mechanism.start, *mechanism.guess}

@@ -323,12 +323,7 @@ def _given_block(asked: Ask, kind: str, name: str, where: Any, found: Any, told:
         x for x, known in zip(given.scales(where.joint, asked.arm), told, strict=True) if known
     ]
     return Block(
-        kind,
-        name,
-        sp.stack(found.missed),
-        sp.stack(measure),
-        jnp.zeros(0),
-        found.jacobian,
+        kind, name, sp.stack(found.missed), sp.stack(measure), jnp.zeros(0), found.jacobian
     )
 
 

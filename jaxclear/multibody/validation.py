@@ -44,12 +44,7 @@ from jaxclear.ground.warning import asked, shape_of, warn
 from jaxclear.ground.wording import listed, meant
 from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.contact_point import check_followed
-from jaxclear.multibody.meshes import (
-    drawn_pose,
-    markers,
-    moves_apart,
-    rolls_on_its_carriers_base,
-)
+from jaxclear.multibody.meshes import drawn_pose, markers, moves_apart, rolls_on_its_carriers_base
 from jaxclear.multibody.pose_rows import check_rows
 from jaxclear.multibody.topology import MOTOR, Topology, coordinate_joint, motors
 

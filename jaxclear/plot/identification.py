@@ -14,12 +14,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
 from jaxclear.plot.canvas import Roomy, key, panels, readable
 from jaxclear.studies.identification.remaining_life import RemainingLife
-from jaxclear.studies.identification.result import (
-    IDENTIFIED,
-    Evidence,
-    Identified,
-    prior_quantiles,
-)
+from jaxclear.studies.identification.result import IDENTIFIED, Evidence, Identified, prior_quantiles
 
 # Panels side by side, and pairs of unknowns, at the most.
 MOST_BESIDE, MOST_PAIRS = 3, 6

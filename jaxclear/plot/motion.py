@@ -69,12 +69,7 @@ def displacement(
 
 @answering
 def angular_velocity(
-    run: Trajectory,
-    ideal: Trajectory,
-    body: str,
-    label: str = "with clearance",
-    *,
-    ax: Any = None,
+    run: Trajectory, ideal: Trajectory, body: str, label: str = "with clearance", *, ax: Any = None
 ) -> Any:
     """Angular velocity of a body about z with clearance and without, and their difference. `ax`:
     two axes to draw in."""

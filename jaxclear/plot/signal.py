@@ -105,12 +105,7 @@ BETWEEN = 4
 
 @answering
 def phase_portrait(
-    run: Trajectory,
-    of: str,
-    axis: str | None = None,
-    *,
-    since: float = 0.0,
-    ax: Any = None,
+    run: Trajectory, of: str, axis: str | None = None, *, since: float = 0.0, ax: Any = None
 ) -> Any:
     """Rate over value, coloured by time: of a body the place "x", "y", "z" of its centre of mass or
     its "turn" about z (ground frame), of a joint that of the child's marker in the parent's axes.

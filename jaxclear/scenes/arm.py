@@ -251,12 +251,7 @@ def reducer(name: str, play: Any = None) -> Gear:
     if play is None:
         return Gear(motor, name, RATIO)
     return Gear(
-        motor,
-        name,
-        RATIO,
-        play=Backlash(play),
-        stiffness=size.stiffness,
-        damping=size.damping,
+        motor, name, RATIO, play=Backlash(play), stiffness=size.stiffness, damping=size.damping
     )
 
 

@@ -68,10 +68,7 @@ def bearing(clearance: Any) -> PlanarJournalBearing:
     return PlanarJournalBearing(
         AdamsImpact(stiffness=stiffness, damping=damping, full_damping_depth=FULL_DAMPING_DEPTH),
         AdamsStep(
-            mu_static=MU,
-            mu_kinetic=MU,
-            static_speed=STICTION_SPEED,
-            kinetic_speed=FRICTION_SPEED,
+            mu_static=MU, mu_kinetic=MU, static_speed=STICTION_SPEED, kinetic_speed=FRICTION_SPEED
         ),
         bearing_radius=BEARING_RADIUS,
         clearance=clearance,

@@ -1,10 +1,11 @@
 """The loop of a run: the state is carried from one saving time to the next.
 
-Worn surfaces enter the gap as they were when they were updated last, which is at every saving time,
-or as rarely as they say (`Wearing.updates`): wear is slow, the motion is fast, and a map that is
-constant within an interval costs the equations of motion nothing but its reading. The whole loop is
-one kernel, which wears surfaces and writes what is saved itself. Where there are no kernels, and
-where steps are counted, XLA goes from save to save, and surfaces wear at each.
+Worn surfaces enter the gap as they were when they were updated last: after each part of a saving
+interval in which a contact has moved by half a cell of its map, or as rarely as they say
+(`Wearing.updates`). Wear is slow, the motion is fast, and a map that is constant within a part
+costs the equations of motion nothing but its reading. The whole loop is one kernel, which wears
+surfaces and writes what is saved itself. Where there are no kernels, and where steps are counted,
+XLA goes from save to save, and surfaces wear at each.
 """
 
 import dataclasses
@@ -23,8 +24,10 @@ from jaxclear.ground.grouping import packed, unpacked
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator, Interval
 from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.events import Events, Peaks, newest, together
-from jaxclear.multibody import closure_coordinates
+from jaxclear.multibody import closure_coordinates, kinematics
+from jaxclear.multibody.damped_stops import loads_to_settle, with_settled_loads
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
+from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, readings, rubbing_joints, wear_maps
 from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, verdict, while_loop
 from jaxclear.results.state_history import StateHistory
@@ -32,7 +35,7 @@ from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.error_weights import error_weights
 from jaxclear.simulation.initial_state import Past
-from jaxclear.simulation.invariants import contact_names, judged, sunk_in
+from jaxclear.simulation.invariants import contact_names, contacts_that_turn, judged, sunk_in
 from jaxclear.simulation.sampling import next_instant, sampled, sampled_loads
 from jaxclear.simulation.saving import with_few_enough_steps
 from jaxclear.simulation.wear import (
@@ -40,6 +43,7 @@ from jaxclear.simulation.wear import (
     Pending,
     Worn,
     left_its_surface,
+    longest_path,
     losses,
     pending_wear,
     unworn,
@@ -72,10 +76,20 @@ class Extras(NamedTuple):
     discrete: bool = False
 
 
+# Path [cells] that a contact takes between two updates of its surface: half a cell leaves the
+# deepest place of the four-bar within 1 % (`benchmarks.claims.worn_depth`); longer ones are taken
+# again up to twice that. In a run without such paths so many updates are made.
+PATH, FEWEST_UPDATES = 0.5, 100
+# How much longer or shorter than the part before a part between two updates is at most.
+LONGER, SHORTER = 2.0, 0.125
+# Shortest part between two updates, beside the run, where no step is asked for.
+SHORTEST_PART = 1e-6
+
+
 class Span(NamedTuple):
     """A saving interval from `start` to `stop` [s]; `progress`: its share of the whole run. Where
-    surfaces wear: whether they are `due` to be worn at its start, and in how many `parts` it is
-    gone through, between which they wear."""
+    surfaces wear: whether they are `due` to be worn at its start; outside a kernel in how many
+    `parts` it is gone through, between which they wear."""
 
     start: Float[Array, " turns"]
     stop: Float[Array, " turns"]
@@ -102,6 +116,13 @@ class Carry(NamedTuple):
 
 # Worn surfaces stand in memory.
 LONG: Any = Carry._make(name in ("worn", "read") for name in Carry._fields)
+# Beside it what surfaces are still to lose, and the time to their next update.
+LONG_CARRY = (LONG, True, False)
+
+
+# Within this [s] friction comes whose bristle follows from the inertia: from rest a way is off by
+# some 2 of it beside the time of a push, and steps that hold are as long.
+DELAY = 5e-5
 
 
 class Left(NamedTuple):
@@ -128,6 +149,14 @@ def run(
     are not counted."""
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
     mechanism = held_as_needed(mechanism, integrator.opens_loops)
+    if loads_to_settle(mechanism) and not formulation.forces_are_means:
+        system, step = model_of(mechanism, formulation).system, integrator.asked_step()
+        if integrator.steps_between_saves is not None:
+            step = jnp.max(jnp.diff(times)) / integrator.steps_between_saves
+        motion = unpack_motion(system, jnp.concatenate([coordinates, speeds]))
+        motions = kinematics.link_motions(system, *motion, times[0])
+        delay = DELAY if step is None else jnp.maximum(DELAY, step)
+        mechanism = with_settled_loads(mechanism, system, motions, delay, times)
     model = model_of(mechanism, formulation, extras.balance)
     model = dataclasses.replace(model, events=extras.events, discrete=extras.discrete)
     layout = model.layout
@@ -145,7 +174,6 @@ def run(
     first = first._replace(peaks=turn.nothing_met(first))
     spans = Span(times[:-1], times[1:], jnp.diff(times) / (times[-1] - times[0]))
     if _whole(integrator, extras, worn):
-        spans = _with_updates(model.system, spans, updates) if worn else spans
         last, left = _in_one_kernel(turn, first, spans, updates)
     else:
         counted = integrator.steps_between_saves
@@ -158,7 +186,8 @@ def run(
     if noted is not None:
         noted = noted._replace(counts=noted.counts * (times[:-1] <= last.ended)[:, None])
     met = last.peaks
-    extremes = None if met is None else Extremes(*met, contact_names(model))
+    contacts = contact_names(model), contacts_that_turn(mechanism, model)
+    extremes = None if met is None else Extremes(*met, *contacts)
     ends = history, last.worn, last.outcome, last.ended, stats
     return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn)
 
@@ -181,7 +210,12 @@ def sketched(
         jnp.asarray(Outcome.REACHED),
         times[-1],
         RunStats(none, none, none),
-        extremes=Extremes(jnp.zeros(len(contacts)), jnp.zeros(len(contacts)), contacts),
+        extremes=Extremes(
+            jnp.zeros(len(contacts)),
+            jnp.zeros(len(contacts)),
+            contacts,
+            contacts_that_turn(mechanism, model),
+        ),
         noted=Events(blank, blank, blank[:, :, 0]) if events else None,
     )
 
@@ -193,19 +227,32 @@ def _whole(integrator: AbstractIntegrator, extras: Extras, worn: Worn) -> bool:
     return not told and (not worn or has_kernels())
 
 
-def _with_updates(system: System, spans: Span, updates: Any) -> Span:
-    """Saving intervals that know when surfaces wear where all of these are to wear more rarely than
-    states are saved: in each as many as `updates` parts, and at the start of some alone."""
-    asked = [own.updates for each in wear_maps(system).values() for _, own in each.values()]
-    most = [each for each in asked if each is not None]
-    if len(most) < len(asked):
-        return spans
-    share = updates * max(most) / (spans.stop[-1] - spans.start[0])
-    # An interval that is as long as is asked for but for rounding is.
-    passed = jnp.floor(share * (spans.start - spans.start[0]) + SLIVER)
-    due = jnp.concatenate([jnp.ones(1, bool), jnp.diff(passed) > 0])
-    parts = jnp.ceil(share * (spans.stop - spans.start) - SLIVER)
-    return spans._replace(due=due, parts=jnp.clip(parts, 1, updates).astype(int))
+class UpdateLimits(NamedTuple):
+    """Between two updates of worn surfaces: the longest `path` of a contact [cells], and the
+    `shortest` and the `longest` time [s]."""
+
+    path: Any
+    shortest: Any
+    longest: Any
+
+
+def _update_limits(
+    system: System, spans: Span, step: Any, updates: Any
+) -> tuple[UpdateLimits, Span]:
+    """(limits between updates, saving intervals, which know whether surfaces are due where all of
+    these are to wear more rarely than states are saved). `step` [s]: that asked for, or None."""
+    duration = spans.stop[-1] - spans.start[0]
+    longest = duration / (FEWEST_UPDATES * updates)
+    shortest = SHORTEST_PART * duration if step is None else step
+    requested = [own.updates for each in wear_maps(system).values() for _, own in each.values()]
+    most = [each for each in requested if each is not None]
+    if most and len(most) == len(requested):
+        share = updates * max(most) / duration
+        # An interval that is as long as is asked for but for rounding is.
+        passed = jnp.floor(share * (spans.start - spans.start[0]) + SLIVER)
+        due = jnp.concatenate([jnp.ones(1, bool), jnp.diff(passed) > 0])
+        spans, shortest = spans._replace(due=due), jnp.maximum(shortest, (1 - SLIVER) / share)
+    return UpdateLimits(PATH / updates, shortest, jnp.maximum(longest, shortest)), spans
 
 
 def _first_warm_start(
@@ -234,7 +281,8 @@ class _Turn:
     """One turn of the loop, from a saving time to the next, as a function of (`Carry`, `Span`)."""
 
     def __init__(self, model: Model, integrator: AbstractIntegrator, report: bool):
-        self.model, self.report = model, report
+        self.model, self.report, self.step = model, report, integrator.asked_step()
+        self.breaks = integrator.breaks
         self.arrays, rest = packed((model, integrator))
 
         def advance(arrays, read, ahead, state, warm_start):
@@ -294,6 +342,57 @@ class _Turn:
         return after, losses(layout, now.state, state), result.events
 
 
+def _between_updates(
+    turn: "_Turn", limits: UpdateLimits, step: Any, settled: Callable, loop: Callable
+) -> Callable:
+    """A part of a saving interval that is gone through from update to update of worn surfaces, by a
+    while `loop`, as (what is handed on, span) -> (that, what is left). `settled` wears surfaces;
+    `step` [s]: of an integrator whose steps have a length, so that updates come after whole ones.
+
+    A part in which a contact has gone more than twice as far as it is to is taken again, shorter.
+    """
+    system = turn.model.system
+
+    def end_of_part(time, length, stop):
+        if step is not None:
+            length = jnp.maximum(jnp.floor(length / step * (1 + SLIVER)), 1.0) * step
+        # No sliver of a part is left.
+        return jnp.where(time + (1 + SLIVER) * length < stop, time + length, stop)
+
+    def parts(begun, span):
+        def one(now):
+            time, (carry, pending, length), noted = now
+            end = end_of_part(time, length, span.stop)
+            due = None if span.due is None else span.due | (time > span.start)
+            carry, pending = settled(carry, pending, due)
+            moved, lost, more = turn.motion(carry, span._replace(start=time, stop=end))
+            path, taken = longest_path(system, lost), end - time
+            change = jnp.where(path > 0, limits.path / jnp.where(path > 0, path, 1.0), LONGER)
+            wanted = taken * jnp.clip(change, SHORTER, LONGER)
+            wanted = jnp.clip(wanted, limits.shortest, limits.longest)
+            # What cannot be shorter is taken as it is.
+            fits = ~(path > 2.0 * limits.path) | (end_of_part(time, wanted, span.stop) >= end)
+            # A part that a saving time has cut off says nothing of longer ones.
+            cut_off = fits & (end >= span.stop)
+            wanted = jnp.where(cut_off, jnp.maximum(wanted, length), wanted)
+            chosen = lambda new, old: jnp.where(fits, new, old)
+            # Worn surfaces are the same in both.
+            after = jax.tree.map(
+                chosen, moved._replace(worn=(), read=()), carry._replace(worn=(), read=())
+            )
+            after = after._replace(worn=carry.worn, read=carry.read)
+            if more is not None:
+                noted = jax.tree.map(chosen, together(noted, more), noted)
+            return chosen(end, time), (after, pending, wanted), noted
+
+        more = jax.eval_shape(turn.motion, begun[0], span)[2]
+        nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), more)
+        _, carry, noted = loop(lambda now: now[0] < span.stop, one, (span.start, begun, nothing))
+        return carry, ((), noted)
+
+    return parts
+
+
 def _in_parts(loop: Callable, part: Callable, begun: Any, span: Span) -> Any:
     """What is handed on and left behind a saving interval that is gone through in its equal parts,
     by a while `loop`; `part`: (what is handed on, span) -> (that, what is left: by the last
@@ -315,10 +414,11 @@ def _in_parts(loop: Callable, part: Callable, begun: Any, span: Span) -> Any:
     return loop(lambda now: now[0] < parts, turn, (jnp.zeros((), int), begun, nothing))[1:]
 
 
-def _between_instants(system: System, loop: Callable, part: Callable) -> Callable:
+def _between_instants(turn: _Turn, loop: Callable, part: Callable) -> Callable:
     """A part of a saving interval that is gone through from instant to instant of what is sampled,
-    by a while `loop`; the part itself where nothing is."""
-    if not sampled_loads(system):
+    and of what steps are to end at, by a while `loop`; the part itself where there are none."""
+    system, breaks = turn.model.system, turn.breaks
+    if not sampled_loads(system) and breaks is None:
         return part
 
     def parts(begun, span):
@@ -328,6 +428,8 @@ def _between_instants(system: System, loop: Callable, part: Callable) -> Callabl
         def turn(now):
             time, carry, (_, noted) = now
             ahead = next_instant(system, time, span.stop)
+            if breaks is not None:
+                ahead = jnp.min(jnp.where(breaks > time, breaks, ahead), initial=ahead)
             progress = span.progress * (ahead - time) / (span.stop - span.start)
             carry, (left, more) = part(
                 carry, span._replace(start=time, stop=ahead, progress=progress)
@@ -340,43 +442,42 @@ def _between_instants(system: System, loop: Callable, part: Callable) -> Callabl
 
 
 def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Left]:
-    """(what the last turn hands on, what is left at all saving times). Before a turn at whose start
+    """(what the last turn hands on, what is left at all saving times). Before a part at whose start
     they are due surfaces are worn by what was lost until then, and after the last."""
-    model, count = turn.model, len(spans.start)
+    model, count, step = turn.model, len(spans.start), turn.step
     pending = pending_wear(model.system, model.layout, first.state) if first.worn else None
 
-    def settled(
-        now: Carry, pending: Pending | None, due: Any = None
-    ) -> tuple[Carry, Pending | None]:
-        if pending is None:
-            return now, None
+    def settled(now: Carry, pending: Pending, due: Any = None) -> tuple[Carry, Pending]:
         found = now.worn, now.read, pending
         worn, read, pending = worn_so_far(model.system, model.layout, found, now.state, due)
         return now._replace(worn=worn, read=read), pending
 
-    def part(carry, span):
-        now, pending = settled(*carry, span.due)
-        now, _, noted = turn.motion(now, span)
-        return (now, pending), ((), noted)
-
     def by_kernel(condition, body, begun):
-        return while_loop(condition, body, begun, (False, (LONG, True), False))
+        return while_loop(condition, body, begun, (False, LONG_CARRY, False))
 
-    part = _between_instants(model.system, by_kernel, part)
+    if pending is None:
+        length = None
+
+        def part(carry, span):
+            now, _, noted = turn.motion(carry[0], span)
+            return (now, None, None), ((), noted)
+
+    else:
+        limits, spans = _update_limits(model.system, spans, step, updates)
+        length = limits.longest
+        part = _between_updates(turn, limits, step, settled, by_kernel)
+    part = _between_instants(turn, by_kernel, part)
 
     def one(carry, span):
-        wears = pending is not None
-        span = span if span.parts is not None else span._replace(parts=updates)
-        go = functools.partial(_in_parts, by_kernel, part) if wears else part
-        carry, (_, noted) = go(carry, span)
+        carry, (_, noted) = part(carry, span)
         return carry, ((carry[0].state, carry[0].read), noted)
 
     rows = np.arange(count)
     kept = [Kept(rows + 1, count + 1, (first.state, first.read)), Kept(rows, count)]
-    done, ((states, read), noted) = scan(one, (first, pending), spans, kept, (LONG, True))
+    done, ((states, read), noted) = scan(one, (first, pending, length), spans, kept, LONG_CARRY)
     if pending is not None:
-        last = lambda now, _: (settled(*now), ())
-        done = scan(last, done, np.zeros(1), long=(LONG, True))[0]
+        last = lambda now, _: ((*settled(*now[:2]), now[2]), ())
+        done = scan(last, done, np.zeros(1), long=LONG_CARRY)[0]
     return done[0], Left(states, read, noted)
 
 
@@ -398,7 +499,7 @@ def _from_save_to_save(
         return now._replace(worn=worn, read=read), left
 
     if counted is None:
-        part = _between_instants(system, jax.lax.while_loop, part)
+        part = _between_instants(turn, jax.lax.while_loop, part)
 
     def one(now, span):
         wears = first.worn and counted is None

@@ -108,7 +108,7 @@ def check_steps(integrator: AbstractIntegrator | None, times: Any) -> None:
         warn(
             f"{name}(step={step:.6g}) asks for longer steps than the shortest saving interval of "
             f"{intervals.min():.6g} s: steps end at every saving time, so they are shortened, and "
-            f"{more:.3g} times as many are taken. Save less often, or give the step that is meant.",
+            f"{more:.3g} times as many are taken. Save less often, or give the step that is meant."
         )
 
 

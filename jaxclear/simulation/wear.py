@@ -1,5 +1,6 @@
 """Depth maps of worn surfaces: new ones, and what a saving interval takes off."""
 
+import functools
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -161,6 +162,19 @@ def deposited(system: System, worn: Worn, lost: Losses) -> Worn:
     return worn
 
 
+def longest_path(system: System, lost: Losses) -> Array:
+    """The longest path [cells] of a contact on the surface that it wears, in these losses."""
+    maps, paths = wear_maps(system), [jnp.zeros(())]
+    for (joint, surface), (volumes, places) in lost.items():
+        path = maps[joint][surface][0].path
+        # Where nothing is lost, locations are zeros.
+        paths += [
+            jnp.where(volume > 0, path(place), 0.0)
+            for volume, place in zip(volumes, places, strict=True)
+        ]
+    return jax.lax.stop_gradient(functools.reduce(jnp.maximum, paths))
+
+
 class Pending(NamedTuple):
     """What surfaces of a run in one kernel are still to lose: the entries of the state that tell
     what contacts have lost, as they were when surfaces were worn (`since`), and for each event of a
@@ -180,11 +194,7 @@ def pending_wear(system: System, layout: Layout, state: Array) -> Pending:
 
 
 def worn_so_far(
-    system: System,
-    layout: Layout,
-    now: tuple[Worn, Any, Pending],
-    state: Array,
-    due: Any = None,
+    system: System, layout: Layout, now: tuple[Worn, Any, Pending], state: Array, due: Any = None
 ) -> tuple[Worn, Any, Pending]:
     """(depth maps, as gaps read them, what is pending) once surfaces are worn by all that was lost
     up to a state, where they are `due` (None: they are): cell by cell, for a kernel. None where no

@@ -31,14 +31,7 @@ from jaxclear.multibody.start_equations import retract
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, prepare
 from jaxclear.multibody.tree import Motion
-from jaxclear.statics.quasi_static import (
-    Posed,
-    acting,
-    loop_rows,
-    open_loops,
-    reactions_of,
-    unheld,
-)
+from jaxclear.statics.quasi_static import Posed, acting, loop_rows, open_loops, reactions_of, unheld
 
 # Of the slope [1] of a gap at the middle, beside 1: rounding.
 LEVEL = 1e-9

@@ -18,15 +18,7 @@ import numpy as np
 from tqdm import tqdm
 
 from jaxclear.errors.accuracy import beside
-from jaxclear.errors.choice import (
-    Question,
-    Rung,
-    Search,
-    Tried,
-    budget_of,
-    others_of,
-    rungs_of,
-)
+from jaxclear.errors.choice import Question, Rung, Search, Tried, budget_of, others_of, rungs_of
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.precision import check_double_precision

@@ -27,11 +27,7 @@ Wanted = float | tuple[tuple[str, float], ...]
 
 
 def chosen_integrator(
-    mechanism: Mechanism,
-    response: Mapping[str, Callable],
-    duration: Any,
-    asked: Wanted,
-    how: How,
+    mechanism: Mechanism, response: Mapping[str, Callable], duration: Any, asked: Wanted, how: How
 ) -> Chosen:
     """The integrator by which every response of a mechanism is as accurate as is `asked`, a share
     of its size in the nominal sample or numbers in units by name, at the least work. Raises

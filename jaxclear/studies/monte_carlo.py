@@ -26,12 +26,7 @@ from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import answered, check_told, endless_sentences, refuse_endless
 from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
-from jaxclear.studies.sampling import (
-    Drawing,
-    check_sampled,
-    checked_scramblings,
-    groups,
-)
+from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
 from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, until_accurate
 from jaxclear.studies.statistics.accuracy import NumericalError, asked_of
 from jaxclear.studies.statistics.limits import (

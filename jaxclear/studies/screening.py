@@ -73,11 +73,7 @@ class Screening(AbstractAnswer):
 
 @answering
 def screening(
-    problem: AbstractProblem,
-    trajectories: int = 16,
-    *,
-    seed: int = 0,
-    progress_bar: bool = False,
+    problem: AbstractProblem, trajectories: int = 16, *, seed: int = 0, progress_bar: bool = False
 ) -> Screening:
     """Which variables of a problem matter, by the method of Morris: `trajectories` times one run
     more than there are variables.

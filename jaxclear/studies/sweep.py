@@ -75,10 +75,7 @@ class Sweep(AbstractAnswer):
 
 @answering
 def sweep(
-    problem: AbstractProblem,
-    over: Mapping[str, Sequence[float]],
-    *,
-    progress_bar: bool = False,
+    problem: AbstractProblem, over: Mapping[str, Sequence[float]], *, progress_bar: bool = False
 ) -> Sweep:
     """Responses at every point of a grid, in one compiled program.
 

@@ -25,14 +25,7 @@ from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.ground.printing import AbstractShown, shown_in_words
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
-from jaxclear.studies.answer import (
-    RESPONSE,
-    TABLE,
-    VARIABLE,
-    AbstractAnswer,
-    Column,
-    Stated,
-)
+from jaxclear.studies.answer import RESPONSE, TABLE, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.endless import answered, finite_beside, why_unanswered

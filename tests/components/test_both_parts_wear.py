@@ -205,12 +205,13 @@ def test_a_part_sinks_to_the_one_level_that_its_overlap_asks_for(wear_map):
 
     depths, volumes, places = cases(wear_map)
     found, in_turn, patches, loads = jax.jit(jax.vmap(sought))(depths, volumes, places)
+    removed = volumes * (volumes / (volumes + loads)) ** 2
     for i in range(CASES):
         patch = jax.tree.map(lambda each, i=i: np.asarray(each)[i], patches)
 
         def missing(level, patch=patch, i=i):
             overlap = np.asarray(patch.outline.at(level)[0])
-            return float(np.sum(overlap * patch.area) - volumes[i] - loads[i])
+            return float(np.sum(overlap * patch.area) - removed[i] - loads[i])
 
         wanted = brentq(missing, 0.9 * PLAY, 5 * PLAY, xtol=1e-18, rtol=1e-15)
         own = found[0][0][i]

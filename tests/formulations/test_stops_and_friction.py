@@ -130,7 +130,8 @@ def test_a_stop_gives_back_its_share_whatever_the_inertia_was_at_the_start(integ
 
 
 def test_the_speed_that_a_stop_gives_back_has_the_slope_of_its_share():
-    """Of -e v by e, also where the inertia changes before the stop is met."""
+    """Of -e v by e, also where the inertia changes before the stop is met; slopes by a hundredth,
+    the most by which steps may leave them off."""
     rig = unfolding_arm(0.4)
 
     def after(share):
@@ -139,7 +140,7 @@ def test_the_speed_that_a_stop_gives_back_has_the_slope_of_its_share():
 
     before = ran(rig, 1.2, jc.integrator.Adaptive(), save=25).speed("shoulder")[5]
     slope = jax.jvp(after, (0.4,), (1.0,))[1]
-    np.testing.assert_allclose(slope, -before, rtol=1e-3)
+    np.testing.assert_allclose(slope, -before, rtol=1e-2)
 
 
 @pytest.mark.parametrize("ratio", [0.01, 0.3, 1.0, 4.0])
@@ -205,6 +206,60 @@ def test_friction_holds_under_a_ramp_and_breaks_away_at_its_torque(kind):
     np.testing.assert_allclose(held[1:24], 2.0 * at[1:24], atol=0.01)
     np.testing.assert_allclose(held[-1], 5.0, rtol=1e-9)
     assert np.abs(run.energy_balance().error).max() < 1e-5
+
+
+FROM_REST = {
+    "compliant": (jc.integrator.Adaptive(), 2e-3),
+    "implicit": (jc.integrator.ImplicitStep(1e-4), 5e-3),
+    "fixed": (jc.integrator.FixedStep(1e-4), 5e-3),
+    "permanent": (PERMANENT, 1e-9),
+}
+
+
+@pytest.mark.parametrize("turns", [False, True])
+@pytest.mark.parametrize("kind", FROM_REST)
+def test_what_little_more_than_its_friction_pushes_from_rest_goes_by_the_rest(kind, turns):
+    """0.5 kg (kg m^2) under 1.0 N (N m) and 0.8 of friction: 0.4 t^2 / 2, whatever the joint."""
+    integrator, accuracy = FROM_REST[kind]
+    joint = jc.joint.Revolute() if turns else jc.joint.Prismatic()
+    rig = jc.Mechanism(
+        {"part": jc.Body(0.5, 0.5)},
+        {"J": jc.Connection(joint, "ground", "part")},
+        {"push": jc.load.JointTorque("J", 1.0), "friction": jc.load.JointFriction("J", 0.8)},
+    )
+    way = float(np.ravel(ran(rig, 0.2, integrator, save=3).coordinate("J"))[-1])
+    np.testing.assert_allclose(way, 0.5 * 0.4 * 0.2**2, rtol=accuracy)
+
+
+@pytest.mark.parametrize("lightness", [1e-3, 1.0, 1e3])
+def test_friction_that_holds_takes_steps_of_one_length_whatever_it_holds(lightness):
+    """A part at rest under half of its friction stays where it is."""
+    rig = jc.Mechanism(
+        {"part": jc.Body(0.5 / lightness, 1e-3)},
+        {"J": jc.Connection(jc.joint.Prismatic(), "ground", "part", axis="x")},
+        {"pull": jc.load.JointTorque("J", 0.5), "friction": jc.load.JointFriction("J", 1.0)},
+    )
+    run = ran(rig, 0.5, jc.integrator.Adaptive(), save=3)
+    # Half of the deflection 4 a t^2 at most, of a the deceleration by friction, t = 50 us.
+    assert abs(np.asarray(run.coordinate("J"))).max() < 1.1e-5
+    assert int(run.accepted_steps) < 1e4
+
+
+def test_slopes_by_the_friction_are_those_of_set_valued_friction():
+    """Beside differences of set-valued steps of 10 us, by 2 % of the torque: -0.13574."""
+
+    def end(torque):
+        pull = jc.load.JointTorque("slide", lambda t: jnp.sin(20.0 * t))
+        rig = jc.Mechanism(
+            {"part": jc.Body(1.0, 0.1)},
+            {"slide": jc.Connection(jc.joint.Revolute(), "ground", "part")},
+            {"pull": pull, "friction": jc.load.JointFriction("slide", torque)},
+        )
+        tight = jc.integrator.Adaptive(rtol=1e-8, atol=1e-11)
+        run = jc.simulate(rig, 0.5, save=6, integrator=tight, throw=False, verify=False)
+        return run.coordinate("slide")[-1]
+
+    assert float(jax.jacfwd(end)(0.5)) == pytest.approx(-0.13574, rel=5e-3)
 
 
 def test_friction_with_a_transition_speed_creeps_in_every_step():
@@ -474,7 +529,7 @@ def test_bristles_end_at_their_bound_in_loops_of_diffrax(solver):
             {"J": jc.Connection(jc.joint.Revolute(), "ground", "part")},
             {
                 "pull": jc.load.JointTorque("J", lambda t: jnp.sin(20.0 * t)),
-                "friction": jc.load.JointFriction("J", torque),
+                "friction": jc.load.JointFriction("J", torque, presliding=1e-4),
             },
         )
         integrator = jc.integrator.Adaptive(solver)

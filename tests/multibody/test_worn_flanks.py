@@ -66,12 +66,14 @@ def test_other_integrators_wear_flanks_too(integrator):
     np.testing.assert_allclose(run.worn_depth("g", "lower"), expected(0.5), rtol=2e-3)
 
 
-def test_the_play_is_as_worn_from_the_next_saving_time_on():
+def test_the_play_is_as_worn_at_the_last_update():
+    """Of which a run has a hundred at least."""
     share = 0.1
     run = jc.simulate(one_way(worn_play(share=share)), DURATION, save=21, verify=False)
-    seen = expected(DURATION * 19 / 20, share)
+    seen = expected(DURATION * 99 / 100, share)
+    # The spring follows the growing play with the lag of its damper.
     twist = -run.coupling("g").twist[-1]
-    np.testing.assert_allclose(twist, 0.5e-3 + TORQUE / 2e3 + seen / RADIUS, atol=1e-8)
+    np.testing.assert_allclose(twist, 0.5e-3 + TORQUE / 2e3 + seen / RADIUS, atol=1e-7)
 
 
 def test_a_run_begins_between_flanks_as_worn():
@@ -117,9 +119,11 @@ def test_each_flank_has_what_it_carried():
 def test_wear_takes_no_energy_and_a_play_that_does_not_grow_moves_as_before():
     bare, worn = jc.clearance.Backlash(1e-3), worn_play(share=0.0)
     runs = [jc.simulate(swinging(own), 0.5, save=6, balance=True) for own in (bare, worn)]
-    np.testing.assert_array_equal(runs[0].coordinate("A"), runs[1].coordinate("A"))
+    # Steps end where surfaces are updated: the two differ by what the tolerance allows.
+    alike = {"rtol": 1e-6, "atol": 1e-8}
+    np.testing.assert_allclose(runs[0].coordinate("A"), runs[1].coordinate("A"), **alike)
     energies = [own.energy_balance() for own in runs]
-    np.testing.assert_array_equal(energies[0].damping_loss, energies[1].damping_loss)
+    np.testing.assert_allclose(energies[0].damping_loss, energies[1].damping_loss, **alike)
 
 
 def test_a_life_under_a_torque_that_play_does_not_change_is_linear():

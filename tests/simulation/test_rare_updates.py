@@ -37,7 +37,7 @@ def test_as_many_updates_as_another_run_has_saving_times_wear_like_it(saves):
     """40 in both: each at the first saving time past a 40th of the run. Fixed steps fit the
     intervals of both, so that motions are the same but for what wear changes; the wear law of this
     scene changes gaps by 1e-8 of themselves."""
-    found, wanted = run(40, saves), run(None, 41)
+    found, wanted = run(40, saves), run(40, 41)
     assert depth(wanted).max() > 0
     np.testing.assert_allclose(depth(found).sum(), depth(wanted).sum(), rtol=1e-3)
     # Twice as many states are saved and every second wears; of 2.5 to an update some wear late.

@@ -162,11 +162,7 @@ class SliderGuide(AbstractClearance):
         gap = outer * (0.5 * self.width + self.clearance) - 0.5 * width
         sizes = lambda own: (own.width, own.clearance, own.length)
         joint = eqx.tree_at(sizes, self, (width, gap, inner * self.length))
-        for name, factor in (
-            ("breadth", inner),
-            ("guide_length", outer),
-            ("guide_middle", outer),
-        ):
+        for name, factor in (("breadth", inner), ("guide_length", outer), ("guide_middle", outer)):
             size = getattr(self, name)
             if size is not None:
                 joint = eqx.tree_at(lambda own, name=name: getattr(own, name), joint, factor * size)

@@ -43,11 +43,7 @@ class Cam(AbstractForceCoupling):
         kw_only=True,
     )
     damping: Scalar | None = quantity(
-        None,
-        "N s/m",
-        "contact damping (N m s/rad of one that swings)",
-        at_least=0,
-        kw_only=True,
+        None, "N s/m", "contact damping (N m s/rad of one that swings)", at_least=0, kw_only=True
     )
     friction: Scalar | None = quantity(
         None, "1", "friction coefficient of a flat face", at_least=0, kw_only=True

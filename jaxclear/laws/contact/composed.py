@@ -117,9 +117,7 @@ def _fields(kind: type) -> dict[str, Any]:
 
 
 def _product(
-    name: str,
-    force: type[AbstractElasticForce],
-    factor: type[AbstractDissipation] | None = None,
+    name: str, force: type[AbstractElasticForce], factor: type[AbstractDissipation] | None = None
 ) -> Callable[..., ContactForce]:
     """What a user calls `name`: a `ContactForce` from the numbers of its parts. Without a factor of
     its own it is lossless, or, with a `restitution`, has that of CarvalhoMartins.

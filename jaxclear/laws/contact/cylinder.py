@@ -20,14 +20,7 @@ from jaxclear.laws.contact.elastic import clearance_field, modulus_field
 from jaxclear.laws.law import check_increasing
 from jaxclear.laws.stiffness import Fitted, InnerRadiusOf, LengthOf, OuterRadiusOf
 
-__all__ = [
-    "BaiZhao",
-    "Goldsmith",
-    "Johnson",
-    "Liu",
-    "Radzimovsky",
-    "TwoSidedJohnson",
-]
+__all__ = ["BaiZhao", "Goldsmith", "Johnson", "Liu", "Radzimovsky", "TwoSidedJohnson"]
 __getattr__, __dir__ = nothing_else("jaxclear.contact.cylinder", __all__)
 
 # In x = -w ln w (w: load, x: indentation) the law turns back at -ln w = 1; it is followed up to -ln

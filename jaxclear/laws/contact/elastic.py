@@ -12,22 +12,14 @@ from jaxclear.laws.contact.base import AbstractElasticForce, exponent_field, sti
 from jaxclear.laws.material import USUAL_MODULUS
 from jaxclear.laws.stiffness import HERTZ_SPHERE, ClearanceOf, Fitted, OuterRadiusOf
 
-__all__ = [
-    "BallInSocket",
-    "Hertz",
-    "Linear",
-]
+__all__ = ["BallInSocket", "Hertz", "Linear"]
 __getattr__, __dir__ = nothing_else("jaxclear.contact.elastic", __all__)
 
 
 def modulus_field() -> Any:
     """Field of a combined modulus [Pa]."""
     return quantity(
-        112.9e9,
-        "Pa",
-        "combined modulus E* (default: steel on steel)",
-        above=0,
-        usual=USUAL_MODULUS,
+        112.9e9, "Pa", "combined modulus E* (default: steel on steel)", above=0, usual=USUAL_MODULUS
     )
 
 

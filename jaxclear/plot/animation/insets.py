@@ -150,12 +150,7 @@ def inset(run: Trajectory, name: str, frames: np.ndarray, last: int) -> dict[str
 
 
 def _round(
-    title: str,
-    centre: np.ndarray,
-    wall: Any,
-    ways: np.ndarray,
-    contacts: list,
-    worn: Worn | None,
+    title: str, centre: np.ndarray, wall: Any, ways: np.ndarray, contacts: list, worn: Worn | None
 ) -> dict[str, Any]:
     """A journal in a hole: its `centre` (frames, 2) [m], the `wall` (directions,) [m], the `ways`
     (frames, contacts, 2) towards its `contacts`, and how deep the wall has `worn`."""

@@ -17,15 +17,7 @@ from jaxclear.integrators.checks import Checks
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.campaign.recorded import in_json
 from jaxclear.studies.campaign.result import Campaign
-from jaxclear.studies.campaign.samples import (
-    KIND,
-    RESPONSES,
-    VALUES,
-    Plan,
-    Samples,
-    batch_of,
-    held,
-)
+from jaxclear.studies.campaign.samples import KIND, RESPONSES, VALUES, Plan, Samples, batch_of, held
 from jaxclear.studies.campaign.threads import AbstractWork, Heard
 from jaxclear.studies.ledger.ledger import refuse_other
 from jaxclear.studies.replicas import MOST_REPLICAS

@@ -330,7 +330,7 @@ class Samples:
             if names:
                 warn(
                     f"chunks in {self.folder} were computed by other versions ({', '.join(told)}); "
-                    "numbers may differ from theirs in the last digits.",
+                    "numbers may differ from theirs in the last digits."
                 )
 
 

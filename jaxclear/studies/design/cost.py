@@ -18,13 +18,7 @@ from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
 
-__all__ = [
-    "AbstractCost",
-    "Process",
-    "Processes",
-    "Reciprocal",
-    "Table",
-]
+__all__ = ["AbstractCost", "Process", "Processes", "Reciprocal", "Table"]
 __getattr__, __dir__ = nothing_else("jaxclear.cost", __all__)
 
 MONEY = "(cost)"

@@ -17,12 +17,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.ground.wording import described
-from jaxclear.studies.distribution.base import (
-    END_SCORE,
-    LARGEST_SCORE,
-    UNIT,
-    AbstractDistribution,
-)
+from jaxclear.studies.distribution.base import END_SCORE, LARGEST_SCORE, UNIT, AbstractDistribution
 
 # Largest error between knots, as a share of the standard deviation, or of the deviation in tails.
 ACCURACY = 1e-9

@@ -5,13 +5,7 @@ ones were worth, and in a sentence why they were not used.
 import equinox as eqx
 import numpy as np
 
-from jaxclear.studies.answer import (
-    RESPONSE,
-    AbstractAnswer,
-    Column,
-    Stated,
-    means_and_deviations,
-)
+from jaxclear.studies.answer import RESPONSE, AbstractAnswer, Column, Stated, means_and_deviations
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.statistics.scrambled import Statistic
 

@@ -80,9 +80,7 @@ class RemainingLife(AbstractAnswer):
             "cycles": Column(over, self.cycles, "1"),
             self.name: Column(over, self.values, self.unit, error=1.96 * self.deviations),
         }
-        numbers = {
-            "limit": self.limit,
-        }
+        numbers = {"limit": self.limit}
         numbers |= dict(zip(("failure", "low", "high"), self.failure_band, strict=True))
         return Stated("remaining life", columns, None, self.warnings, numbers)
 

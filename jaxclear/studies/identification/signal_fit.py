@@ -286,11 +286,7 @@ def _sampled(
 
 
 def _told(
-    forward: Forward,
-    record: Record,
-    best: Optimum,
-    misfits: dict[str, Misfit],
-    sample: _Sample,
+    forward: Forward, record: Record, best: Optimum, misfits: dict[str, Misfit], sample: _Sample
 ) -> SignalFit:
     """Intervals of what was sampled."""
     problem, weights = forward.problem, sample.draws.weights

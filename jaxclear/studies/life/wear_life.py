@@ -90,11 +90,7 @@ def wear_life(
 
 
 def lived(
-    rates: Rates,
-    cycles: float,
-    accuracy: float,
-    jump: float | None,
-    lengths: Sequence[Length] = (),
+    rates: Rates, cycles: float, accuracy: float, jump: float | None, lengths: Sequence[Length] = ()
 ) -> WearLife:
     """The life, and what is kept of it; by steps of these `lengths` if they are given."""
     row, cells, problem = rates.first_row, rates.cells, rates.problem

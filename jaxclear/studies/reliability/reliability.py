@@ -249,11 +249,7 @@ def _from_points(
 
 
 def _searched(
-    model: RunModel,
-    surface: ResponseSurface | None,
-    wanted: Sequence[str],
-    seed: int,
-    reach: Reach,
+    model: RunModel, surface: ResponseSurface | None, wanted: Sequence[str], seed: int, reach: Reach
 ) -> tuple[list[DesignPoint], ResponseSurface | None, list[str]]:
     """Design points, the surface on which they were found (None: on runs), and sentences."""
     if set(wanted) <= {"subset"}:

@@ -13,14 +13,7 @@ import numpy as np
 
 from jaxclear.ground.printing import AbstractShown, in_few, shown_in_words, with_error
 from jaxclear.ground.wording import unit_of_rate
-from jaxclear.studies.answer import (
-    DATASET,
-    RESPONSE,
-    VARIABLE,
-    AbstractAnswer,
-    Column,
-    Stated,
-)
+from jaxclear.studies.answer import DATASET, RESPONSE, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.sensitivity.estimand import Size
 from jaxclear.studies.statistics.scrambled import skewed_half

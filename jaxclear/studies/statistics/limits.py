@@ -16,13 +16,7 @@ import scipy
 from jaxclear.ground.arguments import check_known, check_number, expect
 from jaxclear.ground.printing import shown_in_words
 from jaxclear.ground.wording import described
-from jaxclear.studies.statistics.scrambled import (
-    Statistic,
-    deviation,
-    jackknifed,
-    quantile,
-    share,
-)
+from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed, quantile, share
 
 # (low, high) of a response in its unit, None for no limit.
 Limits = tuple[float | None, float | None]

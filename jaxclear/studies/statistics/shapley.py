@@ -23,13 +23,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags
 from jaxclear.ground.printing import left_out
 from jaxclear.integrators import Outcome
-from jaxclear.studies.answer import (
-    RESPONSE,
-    VARIABLE,
-    AbstractAnswer,
-    Stated,
-    with_interval,
-)
+from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, with_interval
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.inputs import Inputs

@@ -20,13 +20,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.printing import shown_in_words, with_error
 from jaxclear.integrators import Outcome
-from jaxclear.studies.answer import (
-    RESPONSE,
-    AbstractAnswer,
-    Column,
-    Stated,
-    means_and_deviations,
-)
+from jaxclear.studies.answer import RESPONSE, AbstractAnswer, Column, Stated, means_and_deviations
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin

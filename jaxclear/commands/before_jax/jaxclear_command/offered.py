@@ -95,7 +95,7 @@ SCENE_FILES = {
         ],
         [
             "jaxclear identify scene.yaml run3.csv --signal a_x=accelerometer:slider:x:noise=0.3 "
-            "--turn 0.042",
+            "--turn 0.042"
         ],
     ),
     "report": Offer(
@@ -144,10 +144,7 @@ STUDIES = {
         [
             out("guide_study"),
             flag(
-                "--clearance",
-                "gap of the run with impacts [m]",
-                number(0.0, "m", above=True),
-                1e-5,
+                "--clearance", "gap of the run with impacts [m]", number(0.0, "m", above=True), 1e-5
             ),
             click.Option(["--wear"], is_flag=True, help="wear both parts, and draw their depth"),
             quiet(),
@@ -220,7 +217,7 @@ KEPT = {
         "the compiled programs that are kept between runs, in $JAXCLEAR_CACHE (0: none are)",
         [click.Option(["--clear"], is_flag=True, help="remove them all")],
         ["jaxclear cache", "jaxclear cache --clear"],
-    ),
+    )
 }
 
 
