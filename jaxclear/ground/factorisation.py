@@ -252,8 +252,7 @@ def factor_of_rank(matrix: Rows, rank: int) -> KnownRank:
     begin = to_array(matrix), jnp.ones(m), jnp.zeros(()), jnp.zeros((rank, m))
     begin = *begin, jnp.zeros((rank, rank)), jnp.zeros(rank), jnp.zeros((), int)
     *_, columns, above, inverses, _ = jax.lax.scan(add, begin, length=rank)[0]
-    rows = [list(above[j][:j]) for j in range(rank)]
-    return KnownRank(list(columns), rows, list(inverses))
+    return KnownRank(list(columns), [list(above[j][:j]) for j in range(rank)], list(inverses))
 
 
 def solve_least(factors: KnownRank, right: tuple) -> tuple:
@@ -337,9 +336,8 @@ def of_rank(
         squares = jnp.sum(scaled * scaled, axis=1)
         here = _at_largest(squares)
         square, target = jnp.max(squares), jnp.sum(jnp.where(here, targets, 0.0))
-        inverse = safe_divide(
-            1.0, safe_sqrt(jnp.where(square > DEPENDENT**2 * largest, square, 0.0))
-        )
+        square = jnp.where(square > DEPENDENT**2 * largest, square, 0.0)
+        inverse = safe_divide(1.0, safe_sqrt(square))
         row = jnp.sum(jnp.where(here[:, None], scaled, 0.0), axis=0)
         direction, part = row * inverse, target * inverse
         along = scaled @ direction

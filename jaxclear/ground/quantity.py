@@ -383,21 +383,18 @@ def with_quantities(tree: Any) -> Any:
     """A tree, the quantities of its parts float64 arrays, in whatever form they were put in their
     places: `equinox.tree_at` and `jax.tree.map` do not ask the fields. A number of Python's would
     become a constant of the program, which is compiled anew for each."""
-    is_one = lambda leaf: eqx.is_array(leaf) and leaf.dtype == FLOAT64
-    if all(is_one(leaf) or callable(leaf) for leaf in jax.tree.leaves(tree)):
+    leaves = jax.tree.leaves(tree)
+    if all((eqx.is_array(x) and x.dtype == FLOAT64) or callable(x) for x in leaves):
         return tree
-    if not isinstance(tree, eqx.Module):
-        inner = lambda x: isinstance(x, eqx.Module)
-        again = lambda x: with_quantities(x) if inner(x) else x
-        return jax.tree.map(again, tree, is_leaf=inner)
-    fields = {f.name: f.metadata for f in dataclasses.fields(tree) if not f.metadata.get("static")}
-    values = {name: with_quantities(getattr(tree, name)) for name in fields}
-    converted = {
-        name: fields[name]["converter"](values[name])
-        for name in fields
-        if "unit" in fields[name] and "converter" in fields[name]
-    }
-    return with_fields(tree, **values | converted)
+    inner = lambda x: isinstance(x, eqx.Module)
+    if not inner(tree):
+        return jax.tree.map(lambda x: with_quantities(x) if inner(x) else x, tree, is_leaf=inner)
+    values = {}
+    for name, metadata in _leaves(type(tree)):
+        as_field = metadata.get("converter") if "unit" in metadata else None
+        value = with_quantities(getattr(tree, name))
+        values[name] = value if as_field is None else as_field(value)
+    return with_fields(tree, **values)
 
 
 def is_tracing() -> bool:

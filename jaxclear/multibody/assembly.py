@@ -222,6 +222,7 @@ def is_sound(mechanism: Mechanism, start: Start) -> Bool[Array, ""]:
 
 @compiled_quickly
 def _closest(mechanism: Mechanism, time: Any) -> Start:
+    """The search for coordinates that miss closed loops by least."""
     asked = ask(mechanism, False)
     q, v = guess(mechanism)
     return compiled_sooner(lambda: _started(asked, closest(asked, q, time), v, time))
@@ -240,6 +241,7 @@ class Judged(NamedTuple):
 def _judged(
     mechanism: Mechanism, concentric: bool, worn: dict | None, begin: Beginning | None = None
 ) -> Judged:
+    """The search for a start that closes all loops."""
     asked = ask(mechanism, concentric, worn)
     seed, v = guess(mechanism, asked.system)
     if begin is None:
@@ -253,6 +255,7 @@ def _judged(
 
 @compiled_quickly
 def _carried_on(mechanism: Mechanism, *rest: Any) -> tuple[Start, Array]:
+    """The start from coordinates and speeds of another run."""
     start = carried_on(mechanism, *rest)
     return start, is_sound(mechanism, start)
 

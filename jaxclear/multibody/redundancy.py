@@ -182,6 +182,7 @@ def _moved(mechanism: Mechanism, q: Array, step: Array, time: Any) -> tuple[Arra
 
 @compiled_quickly
 def _place(mechanism: Mechanism, rows: tuple[Row, ...], q: Array, time: Any) -> Place:
+    """Which rows of loops depend on each other at these coordinates."""
     asked = ask(mechanism, False)
     system = asked.system
 

@@ -8,9 +8,11 @@ there. What is found is called with plain arrays, so that a call costs little be
 
 import functools
 import io
+import logging
 import pickle
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -43,6 +45,9 @@ ONCE = {
 # XLA drops options between its versions, and says so by this; those that this one lacks.
 NO_OPTION = "No such compile option"
 _unknown: set[str] = set()
+LOG = logging.getLogger(__name__)
+# Compiling [s] after which a user is told what is compiled.
+PATIENCE = 10.0
 # Settings of JAX that one process may change between two calls of the same function.
 SETTINGS = (
     "jax_enable_x64",
@@ -68,19 +73,13 @@ class Place:
     given: bool = False
 
 
-class _About(NamedTuple):
-    """Whether a program calls `lapack`, and how many `operations` it writes out."""
-
-    lapack: bool
-    operations: int
-
-
 class _Found:
-    """A compiled program over a list of arrays, what is known `about` it, and what its results are
-    put together to: things that are no arrays, and `Place`s for those that are."""
+    """A compiled program over a list of arrays, whether it calls `lapack`, how many `operations` it
+    writes out, and what its results are put together to: things that are no arrays, and `Place`s
+    for those that are."""
 
-    def __init__(self, program: Any, about: "_About", leaves: list[Any], structure: Any):
-        self.program, self.about = program, about
+    def __init__(self, program: Any, lapack: bool, operations: int, leaves: list, structure: Any):
+        self.program, self.lapack, self.operations = program, lapack, operations
         self.leaves, self.structure = leaves, structure
         places = [(i, x) for i, x in enumerate(leaves) if type(x) is Place]
         self.own = [(i, place.number) for i, place in places if not place.given]
@@ -150,7 +149,7 @@ def prepared(function: Callable[..., Any], *arguments: Any) -> Prepared | None:
     if found is None:
         return None
     arrays = [jax.device_put(leaf) for leaf in leaves[:-1] if eqx.is_array(leaf)]
-    return Prepared(lambda last: found([*arrays, last]), found.about.lapack)
+    return Prepared(lambda last: found([*arrays, last]), found.lapack)
 
 
 def _known(options: dict[str, Any], unknown: frozenset[str]) -> dict[str, Any]:
@@ -167,7 +166,7 @@ def _found(function: Callable, options: dict[str, Any], leaves: list, tree: Any)
     found = _AT_HAND.get(form)
     if found is None:
         found = _kept_or_compiled(function, options, leaves, tree)
-        _AT_HAND.keep(form, found, A_PROGRAM + AN_OPERATION * found.about.operations)
+        _AT_HAND.keep(form, found, A_PROGRAM + AN_OPERATION * found.operations)
     return found
 
 
@@ -223,25 +222,39 @@ def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: A
 
     flat.__name__ = flat.__qualname__ = getattr(function, "__name__", "program")
     arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
-    with uncollected():
+    with uncollected(), _reported_if_long(function):
         traced = jax.jit(flat).trace(*arrays)
         lowered, places = _lowered(traced, arrays, flat.__name__)
         left, (out, structure) = iter(places), form
         out = [next(left) if eqx.is_array(leaf) else leaf for leaf in out]
         lapack = verdicts.any_lapack(lowered.compiler_ir().operation)
-        about = _About(lapack, operations_of(traced.jaxpr.jaxpr))
-        before = _found_by_jax()
-        found = _Found(lowered.compile(compiler_options=options), about, out, structure)
+        count, before = operations_of(traced.jaxpr.jaxpr), _found_by_jax()
+        found = _Found(lowered.compile(compiler_options=options), lapack, count, out, structure)
     # One that XLA has read and writes again lacks its functions, and fails when it is called.
     if key is None or _found_by_jax() > before:
         return found
     try:
-        content = pickle.dumps((_packed(found), tuple(about), verdicts.SENTENCES))
+        content = pickle.dumps((_packed(found), lapack, count, verdicts.SENTENCES))
     except Exception:
         # Not every program can be kept: one that calls back into Python, for one.
         return found
     cache_folder.write(cache_folder.PROGRAM, key, content)
     return found
+
+
+@contextmanager
+def _reported_if_long(function: Callable) -> Iterator[None]:
+    """What is compiled within, said where it takes longer than `PATIENCE`: who waits does not know
+    for what."""
+    what = (function.__doc__ or function.__name__).strip().partition("\n")[0]
+    sentence = "jaxclear has been compiling for %g s: %s"
+    timer = threading.Timer(PATIENCE, LOG.warning, (sentence, PATIENCE, what))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 _HITS = threading.local()
@@ -321,10 +334,9 @@ def _from_disk(key: str) -> _Found | None:
     if content is None:
         return None
     try:
-        (program, given, taken, whole), about, sentences = pickle.load(io.BytesIO(content))
+        (program, given, taken, whole), lapack, count, sentences = pickle.load(io.BytesIO(content))
         dispatch.known_to_xla()
-        about = _About(*about)
-        if about.lapack:
+        if lapack:
             _begin_lapack()
         trees = jax.tree.structure(((0,) * given, {})), jax.tree.structure([0] * taken)
         loaded = serialize_executable.deserialize_and_load(program, *trees)
@@ -332,7 +344,7 @@ def _from_disk(key: str) -> _Found | None:
         # Of another version, or without its kernels: as if it were not there.
         return None
     verdicts.SENTENCES.update(sentences)
-    return _Found(loaded, about, *jax.tree.flatten(whole))
+    return _Found(loaded, lapack, count, *jax.tree.flatten(whole))
 
 
 @functools.cache

@@ -272,3 +272,16 @@ def test_programs_of_other_functions_are_let_go(kept, monkeypatch):
         assert times(jnp.asarray(2.0)) == 2 * i and times(jnp.asarray(3.0)) == 3 * i
     assert len(latest.kept) == 2
     assert sum(size for _, size in latest.kept.values()) <= latest.most
+
+
+@pytest.mark.parametrize(("patience", "said"), [(0.0, 1), (60.0, 0)])
+def test_who_waits_is_told_what_is_compiled(kept, monkeypatch, caplog, patience, said):
+    def slow(x):
+        """A search for what takes long."""
+        time.sleep(0.5)
+        return 2 * x
+
+    monkeypatch.setattr(compiled, "PATIENCE", patience)
+    assert compiled_quickly(slow)(jnp.asarray(2.0)) == 4.0
+    sentence = f"compiling for {patience:g} s: A search for"
+    assert len([each for each in caplog.messages if sentence in each]) == said
