@@ -2,6 +2,7 @@
 a sentence and exit code 2; what simulates shares one short scene.
 """
 
+import dataclasses
 import json
 import re
 import shutil
@@ -9,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pandas
@@ -16,7 +18,8 @@ import pytest
 import xarray
 
 import jaxclear as jc
-from jaxclear.commands.own_scene import EXAMPLES
+from jaxclear import commands
+from jaxclear.files.scene import scene_text
 from jaxclear.ground.printing import with_error
 from jaxclear_command import offered
 from jaxclear_command.cli import main
@@ -135,7 +138,7 @@ def test_a_mistake_with_a_file_ends_in_a_sentence(mistake, here, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", offered.EXAMPLES)
 def test_an_example_can_be_run_and_asked(name, here, capsys):
     main(["example", name])
     (here / "example.yaml").write_text(capsys.readouterr().out)
@@ -162,8 +165,27 @@ def test_a_record_is_identified_and_reported(here, capsys):
     assert "Identification of scene.yaml" in (here / "scene_identified/report.html").read_text()
 
 
+EXAMPLES = {
+    "slider-crank": jc.scenes.slider_crank,
+    "four-bar": lambda: jc.scenes.four_bar("planar"),
+    "antenna": lambda: jc.scenes.antenna("spatial", 100e-6),
+}
+
+
 def test_every_example_is_offered():
-    assert tuple(EXAMPLES) == offered.EXAMPLES
+    files = (Path(commands.__file__).parent / "examples").glob("*.yaml")
+    assert {file.stem for file in files} == set(EXAMPLES) == set(offered.EXAMPLES)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_is_the_ready_mechanism_as_it_is_written(name, tmp_path, capsys):
+    main(["example", name])
+    text = capsys.readouterr().out
+    (tmp_path / "example.yaml").write_text(text)
+    scene = jc.read_scene(tmp_path / "example.yaml")
+    again = scene_text(dataclasses.replace(scene, mechanism=EXAMPLES[name]()))
+    of_version = re.compile("^written_by: .*$", re.MULTILINE)
+    assert of_version.sub("", again) == of_version.sub("", text)
 
 
 def test_parameters_of_a_scene_file_are_listed(here, capsys):

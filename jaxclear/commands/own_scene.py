@@ -7,7 +7,7 @@ import contextlib
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +19,11 @@ from matplotlib.figure import Figure
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.study import DOTS_PER_INCH, report_samples, report_warnings
-from jaxclear.files.scene import scene_text
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.datasets import told_versions
 from jaxclear.ground.table import as_table
 from jaxclear.plot.canvas import canvas, key, readable, warned
 from jaxclear.plot.overview import draw_forces
-from jaxclear.scenes.antenna import BASE, TIP
 
 DATA, JOINTS, SCENE, TOLD = "run.nc", "joints.csv", "scene.yaml", "run.json"
 STANDING, PLACES = "positions.nc", "positions.csv"
@@ -145,66 +143,10 @@ def _forces(run: jc.Trajectory, joints: Any) -> Figure:
     return warned(figure, {"": run})
 
 
-# Half of the allowed variation [m]; assumed, of a usual machining grade.
-GRADE = 20e-6
-
-
-def _place(where: Callable) -> jc.Variable:
-    return jc.Variable(where, tolerance=GRADE)
-
-
-def _planar(rig: jc.Mechanism, length: str, responses: dict[str, Any], **settings: Any) -> jc.Scene:
-    """A scene in which the clearance of joint "B" and where it sits on its first body vary."""
-    places = {
-        "clearance": _place(lambda rig: rig.connections["B"].joint.clearance),
-        length: _place(lambda rig: rig.connections["B"].parent.at[0]),
-    }
-    return jc.Scene(rig, variables=places, responses=responses, **settings)
-
-
-EXAMPLES = {
-    "slider-crank": lambda: _planar(
-        jc.scenes.slider_crank(),
-        "rod length",
-        {
-            "mean force": jc.response.MeanContactForce("B"),
-            "peak force": jc.response.PeakContactForce("B"),
-        },
-        duration=0.126,
-        save=253,
-        description="Slider-crank at 50 rad/s with 0.2 mm of clearance between rod and slider.",
-    ),
-    "four-bar": lambda: _planar(
-        jc.scenes.four_bar("planar"),
-        "coupler length",
-        {
-            "worn depth": jc.response.PeakWornDepth("B"),
-            "mean force": jc.response.MeanContactForce("B"),
-        },
-        duration=2 * math.pi / 10.0,
-        save=501,
-        description="Four-bar that wears in the joint between coupler and follower, one turn.",
-    ),
-    "antenna": lambda: jc.Scene(
-        jc.scenes.antenna("spatial", 100e-6),
-        duration=1.0,
-        save=101,
-        integrator=jc.integrator.NonColliding(1e-3),
-        variables={
-            f"{name} clearance": _place(
-                lambda rig, name=name: rig.connections[name].joint.clearance
-            )
-            for name in ("J1", "J2")
-        },
-        responses={"pointing error": jc.response.PointingAngle(TIP, BASE)},
-        description="Antenna on a satellite, a period of its drive; joints always in contact.",
-    ),
-}
-
-
 def example(name: str) -> None:
     """Prints the scene file of a ready mechanism."""
-    click.echo(scene_text(EXAMPLES[name]()), nl=False)
+    file = Path(__file__).parent / "examples" / f"{name}.yaml"
+    click.echo(file.read_text(encoding="utf-8"), nl=False)
 
 
 @contextlib.contextmanager

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxclear.components.coupling import AbstractForceCoupling
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
@@ -20,11 +21,13 @@ from jaxclear.ground.pose import REST
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.reach import is_gap, rooms
 from jaxclear.multibody.system import longest_arm, wear_maps
+from jaxclear.multibody.topology import motor_name, turns
 from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.results import histories
-from jaxclear.results.response import PeakContactForce
+from jaxclear.results.response import PeakContactForce, peak_of_steps
 from jaxclear.results.state_history import columns, over_time
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.results.transmissions import sent_at
 
 # A body that goes less far than so many of the widest gap is judged beside that.
 GAPS = 100.0
@@ -43,7 +46,8 @@ class Observables(NamedTuple):
     contact, beside its width, that width [m], and the number of its joint; mean and peak normal
     force of each joint [N] (None: not known between saving times); what friction has taken and what
     was turned over [J] (None: no balance); worn volumes [m3], depths [m] and areas [m2] of the
-    surfaces; the longest arm [m]."""
+    surfaces; the longest arm [m]; mean and peak of what couplings transmit [N m, N] (of `means_of`
+    and `peaks_of`), and the torque [N m] beside which none transmits anything."""
 
     centres: Float[Array, "time bodies 3"]
     axes: Float[Array, "time bodies 9"]
@@ -58,6 +62,32 @@ class Observables(NamedTuple):
     depth: Float[Array, " surfaces"]
     area: Float[Array, " surfaces"]
     arm: Float[Array, ""]
+    mean_sent: Float[Array, " couplings"]
+    peak_sent: Float[Array, " couplings"]
+    idle: Float[Array, ""]
+
+
+def means_of(run: Trajectory) -> tuple[str, ...]:
+    """Couplings whose mean is a standard answer: saving times tell of those that never part."""
+    return tuple(n for n in _coupled(run) if not run.mechanism.couplings[n].play)
+
+
+def peaks_of(run: Trajectory) -> tuple[str, ...]:
+    """Couplings whose peak is one: that of flanks is followed by steps, others are smooth, but for
+    those that pull or push one way."""
+    if run.formulation.forces_are_means:
+        return ()
+    one_sided = lambda name: isinstance(run.mechanism.couplings[name], AbstractForceCoupling)
+    return tuple(name for name in _coupled(run) if not one_sided(name))
+
+
+def _coupled(run: Trajectory) -> tuple[str, ...]:
+    """Couplings that loops determine, but for motors that turn with a joint: what these transmit is
+    worked out from accelerations alone, which takes long to compile."""
+    topology = run.mechanism.topology
+    left_out = {*dict(topology.geared)}
+    left_out |= set() if topology.redundancy is None else {*topology.redundancy.joints}
+    return tuple(n for n in run.mechanism.couplings if not {n, motor_name(n)} & left_out)
 
 
 def named(answer: str, place: str) -> str:
@@ -101,12 +131,17 @@ def _observed(run: Trajectory) -> Observables:
             for link, motion in links
         )
         axes = tuple(tuple(x for row in m.pose.rotation for x in row) for _, m in links)
-        return centres, axes, _in_gaps(now)
+        return centres, axes, _in_gaps(now), sent_at(history, now, coupled)
 
+    coupled = _coupled(run)
+    *moved, sent = over_time(history, at)
     centres, axes, inside = (
         columns(each) if each else jnp.zeros((len(run.time), 0, k))
-        for each, k in zip(over_time(history, at), (3, 9, 3), strict=True)
+        for each, k in zip(moved, (3, 9, 3), strict=True)
     )
+    sent = {name: jnp.abs(own) for name, own in zip(coupled, sent, strict=True)}
+    heavy = [link.mass for link in system.links]
+    peaks_sent = [peak_of_steps(run, name, jnp.max(sent[name])) for name in peaks_of(run)]
     joints = run.formulation.contact_joints(run.mechanism)
     contacts = [(name, k) for name, own in system.bearings.items() for k in range(len(own.radii))]
     stacked = lambda each: jnp.stack(each) if each else jnp.zeros(0)
@@ -138,6 +173,9 @@ def _observed(run: Trajectory) -> Observables:
         stacked(depths),
         stacked(areas),
         jnp.asarray(longest_arm(system), float),
+        stacked([jnp.trapezoid(sent[name], run.time) / duration for name in means_of(run)]),
+        stacked(peaks_sent),
+        AT_REST * jnp.asarray(sp.total(heavy), float) * (longest_arm(system) / duration) ** 2,
     )
 
 
@@ -189,6 +227,16 @@ def apart(
         forces = [getattr(each, part) for each in (one, other, finest)]
         if forces[0] is not None and len(forces[0]):
             found += _by_place(answer, part, "N", names, *forces)
+    couplings = run.mechanism.couplings
+    of_couplings = (("mean", "mean_force", means_of(run)), ("peak", "peak_force", peaks_of(run)))
+    for kind, part, names in of_couplings:
+        for unit, least in (("N m", float(one.idle)), ("N", float(one.idle) / arm if arm else 0.0)):
+            torque = unit == "N m"
+            own = [k for k, n in enumerate(names) if turns(run.mechanism, couplings[n]) == torque]
+            sent = [np.asarray(getattr(each, f"{kind}_sent"))[own] for each in (one, other, finest)]
+            if own:
+                places = [names[k] for k in own]
+                found += _by_place(f"{kind} transmitted", part, unit, places, *sent, least)
     if one.friction_loss is not None:
         loss, less, last = (float(np.asarray(each.friction_loss)) for each in (one, other, finest))
         scale = max(last, LEAST_LOSS * float(np.asarray(finest.turnover))) or max(loss, less)

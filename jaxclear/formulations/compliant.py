@@ -32,14 +32,8 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_alike
 from jaxclear.ground.grouping import unstacked
 from jaxclear.multibody import contact_point, kinematics
-from jaxclear.multibody.damped_stops import with_damped_stops, with_damping_ratios
-from jaxclear.multibody.forces import (
-    Forces,
-    applied_forces,
-    contact_reports,
-    pressing_of,
-    relative_motions,
-)
+from jaxclear.multibody.damped_stops import forces_at, with_damping_ratios
+from jaxclear.multibody.forces import Forces, contact_reports, pressing_of, relative_motions
 from jaxclear.multibody.state import (
     components,
     impact_speed_places,
@@ -64,8 +58,7 @@ def _work_rates(model: Model, time: Any, entries: list, mean: list) -> list:
         q, v = unpack_motion(system, [*coordinates, *speeds])
         motions = kinematics.link_motions(system, q, v, time)
         reports = contact_reports(system, motions, memories, model.worn)
-        damped = with_damped_stops(system, motions)
-        return applied_forces(damped, motions, reports, q, v, time, followed)
+        return forces_at(system, motions, reports, q, v, time, followed)
 
     start = at(entries[layout.coordinates : layout.memory_start])
     middle = at(mean)
@@ -266,12 +259,7 @@ class CompliantContact(AbstractFormulation):
         return speeds or any(own.has_twist for own in model.system.transmissions.values())
 
     def remember(
-        self,
-        model: Model,
-        state: State,
-        before: ContactMotion,
-        after: ContactMotion,
-        length: Any,
+        self, model: Model, state: State, before: ContactMotion, after: ContactMotion, length: Any
     ) -> State:
         """The state at the end of a step of `length` [s] with the impact speeds of contacts that
         have closed or parted in it."""
@@ -384,8 +372,7 @@ def _acting(
     memories = _with_shares(unpack_memories(layout, entries), shares)
     reports = contact_reports(system, motions, memories, model.worn)
     followed = unpack_followed(layout, entries, flanks)
-    damped = with_damped_stops(system, motions)
-    forces = applied_forces(damped, motions, reports, q, v, time, followed)
+    forces = forces_at(system, motions, reports, q, v, time, followed)
     return forces, q, v, entries[layout.coordinates : layout.memory_start]
 
 

@@ -23,8 +23,8 @@ from jaxclear.laws.contact import Rigid
 from jaxclear.multibody import constraints, contact_point, dynamics, kinematics
 from jaxclear.multibody.constraints import ClosureEquations
 from jaxclear.multibody.contact_point import GapFunction, JointReport, PointState, Response
-from jaxclear.multibody.damped_stops import with_damped_stops
-from jaxclear.multibody.forces import Forces, applied_forces, relative_motions
+from jaxclear.multibody.damped_stops import forces_at
+from jaxclear.multibody.forces import Forces, relative_motions
 from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.state import Followed, component_count, unpack_followed, unpack_motion
 from jaxclear.multibody.system import System
@@ -147,8 +147,7 @@ def free_motion(model: Model, time: Any, q: tuple, v: tuple, followed: Followed)
     system = model.system
     motions = kinematics.link_motions(system, q, v, time)
     poses, contacts = contact_points(model, motions)
-    damped = with_damped_stops(system, motions)
-    forces = applied_forces(damped, motions, {}, q, v, time, followed)
+    forces = forces_at(system, motions, {}, q, v, time, followed)
     masses, by_subtree = dynamics.equations_of_motion(system, forces)
     closures = ClosureEquations([], [], (), None)
     if system.closures:

@@ -33,8 +33,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar
 from jaxclear.multibody.contact_point import PointState, impact_speed_now
-from jaxclear.multibody.damped_stops import with_damped_stops
-from jaxclear.multibody.forces import applied_forces
+from jaxclear.multibody.damped_stops import forces_at
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.state import impact_speed_places, pack_memories, unpack_motion
 from jaxclear.multibody.system import System
@@ -120,8 +119,7 @@ def passive_rates_over(
         motion = unpack_motion(system, [*whole.middle.halfway, *whole.middle.predicted])
         motions = free_motion.forces.motions
         time, followed = whole.time_step.middle, forces.followed
-        damped = with_damped_stops(system, motions)
-        forces = applied_forces(damped, motions, reports, *motion, time, followed)
+        forces = forces_at(system, motions, reports, *motion, time, followed)
     accelerations, multipliers = (
         [sp.add(a, b) for a, b in zip(free, caused, strict=True)]
         for free, caused in (

@@ -14,8 +14,8 @@ from jaxclear.ground.grouping import unstacked
 from jaxclear.ground.pose import Pose
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.contact_point import JointReport
-from jaxclear.multibody.damped_stops import with_damped_stops
-from jaxclear.multibody.forces import Forces, applied_forces
+from jaxclear.multibody.damped_stops import forces_at
+from jaxclear.multibody.forces import Forces
 from jaxclear.multibody.loops import Baumgarte
 from jaxclear.multibody.state import Followed, Layout, unpack_followed
 from jaxclear.multibody.system import System, with_worn_flanks
@@ -78,8 +78,7 @@ class Instant(NamedTuple):
     def forces(self, reports: dict[str, JointReport]) -> Forces:
         """Everything that acts, the clearance joints as reported."""
         motion = (self.motions, reports, self.q, self.v, self.time)
-        system = with_damped_stops(self.model.system, self.motions)
-        return applied_forces(system, *motion, self.followed)
+        return forces_at(self.model.system, *motion, self.followed)
 
     @property
     def speeds(self) -> list:

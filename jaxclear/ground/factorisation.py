@@ -31,8 +31,6 @@ from jaxclear.ground.elimination import Pattern, solved
 from jaxclear.ground.grouping import unstacked
 from jaxclear.ground.numerics import OFF_THE_TIES, safe_divide, safe_sqrt
 
-# Unknowns of a search among all that is written out.
-LARGEST_WRITTEN_OUT = 18
 # Products of a factorisation that is written out: n (n^2 - 1) / 6 of a full matrix of 40 unknowns.
 # A step of rk4 of an arm of 30 ideal joints takes 13 us so and 17 by loops; of 40 joints 25 and 24,
 # and loops take half as long to compile.
@@ -227,20 +225,34 @@ class KnownRank(NamedTuple):
 def factor_of_rank(matrix: Rows, rank: int) -> KnownRank:
     """Factors of a symmetric semidefinite matrix, given as rows of sparse scalars, with so many
     independent rows; 0 at least."""
-    found = KnownRank([], [], [])
-    for column in _roots(matrix, rank):
-        above: list[Any] = [0.0] * len(found.columns)
-        # The second time for what rounding has left.
+    m = len(matrix)
+    ahead = OFF_THE_TIES ** np.arange(m, 0, -1)
+
+    def add(carry, _):
+        rest, free, first, columns, above, inverses, place = carry
+        diagonal = jnp.sum(jnp.where(jnp.eye(m, dtype=bool), rest, 0.0), axis=1)
+        # Of pivots that are alike but for rounding the first, always: in a batch XLA may ask twice.
+        at = _at_largest(jnp.where(free > 0, diagonal * ahead, -jnp.inf)).astype(float)
+        pivot = jnp.sum(at * diagonal)
+        first = jnp.where(place == 0, pivot, first)
+        root = safe_sqrt(jnp.where(pivot > VANISHED * first, pivot, 0.0))
+        column = safe_divide(1.0, root) * jnp.sum(rest * at, axis=1)
+        rest, shares = rest - column[:, None] * column, jnp.zeros(rank)
         for _ in range(2):
-            shares = [jnp.sum(other * column) for other in found.columns]
-            for share, other in zip(shares, found.columns, strict=True):
-                column = column - share * other
-            above = [a + share for a, share in zip(above, shares, strict=True)]
+            share = jnp.sum(columns * column, axis=1)
+            column = column - jnp.sum(share[:, None] * columns, axis=0)
+            shares = shares + share
         inverse = safe_divide(1.0, safe_sqrt(jnp.sum(column * column)))
-        found.columns.append(column * inverse)
-        found.above.append(above)
-        found.inverses.append(inverse)
-    return found
+        here = place == jnp.arange(rank)
+        columns = jnp.where(here[:, None], column * inverse, columns)
+        above = jnp.where(here[:, None], shares, above)
+        inverses = jnp.where(here, inverse, inverses)
+        return (rest, free - at, first, columns, above, inverses, place + 1), None
+
+    begin = to_array(matrix), jnp.ones(m), jnp.zeros(()), jnp.zeros((rank, m))
+    begin = *begin, jnp.zeros((rank, rank)), jnp.zeros(rank), jnp.zeros((), int)
+    *_, columns, above, inverses, _ = jax.lax.scan(add, begin, length=rank)[0]
+    return KnownRank(list(columns), [list(above[j][:j]) for j in range(rank)], list(inverses))
 
 
 def solve_least(factors: KnownRank, right: tuple) -> tuple:
@@ -257,40 +269,10 @@ def solve_least(factors: KnownRank, right: tuple) -> tuple:
     return tuple(x[i] for i in range(len(right)))
 
 
-def _roots(matrix: Rows, rank: int) -> list[Float[Array, " m"]]:
-    """The columns of L."""
-    m = len(matrix)
-    rest, free = to_array(matrix), jnp.ones(m)
-    largest: Any = None
-    columns = []
-    for _ in range(rank):
-        diagonal = [rest[i, i] for i in range(m)]
-        place = _first_largest(diagonal, free)
-        free = free - place
-        pivot = jnp.sum(place * sp.stack(diagonal))
-        largest = pivot if largest is None else largest
-        root = safe_sqrt(jnp.where(pivot > VANISHED * largest, pivot, 0.0))
-        column = safe_divide(1.0, root) * jnp.sum(rest * place, axis=1)
-        rest = rest - column[:, None] * column
-        columns.append(column)
-    return columns
-
-
-def _first_largest(values: list, free: Float[Array, " m"]) -> Float[Array, " m"]:
-    """1 at the largest of the values that are free, 0 elsewhere. Of values that are alike but for
-    rounding the first is taken, always: in a batch XLA may ask twice."""
-    m = len(values)
-    if m > LARGEST_WRITTEN_OUT:
-        ahead = OFF_THE_TIES ** jnp.arange(m, 0, -1)
-        best = jnp.argmax(jnp.where(free > 0, sp.stack(values) * ahead, -jnp.inf))
-        return (jnp.arange(m) == best).astype(float)
-    held = [jnp.where(free[i] > 0, value, -jnp.inf) for i, value in enumerate(values)]
-    largest, best = held[0], jnp.zeros((), int)
-    for i in range(1, m):
-        larger = held[i] > jnp.where(largest > 0, OFF_THE_TIES, 1.0) * largest
-        largest = jnp.where(larger, held[i], largest)
-        best = jnp.where(larger, i, best)
-    return (jnp.arange(m) == best).astype(float)
+def _at_largest(values: Float[Array, " m"]) -> Bool[Array, " m"]:
+    """True at the first of the largest values; by what kernels know."""
+    places = jnp.arange(len(values))
+    return places == jnp.min(jnp.where(values >= jnp.max(values), places, len(values) - 1))
 
 
 # A row whose part across the rows before it is this share of it, or less, follows from them: far
@@ -319,8 +301,8 @@ def least_change(
         return along, row - jnp.sum(along[:, None] * basis, axis=0)
 
     def add(carry, entry):
-        basis, parts = carry
-        row, target, place = entry
+        basis, parts, met, place = carry
+        row, target = entry
         first, rest = across(row, basis)
         second, rest = across(rest, basis)
         length = safe_sqrt(jnp.sum(rest * rest))
@@ -329,11 +311,12 @@ def least_change(
         part = (target - jnp.sum((first + second) * parts)) * inverse
         here = place == jnp.arange(m)
         basis = jnp.where(here[:, None], rest * inverse, basis)
-        return (basis, jnp.where(here, part, parts)), new
+        return (basis, jnp.where(here, part, parts), jnp.where(here, new, met), place + 1), None
 
-    start = (jnp.zeros_like(scaled), jnp.zeros_like(targets))
-    (basis, parts), new = jax.lax.scan(add, start, (scaled, targets, jnp.arange(m)))
-    return Change(scales * jnp.sum(parts[:, None] * basis, axis=0), new)
+    # All is carried: kernels leave nothing by turns within a loop.
+    start = jnp.zeros_like(scaled), jnp.zeros_like(targets), jnp.zeros(m, bool), jnp.zeros((), int)
+    (basis, parts, met, _), _ = jax.lax.scan(add, start, (scaled, targets))
+    return Change(scales * jnp.sum(parts[:, None] * basis, axis=0), met)
 
 
 def of_rank(
@@ -347,18 +330,21 @@ def of_rank(
     row is zero where fewer are independent."""
     scaled = rows * scales
     largest = jnp.max(jnp.sum(scaled * scaled, axis=1), initial=0.0)
-    chosen, parts = [], []
-    for _ in range(rank):
+
+    def choose(carry, _):
+        scaled, targets, chosen, parts, place = carry
         squares = jnp.sum(scaled * scaled, axis=1)
-        here = jnp.argmax(squares)
-        new = squares[here] > DEPENDENT**2 * largest
-        inverse = safe_divide(1.0, safe_sqrt(jnp.where(new, squares[here], 0.0)))
-        direction, part = scaled[here] * inverse, targets[here] * inverse
+        here = _at_largest(squares)
+        square, target = jnp.max(squares), jnp.sum(jnp.where(here, targets, 0.0))
+        square = jnp.where(square > DEPENDENT**2 * largest, square, 0.0)
+        inverse = safe_divide(1.0, safe_sqrt(square))
+        row = jnp.sum(jnp.where(here[:, None], scaled, 0.0), axis=0)
+        direction, part = row * inverse, target * inverse
         along = scaled @ direction
-        scaled = scaled - along[:, None] * direction
-        targets = targets - along * part
-        chosen.append(direction / scales)
-        parts.append(part)
-    if not chosen:
-        return rows[:0], targets[:0]
-    return jnp.stack(chosen), jnp.stack(parts)
+        rest = scaled - along[:, None] * direction, targets - along * part
+        now = place == jnp.arange(rank)
+        chosen = jnp.where(now[:, None], direction / scales, chosen)
+        return (*rest, chosen, jnp.where(now, part, parts), place + 1), None
+
+    none = jnp.zeros((rank, len(scales))), jnp.zeros(rank), jnp.zeros((), int)
+    return jax.lax.scan(choose, (scaled, targets, *none), length=rank)[0][2:4]

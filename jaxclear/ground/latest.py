@@ -42,21 +42,22 @@ def _told(leaf: Any) -> Any:
 
 
 class Latest(Generic[Found]):
-    """The answers to so many questions, which were asked last; several threads may ask."""
+    """The answers to the questions that were asked last, as long as their sizes sum up to `most`:
+    by default so many. The very last one stays however large it is; several threads may ask."""
 
-    def __init__(self, most: int):
+    def __init__(self, most: float):
         self.most, self.looking = most, threading.Lock()
-        self.kept: OrderedDict[Any, Found] = OrderedDict()
+        self.kept: OrderedDict[Any, tuple[Found, float]] = OrderedDict()
 
     def get(self, key: Any) -> Found | None:
         with self.looking:
-            found = self.kept.get(key)
-            if found is not None:
-                self.kept.move_to_end(key)
-            return found
+            if key not in self.kept:
+                return None
+            self.kept.move_to_end(key)
+            return self.kept[key][0]
 
-    def keep(self, key: Any, found: Found) -> None:
+    def keep(self, key: Any, found: Found, size: float = 1.0) -> None:
         with self.looking:
-            self.kept[key] = found
-            while len(self.kept) > self.most:
+            self.kept[key] = found, size
+            while len(self.kept) > 1 and sum(own for _, own in self.kept.values()) > self.most:
                 self.kept.popitem(last=False)

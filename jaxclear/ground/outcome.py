@@ -54,8 +54,8 @@ class Unknown(AbstractOutcome):
     )
     UNRESOLVED = (
         3,
-        "steps that resolve the motion do not resolve it, as at rest on a stiff spring or contact: "
-        "hold Adaptive's largest_step, or take a tighter rtol.",
+        "the steps that it asks for are too many or too short: allow Adaptive more most_steps, or "
+        "take jaxclear.sensitivity.",
     )
     PARTED = (
         4,

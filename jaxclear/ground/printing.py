@@ -145,6 +145,11 @@ class AbstractShown(eqx.Module):
     def __delattr__(self, name: str) -> NoReturn:
         raise dataclasses.FrozenInstanceError(_read_only(type(self), name))
 
+    def __reduce__(self):
+        # Copies and what is unpickled: Equinox takes what its own `__new__` makes outside of a call
+        # of the class for something that is being built, and keeps it until the process ends.
+        return object.__new__, (type(self),), vars(self)
+
     def _repr_html_(self) -> str:
         """What a notebook shows."""
         return "".join(map(_in_html, self._parts()))

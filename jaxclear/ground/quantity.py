@@ -379,6 +379,24 @@ def with_fields(module: Of, **values: Any) -> Of:
     return own
 
 
+def with_quantities(tree: Any) -> Any:
+    """A tree, the quantities of its parts float64 arrays, in whatever form they were put in their
+    places: `equinox.tree_at` and `jax.tree.map` do not ask the fields. A number of Python's would
+    become a constant of the program, which is compiled anew for each."""
+    leaves = jax.tree.leaves(tree)
+    if all((eqx.is_array(x) and x.dtype == FLOAT64) or callable(x) for x in leaves):
+        return tree
+    inner = lambda x: isinstance(x, eqx.Module)
+    if not inner(tree):
+        return jax.tree.map(lambda x: with_quantities(x) if inner(x) else x, tree, is_leaf=inner)
+    values = {}
+    for name, metadata in _leaves(type(tree)):
+        as_field = metadata.get("converter") if "unit" in metadata else None
+        value = with_quantities(getattr(tree, name))
+        values[name] = value if as_field is None else as_field(value)
+    return with_fields(tree, **values)
+
+
 def is_tracing() -> bool:
     """Whether a program is being traced, whatever is known in it."""
     return isinstance(jax.lax.neg_p.bind(ANY), jax.core.Tracer)

@@ -26,13 +26,7 @@ from jaxclear.ground.quantity import (
 from jaxclear.ground.tangents import derived_once
 from jaxclear.integrators.base import LOOSE, REFERENCE, AbstractIntegrator, Advance
 from jaxclear.integrators.checks import Outcome
-from jaxclear.integrators.derivative_error import (
-    NO_SECOND,
-    FollowingErrors,
-    resolved,
-    trusted,
-    unfollowed,
-)
+from jaxclear.integrators.derivative_error import NO_SECOND, trusted
 from jaxclear.integrators.error_control import (
     EndingAtTouches,
     Solved,
@@ -73,6 +67,10 @@ ROUNDED_OFF = 0.5
 TRUSTED = 8e-4
 
 
+def _as_times(given: Any) -> Any:
+    return None if given is None else jnp.asarray(given, float)
+
+
 class Adaptive(AbstractIntegrator):
     """A diffrax solver under error control: cost follows difficulty.
 
@@ -82,20 +80,21 @@ class Adaptive(AbstractIntegrator):
     narrowest gap beside the longest arm, where that is less): impacts make errors grow, and looser
     runs save next to no time. A step in which a contact closes or parts is repeated to end there;
     steps end at saving times too, so saving more often than steps are long costs as many more, and
-    none is so long that it would pass over what a load or drive does.
+    none is so long that it would pass over what a load or drive does as a function of time: where
+    one changes between looks is found in it, and steps end there. `breaks`: more times [s] at which
+    they end.
 
     Solvers that are no explicit tableau run in diffrax's loop, and hand on the mean of their steps.
     In a batch all samples wait for the slowest.
 
+    A derivative is solved for together with the motion, in steps that are short enough for it too.
     First derivatives through contacts are those of the motion (within 1.2 % at the usual tolerance,
     measured through up to seven impacts; 3 % in a slider-crank at 5000 rpm): steps end at touches
-    and releases, and know how these move (`saltation`). They are compared with those at a sixteenth
-    of the tolerance, and nan where these tell an error beyond a hundredth (through the lift-off of
-    a cam, say); where impacts have made them grow so much that the tolerance no longer determines
-    them; and where steps do not resolve them (at rest in a contact, or on a stiff spring, they
-    grow: hold `largest_step`). A tighter `rtol` goes further. Not with implicit
-    solvers and `MuntheKaas` (it keeps rotations on their group), where `jaxclear.sensitivity` is
-    the way.
+    and releases, and know how these move (`saltation`). They are nan where impacts have made them
+    grow so much that the tolerance no longer determines them. All are compared with those at a
+    sixteenth of the tolerance, and nan where these tell an error beyond a hundredth. A tighter
+    `rtol` goes further. Through contacts not with implicit solvers and `MuntheKaas` (it keeps
+    rotations on their group), where `jaxclear.sensitivity` is the way.
 
     Stiff scenes (large friction over tiny transition speeds) may prefer
     diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)); of stiff couplings beside
@@ -125,6 +124,7 @@ class Adaptive(AbstractIntegrator):
     )
     largest_step: Scalar | None = quantity(None, "s", "largest step", above=0, kw_only=True)
     most_steps: int = count(200_000, "most steps between two saving times", kw_only=True)
+    breaks: Any = eqx.field(default=None, kw_only=True, converter=_as_times)
 
     @property
     def promise(self):
@@ -183,12 +183,9 @@ class Adaptive(AbstractIntegrator):
 
     def first_warm_start(self, model, start, state):
         """How long a step may be [s]; 0: not known. Where contacts may close, the mean of steps;
-        and the growth of derivatives; without contacts, their errors."""
-        if not model.layout.contacts:
-            # Implicit solvers damp what is stiff.
-            follows = self.in_kernels and model.layout.size > 0
-            return jnp.zeros(()), unfollowed() if follows else None
-        return jnp.zeros(()), jnp.zeros(4) if self.through_contacts else None
+        and the growth of derivatives."""
+        through = model.layout.contacts and self.through_contacts
+        return jnp.zeros(()), jnp.zeros(3) if through else None
 
     def advance(self, model, interval, state, warm_start):
         interval = interval._replace(
@@ -245,8 +242,7 @@ class Adaptive(AbstractIntegrator):
             if bare(rest).layout.states:
                 solver = StandingAtBounds(solver, functools.partial(_bounded, rest))
         if not bare(rest).layout.contacts:
-            ends = bare(rest).layout.coordinates, bare(rest).layout.memory_start
-            return solver if growth is None else FollowingErrors(solver, ends, growth)
+            return solver
 
         def remember(y, before, after, length, args):
             return formulation.remember(unpacked(args[0], rest), y, before, after, length)
@@ -281,7 +277,8 @@ class Adaptive(AbstractIntegrator):
             (start, stop, first),
             state,
             (arrays, None),
-            functools.partial(within_bounds, model.system, model.layout),
+            functools.partial(_bounded, rest),
+            (bare(rest).layout.coordinates, bare(rest).layout.memory_start),
         )
         # A remainder of rounding, shorter than the smallest step, has been taken.
         reached = (failed == Outcome.REACHED) | (found.time >= stop)
@@ -291,8 +288,6 @@ class Adaptive(AbstractIntegrator):
             _, _, peaks, events, growth = found.kept
             # As long as a flight it may go through a wall: rounding then decides what follows.
             usual = (found.time - start) / jnp.maximum(found.accepted, 1)
-        elif growth is not None:
-            growth = found.kept[-1]
         usual = constant(usual)
         steps = found.accepted, found.rejected
         state = found.state
@@ -303,15 +298,14 @@ class Adaptive(AbstractIntegrator):
             state, peaks, instants = derived_once(NO_SECOND, moving)
             if events is not None:
                 events = events._replace(times=instants[0], rates=instants[1])
-        elif growth is not None:
-            state = resolved(state, growth)
         return Advance(state, *steps, (usual, growth), outcome, peaks, events)
 
-    def _solved(self, term, solver, controller, span, state, args, ended):
+    def _solved(self, term, solver, controller, span, state, args, ended, ends):
         """Where a solver ends, and why where that is before the end; of its own steps each is
-        `ended(state)`."""
+        `ended(state, args)`. `ends`: of the coordinates and of the speeds in a state."""
         if stepped_by_hand(self.solver) is not None:
-            found = solve(term, solver, controller, span, state, args, self.most_steps, ended)
+            given = term, solver, controller, span, state, args, self.most_steps, ended, ends
+            found = solve(*given)
             short = jnp.where(found.time < span[1], Outcome.TOO_MANY_STEPS, Outcome.REACHED)
             return found, jnp.where(found.too_small, Outcome.STEP_TOO_SMALL, short)
         start, stop, first = span

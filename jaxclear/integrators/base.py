@@ -105,6 +105,7 @@ class AbstractIntegrator(AbstractQuantified):
 
     pathwise: eqx.AbstractClassVar[bool]
     projects: eqx.AbstractClassVar[bool]
+    breaks = None
 
     @property
     @abstractmethod
@@ -260,11 +261,7 @@ def counted(one: Callable[[Any, Any], Any], steps: int, first: Any) -> Any:
 
 
 def arrived(
-    end: Any,
-    steps: Any,
-    warm_start: Any,
-    met: Peaks | None = None,
-    watch: Watch | None = None,
+    end: Any, steps: Any, warm_start: Any, met: Peaks | None = None, watch: Watch | None = None
 ) -> Advance:
     """The answer of steps that are never rejected, and that have `met` so deep contacts; `watch`:
     events on the way."""

@@ -2,37 +2,25 @@
 
 A loop carries zeros beside the state, whose derivatives tell how much touches move: impacts make
 derivatives grow, and with them what errors of the motion make of them.
-
-Nor do steps that resolve a motion resolve its derivative: a controller sees the errors of the
-motion alone. Where that is at rest steps grow beyond what a stiff spring lets stand, and a
-derivative, which is at rest nowhere, grows with every one of them: from 1e-5 to 1e57 in a second.
-So errors of derivatives are followed along a run: they are the derivatives of the solver's own
-error estimate. None of this is in a program of which no derivative is asked.
+None of this is in a program of which no derivative is asked.
 """
 
 from collections.abc import Callable
 from typing import Any
 
-import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, constant
-from jaxclear.ground.tangents import derived, moved, moving_with
-from jaxclear.integrators.error_control import AbstractAround
+from jaxclear.ground.tangents import derived, moved
 
 # What a second derivative through contacts is told.
 NO_SECOND = (
     "a second derivative through contacts that open and close is not known: take differences of "
     "first derivatives (jax.jvp, jax.jacfwd, jax.grad)."
 )
-# Of the derivative of a step its error estimate may be so large a share: beyond, steps that resolve
-# the motion do not resolve its neighbours (at rest they grow longer than a contact's period, and
-# derivatives with them).
-MOST_ERROR = 0.01
 # Beside a run the motion is differentiated as long as its places are no farther from the run's than
 # this share of the narrowest gap: contacts are then pressed in the same directions.
 PARTED = 0.03
@@ -46,26 +34,17 @@ IMPACT_FIGURES = 7
 # slopes in other steps tell (`simulation.derivatives`): with this and that none of 3672 told in
 # steps of 1 to 20 us was off by a fiftieth (`benchmarks.claims.compared_slopes`).
 TRUSTED_IMPACTS = 1e-2
-# All errors of a derivative together may be as large a share of the largest that it has been as
-# that of one step may (`MOST_ERROR`); such a step there may be.
-# Not so many steps one behind the other: where something sets in, one step may be as coarse.
-IN_A_ROW = 3
-
-# Of a derivative: the sum of its errors, the largest that it has been, how many steps up to now had
-# too large an error, one behind the other, and how many at the most.
-Followed = Float[Array, "4"]
 
 
 def trusted(found: Any, growth: Array, limit: Scalar) -> Any:
     """What was found of a run; its derivative is nan where touches move more than `limit` times as
-    much as the first of them did, and where a step did not resolve it.
+    much as the first of them did.
 
-    `growth`: zeros, whose derivatives tell how many touches moved, by how much [s] the first few of
-    them and all of them did at most, and of which share the largest error of a step was."""
+    `growth`: zeros, whose derivatives tell how many touches moved, and by how much [s] the first
+    few of them and all of them did at most."""
 
     grown = lambda growth, limit: growth[2] <= limit * growth[1]
-    found = _where(grown, Unknown.GROWN, found, growth, limit)
-    return _where(lambda growth: growth[3] <= MOST_ERROR, Unknown.UNRESOLVED, found, growth)
+    return _where(grown, Unknown.GROWN, found, growth, limit)
 
 
 def trusted_impacts(found: Any, growth: Array) -> Any:
@@ -103,64 +82,3 @@ def unknown_way(numbers: Any) -> Any:
     unknown = lambda way: jnp.full_like(moved(way), Unknown.NOT_FOLLOWED.number)
     lost = lambda numbers, tangents: jax.tree.map(unknown, tangents[0])
     return derived(lambda numbers: numbers, lost)(numbers)
-
-
-def unfollowed() -> Followed:
-    """At the start of a run. Only derivatives of these numbers are ever anything else than 0."""
-    return jnp.zeros(4)
-
-
-def followed(
-    ends: tuple[int, int], known: Followed, state: Array, error: Array, length: Scalar
-) -> Followed:
-    """What is known behind a step of this length [s], whose state is wrong by `error`; `ends` of
-    the coordinates and of the speeds in a state."""
-
-    def further(numbers, tangents):
-        known, state, error = map(moved, tangents[:3])
-        sums, largest, row, most = known
-        size, off = (_size(ends, each, numbers[3]) for each in (state, error))
-        row = jnp.where(off > MOST_ERROR * size, row + 1.0, 0.0)
-        return jnp.stack([sums + off, jnp.maximum(largest, size), row, jnp.maximum(most, row)])
-
-    same = lambda known, state, *_: moving_with(state[0], known)
-    return derived(same, further)(known, state, error, constant(length))
-
-
-def resolved(state: Array, known: Followed) -> Array:
-    """The state; its derivative is nan where it was not resolved."""
-
-    def judged(_, tangents):
-        state, (sums, largest, _, most) = map(moved, tangents)
-        fine = (sums <= MOST_ERROR * largest) & (most < IN_A_ROW)
-        # What is unknown already says why.
-        return jnp.where(fine | jnp.isnan(state), state, Unknown.UNRESOLVED.number)
-
-    return derived(lambda state, known: state, judged)(state, known)
-
-
-def _size(ends: tuple[int, int], numbers: Array, length: Scalar) -> Scalar:
-    """Of a difference: of its places, and of the way that its speeds make in such a step."""
-    n, m = ends
-    way = jnp.concatenate([numbers[:n], length * numbers[n:m]])
-    return jnp.max(abs(way), initial=0.0)
-
-
-class FollowingErrors(
-    AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver
-):
-    """`solver`, whose state between steps ends with what is `followed` of the errors of
-    derivatives, of states with such `ends`."""
-
-    solver: diffrax.AbstractSolver  # type: ignore[misc]
-    ends: tuple[int, int] = eqx.field(static=True)
-    known: Any = None
-
-    def init(self, terms, t0, t1, y0, args):
-        return self.solver.init(terms, t0, t1, y0, args), self.known
-
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        own, known = solver_state
-        y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
-        known = followed(self.ends, known, y1, error, t1 - t0)
-        return y1, error, dense, (own, known), result

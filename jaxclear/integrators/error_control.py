@@ -25,8 +25,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.formulations.impact_speed import ContactMotion, Passage, end_at_passage
+from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, constant
-from jaxclear.ground.tangents import where_wanted
+from jaxclear.ground.tangents import pushed, where_wanted
 from jaxclear.integrators.events import noted, nothing, nothing_met, peaks, risen, since
 from jaxclear.integrators.saltation import Equations, Step, closed
 from jaxclear.native import while_loop
@@ -197,36 +199,161 @@ def solve(
     state: Any,
     args: Any,
     most: int,
-    ended: Callable = lambda state: state,
+    ended: Callable = lambda state, _: state,
+    ends: tuple[int, int] = (0, 0),
 ) -> Solved:
     """As `diffrax.diffeqsolve` over a `span` (start, end, first step) [s], in `most` steps tried:
-    the same steps to rounding, each `ended(state)`. How long steps are is no part of derivatives:
-    of the motion these are the same, whatever its steps."""
-    begin, end, first = span
-    order = solver.error_order(term)
-    controller = constant(controller)
-    begun = constant((begin, end, state, first, args))
-    until, control = controller.init(term, *begun, solver.func, order)
-    wish = until - constant(begin)
-    until = _clipped(begin, until, end, True)
-    kept = solver.init(term, begin, until, state, args)
+    the same steps to rounding, each `ended(state, args)`. A derivative is that of a solution in
+    steps of its own, which are short enough for it too (`_WithDerivatives`): where a spring sets in
+    within a step that resolves the motion, or at rest, those of the motion are too long. How long
+    steps are is no part of it. nan where it does not reach the end. `ends`: of the coordinates and
+    of the speeds in a state."""
+    numbers, rest = eqx.partition((solver, constant(controller)), eqx.is_array)
+    solving = _Solving(term, rest, most, ended, ends)
 
-    def more(now):
-        return (now.start < end) & now.fine & (now.accepted + now.rejected < most)
+    def moving(numbers, tangents):
+        found = solving.motion(*numbers)
+        return found, solving.derivatives(found, numbers, tangents)
 
-    def turn(now):
+    solved = jax.custom_jvp(solving.motion)
+    solved.defjvp(moving, symbolic_zeros=True)
+    return solved(numbers, span, state, args)
+
+
+class _Solving(NamedTuple):
+    """What `solve` does with numbers (those of its solver and controller, span, state, args);
+    `rest`: of solver and controller, what is no number."""
+
+    term: Any
+    rest: Any
+    most: int
+    ended: Callable
+    ends: tuple[int, int]
+
+    def motion(self, numbers, span, state, args) -> Solved:
+        """The solution."""
+        end, first = span[1], self._first_turn(numbers, span, state, args)
+        solver, controller = eqx.combine(numbers, self.rest)
+        order = solver.error_order(self.term)
+
+        def turn(now):
+            candidate, y, after, error = self._tried(solver, now, args)
+            tried = constant((now.start, now.stop, now.state, candidate, args, error))
+            adapted = controller.adapt_step_size(*tried, order, now.control)
+            return _after(now, y, after, adapted, end)
+
+        last = while_loop(lambda now: self._goes_on(now, end), turn, first)
+        steps = last.accepted, last.rejected
+        return Solved(last.start, last.state, last.kept, *steps, ~last.fine, last.wish)
+
+    def derivatives(self, found, numbers, tangents) -> Solved:
+        """The derivative of what was `found`, from those of the numbers."""
+        solving, (_, end, _), _, args = numbers
+        of_solving, (_, end_way, _), _, of_args = tangents
+        solver, controller = eqx.combine(solving, self.rest)
+        controller, order = _WithDerivatives(controller, self.ends), solver.error_order(self.term)
+        first, ways = pushed(self._first_turn, numbers, tangents)
+
+        def turn(carry):
+            now, ways = carry
+            moving, fixed = eqx.partition(_parts(now), eqx.is_inexact_array)
+            go = lambda moving: now._replace(**eqx.combine(moving, fixed))
+
+            def tried(solving, args, moving):
+                return self._tried(eqx.combine(solving, self.rest)[0], go(moving), args)
+
+            given = (solving, args, moving), (of_solving, of_args, ways)
+            (candidate, y, after, error), (_, *of_step) = pushed(tried, *given)
+            y_way, after_way, error_way = of_step
+            off = ways["state"], y_way, error_way
+            adapted = controller.adapt(now, candidate, error, off, order)
+            after, known = eqx.partition(after, eqx.is_inexact_array)
+
+            def kept_or_not(moving, y, after, end):
+                return _after(go(moving), y, eqx.combine(after, known), adapted, end)
+
+            given = (moving, y, after, end), (ways, y_way, _floating(after_way), end_way)
+            now, ways = pushed(kept_or_not, *given)
+            return now, _floating(_parts(ways))
+
+        first = first, _floating(_parts(ways))
+        last, ways = while_loop(lambda carry: self._goes_on(carry[0], end), turn, first)
+        state = jnp.where(last.start < end, Unknown.UNRESOLVED.number, ways["state"])
+        still = jax.tree.map(_no_tangent, found)
+        kept = eqx.combine(ways["kept"], still.kept)
+        return still._replace(time=ways["start"], state=state, kept=kept)
+
+    def _first_turn(self, numbers, span, state, args) -> _Turn:
+        solver, controller = eqx.combine(numbers, self.rest)
+        begin, end, first = span
+        begun, order = constant((begin, end, state, first, args)), solver.error_order(self.term)
+        until, control = controller.init(self.term, *begun, solver.func, order)
+        wish = until - constant(begin)
+        until = _clipped(begin, until, end, True)
+        kept = solver.init(self.term, begin, until, state, args)
+        none = jnp.zeros((), int)
+        return _Turn(begin, until, state, kept, control, none, none, jnp.asarray(True), wish)
+
+    def _tried(self, solver, now, args):
+        """(state by the solver, as it has ended, what the solver keeps, error) behind a step."""
         at = now.start, now.stop, now.state
-        y, error, _, after, _ = solver.step(term, *at, args, now.kept, False)
+        y, error, _, after, _ = solver.step(self.term, *at, args, now.kept, False)
         error = jax.tree.map(lambda each: jnp.where(jnp.isnan(each), jnp.inf, each), error)
-        tried = constant((*at, y, args, error))
-        adapted = controller.adapt_step_size(*tried, order, now.control)
-        return _after(now, ended(y), after, adapted, end)
+        return y, self.ended(y, args), after, error
 
-    none = jnp.zeros((), int)
-    first_turn = _Turn(begin, until, state, kept, control, none, none, True, wish)
-    last = while_loop(more, turn, first_turn)
-    steps = last.accepted, last.rejected
-    return Solved(last.start, last.state, last.kept, *steps, ~last.fine, last.wish)
+    def _goes_on(self, now, end):
+        return (now.start < end) & now.fine & (now.accepted + now.rejected < self.most)
+
+
+def _parts(turn: _Turn) -> dict[str, Any]:
+    """What of a turn has derivatives."""
+    return {name: getattr(turn, name) for name in ("start", "stop", "state", "kept")}
+
+
+def _floating(tangents: Any) -> Any:
+    """The tangents of numbers that may move."""
+    return eqx.filter(tangents, lambda each: each.dtype != jax.dtypes.float0)
+
+
+def _no_tangent(number: Any) -> Any:
+    number = jnp.asarray(number)
+    floating = jnp.issubdtype(number.dtype, jnp.inexact)
+    return jnp.zeros_like(number) if floating else np.zeros(number.shape, jax.dtypes.float0)
+
+
+# Steps shorter than so many of the shortest are not made shorter for a derivative, half of whose
+# digits are right then: as it sets in its error is as large as itself, however short the step.
+FOR_DERIVATIVES = 1e7
+
+
+class _WithDerivatives(NamedTuple):
+    """`controller` of a motion and a derivative of it: of its coordinates and speeds, which have
+    such `ends`, by the same relative error, beside the largest of their kind."""
+
+    controller: Any
+    ends: tuple[int, int]
+
+    def adapt(self, now, y, error, ways, order):
+        """What the controller says of a step with its derivatives: `ways` of (the state at its
+        start, at its end, the error)."""
+        own, (before, after, off) = self.controller, ways
+        by_touches = isinstance(error, Judged)
+        off, known = (off.error, error.error) if by_touches else (off, error)
+        sizes, largest = (
+            jnp.maximum(abs(before), abs(after)),
+            lambda x: jnp.max(abs(x), initial=0.0),
+        )
+        kinds = slice(0, self.ends[0]), slice(*self.ends)
+        shares = [safe_divide(largest(off[kind]), largest(sizes[kind])) for kind in kinds]
+        share = jnp.maximum(*shares) / own.rtol
+        long = now.stop - now.start > FOR_DERIVATIVES * own.dtmin
+        share = jnp.where(jnp.isfinite(share) & long, share, 0.0)
+        # As if the motion were as far off.
+        allowed = own.atol + own.rtol * jnp.maximum(abs(now.state), abs(y))
+        larger = jnp.maximum(abs(known), share * allowed)
+        error = error._replace(error=larger) if by_touches else larger
+        at = now.start, now.stop, now.state, y
+        return own.adapt_step_size(*constant((*at, None, error)), order, now.control)
 
 
 def _after(now, y, after, adapted, end):
@@ -287,6 +414,10 @@ class EndingAtTouches(diffrax.AbstractAdaptiveStepSizeController):
     @property  # type: ignore[misc]
     def norm(self):
         return self.controller.norm
+
+    @property
+    def dtmin(self):
+        return self.controller.dtmin
 
     def wrap(self, direction):
         return EndingAtTouches(self.controller.wrap(direction), self.beyond)
@@ -383,7 +514,7 @@ class TakingImpactSpeeds(
         remembering = self.remember(y1, before, after, length, args)
         if events is not None:
             events = noted(events, *constant((t0, length, before, seen)))
-        told = remembering, growth, events, error
+        told = remembering, growth, events
         y1, own, growth, events = self._ended(step, (t1, y1), own, shift, told)
         if self.derived is not None and self.motion.layout.plays:
             slope = lambda: terms.vf(t1, y1, (args[0], closed(after)))
@@ -418,7 +549,7 @@ class TakingImpactSpeeds(
         """(state, state of the solver, growth, events) with derivatives behind touches and
         releases, from (state, growth, events, error) as `known` before."""
         if self.derived is None:
-            return known[0], own, *known[1:3]
+            return known[0], own, *known[1:]
         slopes, others = eqx.partition(own, eqx.is_inexact_array)
         y, slopes, *rest = self.derived.jumped(step, end, slopes, shift, *known)
         return y, eqx.combine(slopes, others), *rest

@@ -83,9 +83,9 @@ class Equations(NamedTuple):
 
     `shifted(step, (time, state), slopes)`: state and slopes at its start, at times that move by the
     derivative of a third number, which is 0; `jumped(step, (time, state), slopes, shift,
-    remembering, growth, events, error)`: the state with its impact speeds, the slopes, the growth
-    (see `derivative_error`) and the events noted so far (None: none are) at the end, at a fixed
-    time behind touches and releases there, by the step's error.
+    remembering, growth, events)`: the state with its impact speeds, the slopes, the growth (see
+    `derivative_error`) and the events noted so far (None: none are) at the end, at a fixed time
+    behind touches and releases there.
     """
 
     rates: Callable
@@ -185,7 +185,7 @@ def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equa
             functools.partial(_at_moving_time, model),
         ),
         derived(
-            lambda step, now, slopes, shift, remembering, growth, events, error: (
+            lambda step, now, slopes, shift, remembering, growth, events: (
                 remembering,
                 slopes,
                 *moving_with(remembering[0], (growth, events)),
@@ -252,7 +252,7 @@ def _shift(model: Motion, step: Step, here: tuple, ways: tuple, slopes: tuple) -
 
 def _behind(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
     """The derivatives of (state, slopes, growth, events) at the end of a step."""
-    step, (time, y), *_, events, _ = numbers
+    step, (time, y), *_, events = numbers
     (way, *_), (time_way, _), slopes, shift, *known = tangents
     arrays, before = step.arrays, step.shares
     here = arrays, time, y
@@ -271,8 +271,7 @@ def _behind(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
 
     changed = before != after
     wanted = jnp.any((before > 0) | changed if shifts else changed)
-    state, growth, told, error = jax.tree.map(moved, tuple(known))
-    growth = _with_error(model.layout, step.length, state, growth, error)
+    state, growth, told = jax.tree.map(moved, tuple(known))
     return where_wanted(wanted, behind, (state, jax.tree.map(moved, slopes), growth, told))
 
 
@@ -343,25 +342,12 @@ def _told(told: Any, events: Any, happened: Any, ways: tuple) -> Any:
     return told._replace(times=times, rates=rates)
 
 
-def _with_error(layout: Layout, length: Scalar, state: Any, growth: Array, error: Any) -> Array:
-    """The growth after a step of this length [s] with such an error of its state: of their places,
-    and of the way that their speeds make in such a step."""
-    n, m = layout.coordinates, layout.memory_start
-
-    def size(numbers):
-        way = jnp.concatenate([numbers[:n], length * numbers[n:m]])
-        return jnp.max(abs(way), initial=0.0)
-
-    share = safe_divide(size(error), size(state))
-    return jnp.stack([growth[0], growth[1], growth[2], jnp.maximum(growth[3], share)])
-
-
 def _grown(growth: Array, late: Scalar) -> Array:
     """After touches of which one comes that much later (0: none does)."""
     met, first, most = growth[0], growth[1], growth[2]
     met = met + jnp.where(late > 0, 1.0, 0.0)
     first = jnp.where(met <= FIRST, jnp.maximum(first, late), first)
-    return jnp.concatenate([jnp.stack([met, first, jnp.maximum(most, late)]), growth[3:]])
+    return jnp.stack([met, first, jnp.maximum(most, late)])
 
 
 def _slopes(model: Motion, shares: Any, here: tuple, ways: tuple, slopes: Any) -> Any:

@@ -6,7 +6,6 @@ equations of `start_equations`, metres measured by the longest arm. What cannot 
 name (`start_check`). Where the guess is not met other beginnings are tried (`assembly_modes`).
 """
 
-import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -21,7 +20,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.compiling import map_many
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import is_traced, is_tracing
+from jaxclear.ground.quantity import is_traced, is_tracing, with_quantities
 from jaxclear.ground.warning import warn
 from jaxclear.multibody import (
     assembly_modes,
@@ -57,7 +56,7 @@ from jaxclear.multibody.start_equations import (
 )
 from jaxclear.multibody.system import readings
 from jaxclear.multibody.topology import Redundancy
-from jaxclear.native import in_one
+from jaxclear.native import compiled_sooner, in_one
 from jaxclear.native.compiled import compiled_quickly
 
 ITERATIONS = 30
@@ -108,7 +107,7 @@ def _solved(
     v: Array,
     time: Any,
     led: bool = False,
-    call: Callable[..., Any] = operator.call,
+    call: Callable[..., Any] = compiled_sooner,
 ) -> Start:
     """The consistent start to which a search leads from rough coordinates and speeds, `led` to what
     is told of other joints first; `call`: how the search is called, and what tells of the start."""
@@ -223,9 +222,10 @@ def is_sound(mechanism: Mechanism, start: Start) -> Bool[Array, ""]:
 
 @compiled_quickly
 def _closest(mechanism: Mechanism, time: Any) -> Start:
+    """The search for coordinates that miss closed loops by least."""
     asked = ask(mechanism, False)
     q, v = guess(mechanism)
-    return _started(asked, closest(asked, q, time), v, time)
+    return compiled_sooner(lambda: _started(asked, closest(asked, q, time), v, time))
 
 
 class Judged(NamedTuple):
@@ -241,6 +241,7 @@ class Judged(NamedTuple):
 def _judged(
     mechanism: Mechanism, concentric: bool, worn: dict | None, begin: Beginning | None = None
 ) -> Judged:
+    """The search for a start that closes all loops."""
     asked = ask(mechanism, concentric, worn)
     seed, v = guess(mechanism, asked.system)
     if begin is None:
@@ -254,6 +255,7 @@ def _judged(
 
 @compiled_quickly
 def _carried_on(mechanism: Mechanism, *rest: Any) -> tuple[Start, Array]:
+    """The start from coordinates and speeds of another run."""
     start = carried_on(mechanism, *rest)
     return start, is_sound(mechanism, start)
 
@@ -270,7 +272,7 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     check_double_precision()
     expect(mechanism, Mechanism, "what is assembled", "a jaxclear.Mechanism")
     check_flags("assemble", concentric=concentric)
-    return ready(mechanism, concentric).start
+    return ready(with_quantities(mechanism), concentric).start
 
 
 class FirstFound(NamedTuple):

@@ -16,6 +16,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import Scalar
 from jaxclear.laws.rebound import damping_ratio_of
 from jaxclear.multibody import constraints, dynamics, kinematics, tree
+from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.system import System, coordinate_loads
@@ -26,7 +27,7 @@ class StopOfRatio(AbstractCoordinateLoad):
     """A `stop` whose damping is this `ratio` [1] of the critical one."""
 
     connection: str = eqx.field(static=True)
-    stop: Any
+    stop: AbstractCoordinateLoad
     ratio: Scalar
 
     def force(self, time, position, speed):
@@ -63,6 +64,11 @@ def with_damped_stops(system: System, motions: tuple[Motion, ...]) -> System:
     pairs = zip(stops.items(), inertias, strict=True)
     damped = {name: stop.damped(inertia) for (name, stop), inertia in pairs}
     return dataclasses.replace(system, loads=system.loads | damped)
+
+
+def forces_at(system: System, motions: tuple[Motion, ...], *others: Any) -> Forces:
+    """`forces.applied_forces`, with the damping of stops as the links stand."""
+    return applied_forces(with_damped_stops(system, motions), motions, *others)
 
 
 def with_settled_loads(

@@ -8,6 +8,7 @@ themselves that these rows allow.
 """
 
 import dataclasses
+import functools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -33,6 +34,7 @@ from jaxclear.multibody.start_equations import (
     stacked,
 )
 from jaxclear.multibody.topology import Redundancy
+from jaxclear.native import compiled_sooner
 from jaxclear.native.compiled import compiled_quickly
 
 # A singular value this share of the largest, or less, is zero. Near a position where rows are
@@ -170,17 +172,21 @@ def _moved(mechanism: Mechanism, q: Array, step: Array, time: Any) -> tuple[Arra
     """Coordinates moved by a step, the loops closed anew, and what is left of these [m, 1]."""
     asked = ask(mechanism, False)
 
-    q = closed(asked, retract(asked.system, q, step), time, ITERATIONS, damped=True)
-    return q, jnp.max(jnp.abs(stacked(asked, blocks_of(asked, q, time))[1]), initial=0.0)
+    def close():
+        there = closed(asked, retract(asked.system, q, step), time, ITERATIONS, damped=True)
+        left = stacked(asked, blocks_of(asked, there, time))[1]
+        return there, jnp.max(jnp.abs(left), initial=0.0)
+
+    return compiled_sooner(close)
 
 
 @compiled_quickly
 def _place(mechanism: Mechanism, rows: tuple[Row, ...], q: Array, time: Any) -> Place:
+    """Which rows of loops depend on each other at these coordinates."""
     asked = ask(mechanism, False)
     system = asked.system
-    motions = _motions(asked, q, time)
 
-    def through(forces):
+    def through(motions, forces):
         own: tuple[dict[int, Any], ...] = tuple({} for _ in system.closures)
         for row, force in zip(rows, forces, strict=True):
             own[row.closure][row.place] = force
@@ -189,8 +195,13 @@ def _place(mechanism: Mechanism, rows: tuple[Row, ...], q: Array, time: Any) -> 
         acting = zip(names, (*closing, *inboard), strict=True)
         return {name: sp.stack((*wrench.force, *wrench.torque)) for name, wrench in acting}
 
-    jacobian = stacked(asked, blocks_of(asked, q, time))[0] * speed_scales(asked)
-    return Place(jacobian, jax.vmap(through)(jnp.eye(len(rows))), asked.arm)
+    def placed():
+        # One row after the other: XLA compiles long functions of short arrays more slowly.
+        motions = _motions(asked, q, time)
+        jacobian = stacked(asked, blocks_of(asked, q, time))[0] * speed_scales(asked)
+        return jacobian, jax.lax.map(functools.partial(through, motions), jnp.eye(len(rows)))
+
+    return Place(*compiled_sooner(placed), asked.arm)
 
 
 def rank_of(rows: np.ndarray) -> int:

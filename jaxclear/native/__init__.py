@@ -71,7 +71,14 @@ give it a case in tests/native/test_rules.py.
 from jaxclear.native.derivative_rules import by_columns, forwards_only
 from jaxclear.native.loop import has_kernels
 from jaxclear.native.program import size_of
-from jaxclear.native.rows import in_one, one_by_one, one_row, over_rows, through_rows
+from jaxclear.native.rows import (
+    compiled_sooner,
+    in_one,
+    one_by_one,
+    one_row,
+    over_rows,
+    through_rows,
+)
 from jaxclear.native.stopping import stop, stoppable, stops
 from jaxclear.native.verdicts import NoKernel, calls_lapack, explain, only_kernels, verdict
 from jaxclear.native.while_loops import Kept, once, scan, while_loop, with_fast_loops
@@ -81,6 +88,7 @@ __all__ = [
     "NoKernel",
     "by_columns",
     "calls_lapack",
+    "compiled_sooner",
     "explain",
     "forwards_only",
     "has_kernels",

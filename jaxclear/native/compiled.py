@@ -8,9 +8,11 @@ there. What is found is called with plain arrays, so that a call costs little be
 
 import functools
 import io
+import logging
 import pickle
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -27,6 +29,7 @@ from jaxclear.ground.quantity import is_traced, is_tracing
 from jaxclear.native import check, dispatch, verdicts
 from jaxclear.native.derivative_rules import columns_p
 from jaxclear.native.forms import Untold, function_in_text, in_text, surroundings, tree_in_text
+from jaxclear.native.rows import operations_of
 from jaxclear.native.verdicts import NoKernel, only_kernels
 
 # XLA's newer emitters of fusions compile a third longer. Around a loop of machine code they gain
@@ -42,6 +45,9 @@ ONCE = {
 # XLA drops options between its versions, and says so by this; those that this one lacks.
 NO_OPTION = "No such compile option"
 _unknown: set[str] = set()
+LOG = logging.getLogger(__name__)
+# Compiling [s] after which a user is told what is compiled.
+PATIENCE = 10.0
 # Settings of JAX that one process may change between two calls of the same function.
 SETTINGS = (
     "jax_enable_x64",
@@ -52,8 +58,10 @@ SETTINGS = (
 )
 # JAX records this where it finds a program that an earlier process has compiled.
 FOUND_BY_JAX = "/jax/compilation_cache/cache_hits"
-# Programs that a process has at hand beside those that JAX keeps.
-LATEST = 256
+# Programs that a process has at hand take so much of its memory [B], as far as their operations
+# tell: of slider-crank and four-bar a program takes 3 kB an operation beside 0.5 MB.
+AT_HAND = 50e6
+A_PROGRAM, AN_OPERATION = 0.5e6, 3e3
 
 
 @dataclass(frozen=True)
@@ -66,11 +74,12 @@ class Place:
 
 
 class _Found:
-    """A compiled program over a list of arrays, whether it calls `lapack`, and what its results are
-    put together to: things that are no arrays, and `Place`s for those that are."""
+    """A compiled program over a list of arrays, whether it calls `lapack`, how many `operations` it
+    writes out, and what its results are put together to: things that are no arrays, and `Place`s
+    for those that are."""
 
-    def __init__(self, program: Any, lapack: bool, leaves: list[Any], structure: Any):
-        self.program, self.lapack = program, lapack
+    def __init__(self, program: Any, lapack: bool, operations: int, leaves: list, structure: Any):
+        self.program, self.lapack, self.operations = program, lapack, operations
         self.leaves, self.structure = leaves, structure
         places = [(i, x) for i, x in enumerate(leaves) if type(x) is Place]
         self.own = [(i, place.number) for i, place in places if not place.given]
@@ -86,7 +95,7 @@ class _Found:
         return jax.tree.unflatten(self.structure, out)
 
 
-_AT_HAND: Latest[_Found] = Latest(LATEST)
+_AT_HAND: Latest[_Found] = Latest(AT_HAND)
 
 
 def compiled_quickly(
@@ -157,7 +166,7 @@ def _found(function: Callable, options: dict[str, Any], leaves: list, tree: Any)
     found = _AT_HAND.get(form)
     if found is None:
         found = _kept_or_compiled(function, options, leaves, tree)
-        _AT_HAND.keep(form, found)
+        _AT_HAND.keep(form, found, A_PROGRAM + AN_OPERATION * found.operations)
     return found
 
 
@@ -213,24 +222,39 @@ def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: A
 
     flat.__name__ = flat.__qualname__ = getattr(function, "__name__", "program")
     arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
-    with uncollected():
+    with uncollected(), _reported_if_long(function):
         traced = jax.jit(flat).trace(*arrays)
         lowered, places = _lowered(traced, arrays, flat.__name__)
         left, (out, structure) = iter(places), form
         out = [next(left) if eqx.is_array(leaf) else leaf for leaf in out]
         lapack = verdicts.any_lapack(lowered.compiler_ir().operation)
-        before = _found_by_jax()
-        found = _Found(lowered.compile(compiler_options=options), lapack, out, structure)
+        count, before = operations_of(traced.jaxpr.jaxpr), _found_by_jax()
+        found = _Found(lowered.compile(compiler_options=options), lapack, count, out, structure)
     # One that XLA has read and writes again lacks its functions, and fails when it is called.
     if key is None or _found_by_jax() > before:
         return found
     try:
-        content = pickle.dumps((_packed(found), lapack, verdicts.SENTENCES))
+        content = pickle.dumps((_packed(found), lapack, count, verdicts.SENTENCES))
     except Exception:
         # Not every program can be kept: one that calls back into Python, for one.
         return found
     cache_folder.write(cache_folder.PROGRAM, key, content)
     return found
+
+
+@contextmanager
+def _reported_if_long(function: Callable) -> Iterator[None]:
+    """What is compiled within, said where it takes longer than `PATIENCE`: who waits does not know
+    for what."""
+    what = (function.__doc__ or function.__name__).strip().partition("\n")[0]
+    sentence = "jaxclear has been compiling for %g s: %s"
+    timer = threading.Timer(PATIENCE, LOG.warning, (sentence, PATIENCE, what))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 _HITS = threading.local()
@@ -310,7 +334,7 @@ def _from_disk(key: str) -> _Found | None:
     if content is None:
         return None
     try:
-        (program, given, taken, whole), lapack, sentences = pickle.load(io.BytesIO(content))
+        (program, given, taken, whole), lapack, count, sentences = pickle.load(io.BytesIO(content))
         dispatch.known_to_xla()
         if lapack:
             _begin_lapack()
@@ -320,7 +344,7 @@ def _from_disk(key: str) -> _Found | None:
         # Of another version, or without its kernels: as if it were not there.
         return None
     verdicts.SENTENCES.update(sentences)
-    return _Found(loaded, lapack, *jax.tree.flatten(whole))
+    return _Found(loaded, lapack, count, *jax.tree.flatten(whole))
 
 
 @functools.cache

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxclear.native.arithmetic import compare
 from jaxclear.native.long_arrays import carried_in_memory, mapped, put_back, rows_joined
-from jaxclear.native.program import CALLS, called, scan_counts, size_of
+from jaxclear.native.program import CALLS, called, numbers_in, scan_counts, size_of
 from jaxclear.native.writer import (
     FLOAT,
     LONGEST_IN_REGISTERS,
@@ -215,6 +215,8 @@ def _raise(writer, equation, *arguments):
 # equations.
 LONGEST_WRITTEN_OUT = 16
 LARGEST_WRITTEN_OUT = 2000
+# The same of the numbers that these equations go through: LLVM compiles some 10 000 a second.
+MOST_NUMBERS = 20_000
 # Maps over rows of so many and more are loops over these: as `ground.grouping` has it.
 SHORTEST_MAP = 12
 
@@ -253,10 +255,12 @@ def _scan(writer, equation, *arguments):
     refuse_memory(*carry, *rows)
     rows = list(map(in_registers, rows))
     long = p["length"] > LONGEST_WRITTEN_OUT
-    # A row of the turn is chosen among all.
-    few = sum(row.size for row in rows) <= LONGEST_IN_REGISTERS
+    # A row of the turn is chosen among all, which costs no more than what a turn carries.
+    few = sum(row.size for row in rows) <= max(LONGEST_IN_REGISTERS, sum(x.size for x in carry))
     as_a_loop = len(equation.outvars) == carried and not p["reverse"] and (few or not long)
-    if as_a_loop and (long or p["length"] * size_of(p["jaxpr"]) > LARGEST_WRITTEN_OUT):
+    large = p["length"] * size_of(p["jaxpr"]) > LARGEST_WRITTEN_OUT
+    large |= p["length"] * numbers_in(p["jaxpr"]) > MOST_NUMBERS
+    if as_a_loop and (long or large):
         return _counted_loop(writer, p["jaxpr"], fixed, carry, rows, p["length"], kinds)
     if long:
         raise Unsupported("a long scan inside the loop")

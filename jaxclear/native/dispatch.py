@@ -10,7 +10,7 @@ A custom call receives one frame that points to its arrays. `HANDLER` reads the 
 arrays kept in memory and the place of the result out of it; `SAMPLES` brings `lanes` samples at a
 time into the order in which the loop reads them, and its results back. The offsets are those of
 XLA's foreign function interface, version by version: `interface_version` looks at the header that
-comes with jaxlib, and refuses another layout.
+comes with jaxlib, and refuses another layout. The LLVM code stands in the folder `llvm`.
 """
 
 import ctypes
@@ -39,107 +39,15 @@ GONE = b"jaxclear: the kernel of this program has been dropped; compile the prog
 # Code of an internal error in XLA's foreign function interface.
 INTERNAL = 13
 
+
+def template(name: str) -> str:
+    """LLVM code with places to be filled in, from the file of this name."""
+    return (Path(__file__).parent / "llvm" / f"{name}.ll").read_text(encoding="utf-8")
+
+
 # An internal error of XLA's, with its message.
-ERROR = f"""
-define internal ptr @error(ptr %frame, ptr %message) {{
-entry:
-  %given = alloca {{ i64, ptr, ptr, i32 }}
-  %told = insertvalue {{ i64, ptr, ptr, i32 }} {{ i64 28, ptr null, ptr null, i32 {INTERNAL} }},
-    ptr %message, 2
-  store {{ i64, ptr, ptr, i32 }} %told, ptr %given
-  %interface_place = getelementptr i8, ptr %frame, i64 16
-  %interface = load ptr, ptr %interface_place
-  %create_place = getelementptr i8, ptr %interface, i64 48
-  %create = load ptr, ptr %create_place
-  %made = call ptr %create(ptr %given)
-  ret ptr %made
-}}
-"""
-FUNCTION = """{error}
-@message = internal constant [{length} x i8] c"{message}\\00"
-define ptr @{name}(ptr %frame) {{
-entry:
-  %extension_place = getelementptr i8, ptr %frame, i64 8
-  %extension = load ptr, ptr %extension_place
-  %plain = icmp eq ptr %extension, null
-  br i1 %plain, label %execute, label %describe
-describe:
-  %metadata_place = getelementptr i8, ptr %extension, i64 24
-  %metadata = load ptr, ptr %metadata_place
-  %major = getelementptr i8, ptr %metadata, i64 24
-  store i32 {major}, ptr %major
-  %minor = getelementptr i8, ptr %metadata, i64 28
-  store i32 {minor}, ptr %minor
-  %traits = getelementptr i8, ptr %metadata, i64 32
-  store i32 0, ptr %traits
-  %state = getelementptr i8, ptr %metadata, i64 40
-  store i64 0, ptr %state
-  ret ptr null
-execute:
-  %attributes_place = getelementptr i8, ptr %frame, i64 160
-  %attributes = load ptr, ptr %attributes_place
-  %scalar = load ptr, ptr %attributes
-  %number_place = getelementptr i8, ptr %scalar, i64 8
-  %number_pointer = load ptr, ptr %number_place
-  %number = load i64, ptr %number_pointer
-  %table = inttoptr i64 {table} to ptr
-  %first = and i64 %number, {mask}
-  br label %probe
-probe:
-  %place = phi i64 [ %first, %execute ], [ %next, %further ], [ %first, %probe_anew ]
-  %index = mul i64 %place, 2
-  %pair = getelementptr i64, ptr %table, i64 %index
-  %found = load atomic i64, ptr %pair acquire, align 8
-  %hit = icmp eq i64 %found, %number
-  br i1 %hit, label %enter, label %look
-look:
-  %empty = icmp eq i64 %found, 0
-  br i1 %empty, label %missing, label %further
-further:
-  %following = add i64 %place, 1
-  %next = and i64 %following, {mask}
-  br label %probe
-enter:
-  %calls = inttoptr i64 {calls} to ptr
-  %count = getelementptr i64, ptr %calls, i64 %place
-  %before = atomicrmw add ptr %count, i64 1 seq_cst
-  %address_place = getelementptr i64, ptr %pair, i64 1
-  %address = load atomic i64, ptr %address_place seq_cst, align 8
-  %still = load atomic i64, ptr %pair seq_cst, align 8
-  %own = icmp eq i64 %still, %number
-  %there = icmp ne i64 %address, 0
-  %known = and i1 %own, %there
-  br i1 %known, label %call, label %leave
-call:
-  %kernel = inttoptr i64 %address to ptr
-  %error = call ptr %kernel(ptr %frame)
-  %during = atomicrmw sub ptr %count, i64 1 seq_cst
-  ret ptr %error
-leave:
-  %after = atomicrmw sub ptr %count, i64 1 seq_cst
-  br i1 %own, label %missing, label %probe_anew
-probe_anew:
-  br label %probe
-missing:
-  %made = call ptr @error(ptr %frame, ptr @message)
-  ret ptr %made
-}}
-define void @{name}.enter(ptr %pair, i64 %number, i64 %address) {{
-entry:
-  %address_place = getelementptr i64, ptr %pair, i64 1
-  store atomic i64 {changing}, ptr %pair seq_cst, align 8
-  store atomic i64 %address, ptr %address_place seq_cst, align 8
-  store atomic i64 %number, ptr %pair seq_cst, align 8
-  ret void
-}}
-define i64 @{name}.leave(ptr %pair, ptr %count) {{
-entry:
-  %address_place = getelementptr i64, ptr %pair, i64 1
-  %address = atomicrmw xchg ptr %address_place, i64 0 seq_cst
-  %calls = load atomic i64, ptr %count seq_cst, align 8
-  ret i64 %calls
-}}
-"""
+ERROR = template("error").format(internal=INTERNAL)
+FUNCTION = template("function")
 
 
 @functools.cache
@@ -231,116 +139,9 @@ def size() -> int:
 
 # Offsets are in bytes.
 # What XLA's frame holds: the places of arrays and results, and the sizes of the first array.
-ARRAYS = """\
-  %arguments_place = getelementptr i8, ptr %frame, i64 72
-  %arguments = load ptr, ptr %arguments_place
-  %results_place = getelementptr i8, ptr %frame, i64 112
-  %results = load ptr, ptr %results_place
-  %first = load ptr, ptr %arguments
-  %rank_place = getelementptr i8, ptr %first, i64 32
-  %rank = load i64, ptr %rank_place
-  %sizes_place = getelementptr i8, ptr %first, i64 40
-  %sizes = load ptr, ptr %sizes_place"""
-HANDLER = """
-define ptr @{name}(ptr %frame) {{
-entry:
-{sizes}
-  %outer = sub i64 %rank, 1
-  br label %count
-count:
-  %axis = phi i64 [ 0, %entry ], [ %next_axis, %multiply ]
-  %samples = phi i64 [ 1, %entry ], [ %more, %multiply ]
-  %counted = icmp sge i64 %axis, %outer
-  br i1 %counted, label %gather, label %multiply
-multiply:
-  %size_place = getelementptr i64, ptr %sizes, i64 %axis
-  %size = load i64, ptr %size_place
-  %more = mul i64 %samples, %size
-  %next_axis = add i64 %axis, 1
-  br label %count
-gather:
-  %data = alloca ptr, i64 {arrays}
-{loads}
-  %result = load ptr, ptr %results
-  %out_place = getelementptr i8, ptr %result, i64 24
-  %out = load ptr, ptr %out_place
-  call void @{name}.samples(ptr %data, ptr %out, i64 %samples)
-  ret ptr null
-}}
-"""
-SAMPLES = """
-define void @{name}.samples(ptr %data, ptr %out, i64 %samples) {{
-entry:
-  %in = alloca [{inputs} x double], align 64
-  %given = alloca [{outputs} x double], align 64
-  %big = alloca [{places} x ptr], align 64
-  %last = sub i64 %samples, 1
-  %packed = load ptr, ptr %data
-  br label %group
-group:
-  %start = phi i64 [ 0, %entry ], [ %next, %stored ]
-  %going = icmp slt i64 %start, %samples
-  br i1 %going, label %lane, label %done
-lane:
-  %l = phi i64 [ 0, %group ], [ %l_next, %lane_end ]
-  %place = add i64 %start, %l
-  %beyond = icmp sgt i64 %place, %last
-  %sample = select i1 %beyond, i64 %last, i64 %place
-  %row = mul i64 %sample, {width}
-  br label %entry_loop
-entry_loop:
-  %j = phi i64 [ 0, %lane ], [ %j_next, %entry_body ]
-  %more = icmp slt i64 %j, {width}
-  br i1 %more, label %entry_body, label %pointers
-entry_body:
-  %from_index = add i64 %row, %j
-  %from = getelementptr double, ptr %packed, i64 %from_index
-  %value = load double, ptr %from
-  %to_row = mul i64 %j, {lanes}
-  %to_index = add i64 %to_row, %l
-  %to = getelementptr double, ptr %in, i64 %to_index
-  store double %value, ptr %to
-  %j_next = add i64 %j, 1
-  br label %entry_loop
-pointers:
-{pointers}
-  br label %lane_end
-lane_end:
-  %l_next = add i64 %l, 1
-  %all = icmp sge i64 %l_next, {lanes}
-  br i1 %all, label %run, label %lane
-run:
-  call void @{name}.loop(ptr %in, ptr %given, ptr %big)
-  br label %store_lane
-store_lane:
-  %s = phi i64 [ 0, %run ], [ %s_next, %store_end ]
-  %goal = add i64 %start, %s
-  %inside = icmp slt i64 %goal, %samples
-  br i1 %inside, label %store_row, label %stored
-store_row:
-  %k = phi i64 [ 0, %store_lane ], [ %k_next, %store_row ]
-  %give_row = mul i64 %k, {lanes}
-  %give_index = add i64 %give_row, %s
-  %give = getelementptr double, ptr %given, i64 %give_index
-  %gift = load double, ptr %give
-  %goal_row = mul i64 %goal, {height}
-  %goal_index = add i64 %goal_row, %k
-  %goal_place = getelementptr double, ptr %out, i64 %goal_index
-  store double %gift, ptr %goal_place
-  %k_next = add i64 %k, 1
-  %row_done = icmp sge i64 %k_next, {height}
-  br i1 %row_done, label %store_end, label %store_row
-store_end:
-  %s_next = add i64 %s, 1
-  %lanes_done = icmp sge i64 %s_next, {lanes}
-  br i1 %lanes_done, label %stored, label %store_lane
-stored:
-  %next = add i64 %start, {lanes}
-  br label %group
-done:
-  ret void
-}}
-"""
+ARRAYS = template("arrays")
+HANDLER = template("frame")
+SAMPLES = template("samples")
 
 
 # The structures whose offsets are used above, as the header must declare them.

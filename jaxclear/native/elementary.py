@@ -185,10 +185,7 @@ def _absolute(writer, x):
 
 
 # Sum, difference and product.
-_PIECES = {
-    FLOAT: ("fadd contract", "fsub contract", "fmul contract"),
-    WHOLE: ("add", "sub", "mul"),
-}
+_PIECES = {FLOAT: ("fadd contract", "fsub contract", "fmul contract"), WHOLE: ("add", "sub", "mul")}
 
 # fmt: off
 _LIBRARY = (

@@ -137,7 +137,7 @@ def _files(root: Path) -> str:
     """A digest of all files of a package. Raises `Untold` where one is younger than this process:
     another may have been read before."""
     told = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
+    for path in sorted([*root.rglob("*.py"), *root.rglob("*.ll")]):
         own, content = path.stat(), path.read_bytes()
         # A copy may carry an older date; when it came here is told beside it.
         if max(own.st_mtime, own.st_ctime) > as_written.BEGUN:

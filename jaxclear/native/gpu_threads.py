@@ -16,14 +16,7 @@ import re
 from typing import NamedTuple
 
 from jaxclear.native import kernel as kernels
-from jaxclear.native.program import (
-    Program,
-    avals_of,
-    changing,
-    floats_in,
-    in_memory,
-    packed_state,
-)
+from jaxclear.native.program import Program, avals_of, changing, floats_in, in_memory, packed_state
 from jaxclear.native.writer import STOP_FLAG, Unsupported
 
 # Threads that a block has: few, as each wants all the registers that it can have.

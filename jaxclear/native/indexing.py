@@ -29,12 +29,7 @@ from jaxclear.native.writer import (
 
 
 @rule(
-    "copy",
-    "copy_p",
-    "stop_gradient",
-    "optimization_barrier",
-    "reduce_precision",
-    reads_memory=True,
+    "copy", "copy_p", "stop_gradient", "optimization_barrier", "reduce_precision", reads_memory=True
 )
 def _same(writer, equation, *arrays):
     return list(arrays)

@@ -46,8 +46,7 @@ def for_each(writer: Writer, count: int, turn: Callable[[str], None]) -> None:
     following = writer.fresh("k")
     writer.say(f"{following} = add i64 {index}, 1")
     writer.lines.insert(
-        place,
-        f"  {index} = phi i64 [ 0, %{before} ], [ {following}, %{writer.block} ]",
+        place, f"  {index} = phi i64 [ 0, %{before} ], [ {following}, %{writer.block} ]"
     )
     more = writer.put(f"icmp slt i64 {following}, {count}")
     writer.say(f"br i1 {more}, label %{head}, label %{behind}")

@@ -171,6 +171,16 @@ def size_of(program: Any) -> int:
     return total
 
 
+def numbers_in(program: Any) -> int:
+    """Numbers that the equations of a program go through, each the largest of its arrays."""
+    total = 0
+    for equation in getattr(program, "jaxpr", program).eqns:
+        inner = [v for v in equation.params.values() if isinstance(v, (Jaxpr, ClosedJaxpr))]
+        sizes = (v.aval.size for v in (*equation.invars, *equation.outvars))
+        total += sum(map(numbers_in, inner)) if inner else max(sizes, default=0)
+    return total
+
+
 def known_first(program: ClosedJaxpr, arguments: Sequence[Any]) -> dict[Any, Any]:
     """Values of a program's variables as it begins."""
     jaxpr = program.jaxpr

@@ -407,20 +407,6 @@ def driving(history: StateHistory, name: str) -> Float[Array, " time"]:
 
 
 @eqx.filter_jit
-def of_row(history: StateHistory, name: str) -> Float[Array, " time"]:
-    """What a coupling that is a row transmits over time [N m, N]."""
-
-    def one(now):
-        system, _, solution = solved(history, now)
-        wanted = system.closures[system.topology.loops.index(name)]
-        every = constraints.by_closure(system, now.motions, solution.multipliers)
-        own = next(own for closure, own in every if closure is wanted)
-        return jnp.asarray(own.get(0, 0.0), float)
-
-    return over_time(history, one)
-
-
-@eqx.filter_jit
 def drift(history: StateHistory) -> dict[str, Float[Array, " time"]]:
     """Largest residual [m, 1] of each loop closure, by the joint that closes the loop."""
 

@@ -30,10 +30,11 @@ from jaxclear.ground.table import as_table
 from jaxclear.ground.warning import warn
 from jaxclear.integrators.events import Events
 from jaxclear.multibody import contact_point, kinematics
+from jaxclear.multibody.topology import moves_along
 from jaxclear.results.histories import check_contact_joint, contact
 from jaxclear.results.state_history import StateHistory, over_time
 
-COLUMNS = ["time [s]", "joint", "contact", "event", "speed [m/s]"]
+COLUMNS = ["time [s]", "joint", "contact", "event"]
 
 
 def events(history: StateHistory, noted: Events | None, names: tuple[str, ...]) -> Any:
@@ -47,7 +48,7 @@ def events(history: StateHistory, noted: Events | None, names: tuple[str, ...]) 
     for name in names:
         if name not in history.layout().plays:
             check_contact_joint(history, name)
-    rows, lost = [], 0
+    mechanism, rows, lost = history.mechanism, [], 0
     for own in of_contacts(history, noted):
         if names and own.joint not in names:
             continue
@@ -56,7 +57,16 @@ def events(history: StateHistory, noted: Events | None, names: tuple[str, ...]) 
             event = "touch" if rate > 0 else "release"
             rows.append((time, own.joint, own.contact, event, abs(rate)))
     warn_of_lost(lost, noted)
-    return as_table(sorted(rows), columns=COLUMNS)
+    unit = {name: _unit_of_rate(mechanism, name) for name in {row[1] for row in rows}}
+    units = sorted({*unit.values()}) or ["m/s"]
+    found = as_table(sorted(rows), columns=[*COLUMNS, f"speed [{' or '.join(units)}]"])
+    return found if len(units) == 1 else found.assign(unit=[unit[row[1]] for row in sorted(rows)])
+
+
+def _unit_of_rate(mechanism: Any, name: str) -> str:
+    """Of the indentation of a joint's contacts, or of the twist of a coupling."""
+    own = mechanism.couplings.get(name)
+    return "m/s" if own is None or moves_along(mechanism, own) else "rad/s"
 
 
 class ContactEvents(NamedTuple):

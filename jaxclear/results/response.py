@@ -22,7 +22,8 @@ from jaxclear.ground.arguments import check_known
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_given, count
 from jaxclear.ground.wording import described
-from jaxclear.multibody.topology import coordinate_units
+from jaxclear.multibody.topology import coordinate_units, turns
+from jaxclear.multibody.transmissions import torque_on_flanks
 from jaxclear.results.pointing_error import checked_through, checked_tip, tip_errors
 from jaxclear.results.trajectory import Trajectory
 
@@ -33,6 +34,7 @@ __all__ = [
     "LostMotion",
     "MeanContactForce",
     "PeakContactForce",
+    "PeakTransmitted",
     "PeakWornDepth",
     "PointingAngle",
     "PositionError",
@@ -260,10 +262,34 @@ class PeakContactForce(AbstractResponse):
         return "peak forces"
 
     def __call__(self, run):
-        saved = jnp.max(run.contact(self.joint).normal_force)
-        met = _largest_met(run, self.joint)
-        # A saving time is the end of a step too; as large, the peak beside it is the larger.
-        return jnp.where(met >= (1 - SAME_FORCE) * saved, met, saved)
+        return peak_of_steps(run, self.joint, jnp.max(run.contact(self.joint).normal_force))
+
+
+class PeakTransmitted(AbstractResponse):
+    """Largest torque [N m] or force [N] that a coupling transmits, as `Trajectory.transmitted` has
+    it, whichever way: at the saving times, and of flanks with play in all steps between them."""
+
+    coupling: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True, default="", kw_only=True)
+
+    def unit_in(self, mechanism):
+        own = mechanism.couplings.get(self.coupling)
+        return self.unit or ("N m" if own is not None and turns(mechanism, own) else "N")
+
+    def drawn_from(self):
+        return "peak forces"
+
+    def __call__(self, run):
+        check_known("coupling", self.coupling, run.mechanism.couplings)
+        saved = jnp.max(jnp.abs(run.transmitted(self.coupling)))
+        return peak_of_steps(run, self.coupling, saved)
+
+
+def peak_of_steps(run: Trajectory, name: str, saved: Scalar) -> Scalar:
+    """The largest force of a joint or a flank in all steps, from that at the saving times."""
+    met = _largest_met(run, name)
+    # A saving time is the end of a step too; as large, the peak beside it is the larger.
+    return jnp.where(met >= (1 - SAME_FORCE) * saved, met, saved)
 
 
 def _largest_met(run: Trajectory, joint: str) -> Scalar:
@@ -273,17 +299,21 @@ def _largest_met(run: Trajectory, joint: str) -> Scalar:
     followed = extremes is not None and joint in extremes.contacts
     if not followed or run.formulation.forces_are_means:
         return jnp.zeros(())
-    bearing = run.history.model().system.bearings[joint]
+    system = run.history.model().system
     depths, *forces = (
         [each[k] for k, place in enumerate(extremes.contacts) if place == joint]
         for each in (extremes.indentation, extremes.force)
         if each is not None
     )
-    found = [
-        laws.contact.elastic_force(depth)
-        for laws, depth in zip(bearing.contact_laws, depths, strict=True)
-        if laws.unfitted is None
-    ]
+    if joint in system.transmissions:
+        own = system.transmissions[joint]
+        found = [torque_on_flanks(own, depth, jnp.zeros(())) for depth in depths]
+    else:
+        found = [
+            laws.contact.elastic_force(depth)
+            for laws, depth in zip(system.bearings[joint].contact_laws, depths, strict=True)
+            if laws.unfitted is None
+        ]
     return jnp.max(jnp.stack([jnp.zeros(()), *found, *itertools.chain(*forces)]))
 
 

@@ -119,18 +119,23 @@ class RunStats(AbstractShown):
 class Extremes(AbstractShown):
     """The largest of all steps, whatever the saving times: `indentation` [m] of every possible
     contact and normal `force` [N] (None: no contact damps, so that it follows from the
-    indentation); `contacts`: their joints."""
+    indentation); `contacts`: their joints, or couplings with play, whose flanks are pressed by an
+    angle [rad] and a torque [N m] where they `turn`."""
 
     indentation: Float[Array, "*batch contacts"]
     force: Float[Array, "*batch contacts"] | None
     contacts: tuple[str, ...] = eqx.field(static=True)
+    turn: tuple[bool, ...] = eqx.field(static=True, default=())
 
     def _shown(self):
         if is_traced(self) or np.ndim(self.indentation) != 1:
             return "the largest of traced runs, or of several"
         columns = {"contact in": self.contacts, "indentation": np.asarray(self.indentation)}
         columns |= {} if self.force is None else {"normal force": np.asarray(self.force)}
-        return (as_table(columns, units={"indentation": "m", "normal force": "N"}),)
+        if not any(self.turn):
+            return (as_table(columns, units={"indentation": "m", "normal force": "N"}),)
+        columns["unit"] = ["rad, N m" if turn else "m, N" for turn in self.turn]
+        return (as_table(columns),)
 
 
 class Trajectory(AbstractShown):
@@ -317,9 +322,10 @@ class Trajectory(AbstractShown):
     @on_numbers
     def events(self, *names: str) -> Any:
         """Touches and releases of joints (all with clearance by default) in their order, as a
-        pandas table (time [s], joint, contact, event, speed [m/s]): instants of the run, located
-        within its steps, whatever the saving times. Needs `save=Saving(events=...)`; warns where
-        there were more than that many of a contact between two saving times."""
+        pandas table (time [s], joint, contact, event, speed [m/s], of flanks that turn [rad/s]):
+        instants of the run, located within its steps, whatever the saving times. Needs
+        `save=Saving(events=...)`; warns where there were more than that many of a contact between
+        two saving times."""
         return modes.events(self.history, self.noted, names)
 
     @on_numbers

@@ -1,6 +1,7 @@
 """What couplings with play or stiffness, and motors without a body, tell of a run: twist, torque,
 which flank presses."""
 
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -16,7 +17,8 @@ from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.table import as_table
-from jaxclear.multibody.forces import coordinate_effect, force_of
+from jaxclear.multibody import constraints
+from jaxclear.multibody.forces import coordinate_effect, force_of, pressing_of
 from jaxclear.multibody.system import coordinate_loads, scale_of
 from jaxclear.multibody.topology import motor_name
 from jaxclear.results.histories import (
@@ -24,7 +26,6 @@ from jaxclear.results.histories import (
     driving,
     is_unique,
     measured,
-    of_row,
     solved,
 )
 from jaxclear.results.state_history import StateHistory, check_known, over_time
@@ -108,7 +109,7 @@ def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
     if name not in mechanism.couplings:
         return driving(history, name)
     is_unique(history, name, f'what coupling "{name}" transmits')
-    return (of_row if name in mechanism.topology.couplings else _given)(history, name)
+    return _sent(history, name)
 
 
 @eqx.filter_jit
@@ -126,24 +127,48 @@ def _of_load(history: StateHistory, name: str) -> Float[Array, " time"]:
 
 
 @eqx.filter_jit
-def _given(history: StateHistory, name: str) -> Float[Array, " time"]:
-    """What a coupling that is no row transmits [N m, N]: of one with play or stiffness that on its
-    first coordinate; of a motor that turns with a joint what it gives this."""
+def _sent(history: StateHistory, name: str) -> Float[Array, " time"]:
+    return over_time(history, lambda now: sent_at(history, now, (name,))[0])
 
-    def one(now: Instant):
+
+def sent_at(history: StateHistory, now: Instant, names: tuple[str, ...]) -> tuple[Array, ...]:
+    """What each of these couplings transmits at an instant [N m, N]: of a row its multiplier; of
+    one with play or stiffness that on its first coordinate; of a motor that turns with a joint what
+    it gives this."""
+    pressed = functools.cache(lambda: _pressed(history, now))
+    solution = functools.cache(lambda: solved(history, now))
+    rows = functools.cache(lambda: _by_row(now, solution()[2]))
+
+    def one(name):
         own = history.mechanism.couplings[name]
+        if name in history.mechanism.topology.couplings:
+            return rows()[name]
         if isinstance(own, AbstractForceCoupling):
             return force_of(now.model.system, now.motions, name, now.time, now.followed)
-        if own.gives:
-            return -jnp.asarray(history.formulation.forces(now).pressing[name].torque, float)
-        return _geared(history, now, name)
+        return -pressed()[name].torque if own.gives else _geared(history, now, name, solution())
 
-    return over_time(history, one)
+    return tuple(jnp.asarray(one(name), float) for name in names)
 
 
-def _geared(history: StateHistory, now: Instant, name: str) -> Any:
-    """The torque on the joint: what loads on the motor leave of its inertia."""
-    system, _, solution = solved(history, now)
+def _pressed(history: StateHistory, now: Instant) -> dict[str, Any]:
+    """What couplings with play or stiffness do; of rigid flanks means over saving intervals."""
+    if history.formulation.forces_are_means:
+        return history.formulation.forces(now).pressing
+    return pressing_of(now.model.system, now.motions, now.followed)
+
+
+def _by_row(now: Instant, solution: Any) -> dict[str, Any]:
+    """The multiplier of the first row of every closure, by what closes the loop."""
+    system = now.model.system
+    every = constraints.by_closure(system, now.motions, solution.multipliers)
+    names = system.topology.loops
+    return {name: own.get(0, 0.0) for name, (_, own) in zip(names, every, strict=True)}
+
+
+def _geared(history: StateHistory, now: Instant, name: str, found: tuple) -> Any:
+    """The torque on the joint: what loads on the motor leave of its inertia; `found` as `solved`
+    has it."""
+    system, _, solution = found
     motor = motor_name(name)
     own = system.geared[motor]
     branch = system.topology.branch_of(own.joint)

@@ -153,9 +153,10 @@ LONGER = {1: (1.5, 2.0), 2: (2.0,)}
 SHORTER, FEWEST = {1: (1 / 2, 1 / 3), 2: (1 / 2,)}, 4
 # Share of a derivative by which the other steps may tell it to be off.
 TRUSTED = 0.01
-# A derivative that moves something by so small a share of the least by which a number moves it is
-# rounding: a drive, not friction, says where a mechanism is.
-ROUNDING = 1e-12
+# A derivative that moves something by less than this share of the least by which a number moves
+# counts as one that does by so much: of equal steps it is rounding (a drive, not friction, says
+# where a mechanism is), of those that a tolerance decides what this leaves.
+SMALLEST = {"equal": 1e-9, "by tolerance": 1e-2}
 
 
 def is_compared(mechanism: Mechanism, integrator: AbstractIntegrator) -> bool:
@@ -164,9 +165,16 @@ def is_compared(mechanism: Mechanism, integrator: AbstractIntegrator) -> bool:
     return integrator.with_finer_steps(HALF) is not None and not refusal(mechanism, integrator)
 
 
-def in_other_steps(integrator: Any, share: Any) -> Any:
-    """The integrator in steps that share as long (None: as they are)."""
-    return integrator if share is None else integrator.with_finer_steps(share)
+def in_other_steps(integrator: Any, share: Any, times: Any) -> Any:
+    """The integrator in steps that share as long (None: as they are). Those that a tolerance
+    decides are shorter than intervals between saving `times` [s] too: at rest no tolerance makes
+    them so, and they are too long for a derivative."""
+    if share is None:
+        return integrator
+    finer = integrator.with_finer_steps(share)
+    if integrator.asked_step() is not None:
+        return finer
+    return finer.held(jnp.where(share < 1, share * jnp.max(jnp.diff(times)), jnp.inf))
 
 
 def order_of(integrator: AbstractIntegrator) -> int:
@@ -182,8 +190,8 @@ def compared(
 
     `judged`: of what was found, its derivatives, of the run itself in front and behind it those in
     other steps, how large errors of this `order` are in these beside its own, and of which share of
-    what was found a derivative is rounding; `steps(*arguments)`: (a step's length [s], the times
-    [s] at which one ends)."""
+    what was found the smallest derivative is that counts; `steps(*arguments)`: (a step's length [s]
+    or None, the times [s] at which one ends)."""
 
     def known(*arguments: Any) -> Any:
         arrays, rest = eqx.partition(arguments, eqx.is_array)
@@ -196,7 +204,9 @@ def compared(
             return eqx.partition(found, eqx.is_inexact_array)
 
         def moving(_, numbers, tangents):
-            shares, ratios = _shares(*steps(*eqx.combine(numbers[0], rest)), order)
+            step, times = steps(*eqx.combine(numbers[0], rest))
+            shares, ratios = _shares(step, times, order)
+            smallest = SMALLEST["by tolerance" if step is None else "equal"]
 
             def one(share):
                 (out, left), (ways, _) = pushed(lambda arrays: gone(share, arrays), *both)
@@ -206,7 +216,7 @@ def compared(
             out, left, ways = jax.vmap(one)(shares)
             found, left = jax.tree.map(lambda each: each[0], (out, left))
             still = jax.tree.map(lambda each: np.zeros(each.shape, jax.dtypes.float0), left)
-            told = judged(eqx.combine(found, left), ways, ratios, ROUNDING * _least(*both))
+            told = judged(eqx.combine(found, left), ways, ratios, smallest * _least(*both))
             return (found, left), (told, still)
 
         own = jax.custom_jvp(gone, nondiff_argnums=(0,))
@@ -240,14 +250,13 @@ def _least(numbers: Any, tangents: Any) -> Scalar:
     return jnp.where(jnp.isfinite(least), least, 0.0)
 
 
-def where_alike(ways: Array, ratios: Array, scale: Array, rounding: Any) -> Array:
+def where_alike(ways: Array, ratios: Array, scale: Array, smallest: Any) -> Array:
     """Derivatives of the run itself, the first of `ways`, nan where those in other steps tell that
-    they are off by too large a share of this `scale`, unless all are no more than `rounding`."""
+    they are off by too large a share of this `scale`, or of the `smallest` that counts."""
     own, others = ways[0], ways[1:]
     ratios = jnp.expand_dims(ratios, tuple(range(1, others.ndim)))
     off = jnp.max(abs(others - own) / abs(ratios - 1), axis=0)
-    nothing = jnp.max(abs(ways), axis=0) <= rounding
-    known = (off <= TRUSTED * scale) | nothing | jnp.isnan(own)
+    known = (off <= TRUSTED * jnp.maximum(scale, smallest)) | jnp.isnan(own)
     return jnp.where(known, own, Unknown.STEPS_DECIDE.number)
 
 

@@ -41,8 +41,10 @@ from jaxclear.integrators.checks import (
 )
 from jaxclear.multibody import constraints, dynamics, kinematics, loops, state
 from jaxclear.multibody.contact_point import depths
+from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.reach import rooms, shortest_part
 from jaxclear.multibody.system import System, longest_arm, wear_maps
+from jaxclear.multibody.topology import moves_along
 from jaxclear.native import through_rows
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Trajectory
@@ -214,6 +216,12 @@ def contact_names(model: Model) -> tuple[str, ...]:
     """The joint, or the coupling with play, of every possible contact."""
     joints = tuple(name for name, kinds in model.layout.memories for _ in kinds)
     return joints + tuple(name for name in model.layout.plays for _ in range(2))
+
+
+def contacts_that_turn(mechanism: Mechanism, model: Model) -> tuple[bool, ...]:
+    """Of each of them whether it is pressed by an angle: the flanks of most couplings."""
+    plays = [not moves_along(mechanism, mechanism.couplings[n]) for n in model.layout.plays]
+    return (False,) * model.layout.joint_contacts + tuple(x for own in plays for x in (own, own))
 
 
 def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[str, ...]]:

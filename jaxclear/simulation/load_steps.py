@@ -3,24 +3,28 @@ between the instants at which a step looks, and nothing in a run's numbers tells
 
 So functions of time are looked at alone, before a run: what steps of that length make of their
 impulse, by Simpson's rule over each, beside the impulse as it is. Steps that find their own length
-(`Adaptive`) are held to one that sees them.
+(`Adaptive`) are to end where a function changes between coarser looks. Loads of the user's own may
+change with the motion too: they are looked at along a run, behind it.
 """
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.components.acting import AbstractStateLoad
 from jaxclear.components.drive import AbstractDrive
 from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.joint.base import drive_of
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.latest import Key
 from jaxclear.ground.quantity import concrete, is_traced, on_device, on_host
+from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.multibody.mechanism import Mechanism
@@ -29,12 +33,12 @@ from jaxclear.results.trajectory import Trajectory
 
 # Instants at which a function is looked at: so many in a step, and in the whole run at least and at
 # most. Of more steps than these nothing is said.
-IN_A_STEP, LEAST, MOST = 4, 2**13, 2**23
-# So many at once, whatever their number, so that nothing is compiled anew.
-TOGETHER = 2**13
-# Share of an impulse up to which steps under error control see what changes, and so many steps at
-# most a run is made to take by holding them.
-SEEN, MOST_HELD = 0.02, 10**6
+IN_A_STEP, LEAST, MOST = 4, 2**18, 2**23
+# So many at once, whatever their number, so that nothing is compiled anew; and so many coarser
+# looks, between which steps under error control are to end where a function departs from a straight
+# line by this share of its integral, and changes by this share of that: at so many times at most.
+TOGETHER, COARSE = 2**16, 2**13
+SEEN, DIFFERENT, MOST_BREAKS = 1e-3, 0.01, 2**10
 
 
 def functions_of_time(mechanism: Mechanism) -> dict[str, Any]:
@@ -77,6 +81,8 @@ def check_finite(functions: Mapping[str, Any], times: np.ndarray) -> None:
 def passed_over(functions: Mapping[str, Any], edges: np.ndarray) -> dict[str, float]:
     """By name the share of what each gives that steps with these ends [s] pass over: the largest
     error of its impulse, beside how far the impulse goes. Of what never changes that is 0."""
+    from scipy.integrate import cumulative_simpson
+
     count = len(edges) - 1
     parts = 2 * max(IN_A_STEP // 2, -(-LEAST // (2 * count)))
     if count * parts > MOST:
@@ -84,17 +90,13 @@ def passed_over(functions: Mapping[str, Any], edges: np.ndarray) -> dict[str, fl
     steps = np.diff(edges)
     times = edges[:-1, None] + steps[:, None] * np.arange(parts) / parts
     times = np.append(times.ravel(), edges[-1])
-    rates, impulses = _sampled(dict(functions), times)
-    return {
-        name: max(
-            (
-                _share(rate, impulse, steps, parts)
-                for rate, impulse in zip(rates[name], impulses[name], strict=True)
-            ),
-            default=0.0,
+    shares = dict[str, list[float]]()
+    for name, (rates, known) in _sampled(dict(functions), times).items():
+        known = (
+            [cumulative_simpson(x, x=times, initial=0) for x in rates] if known is None else known
         )
-        for name in functions
-    }
+        shares[name] = [_share(*own, steps, parts) for own in zip(rates, known, strict=True)]
+    return {name: max(each, default=0.0) for name, each in shares.items()}
 
 
 def _share(rate: np.ndarray, impulse: np.ndarray, steps: np.ndarray, parts: int) -> float:
@@ -113,9 +115,7 @@ def _share(rate: np.ndarray, impulse: np.ndarray, steps: np.ndarray, parts: int)
 @compiled_quickly
 def _values(functions: dict[str, Any], times: jax.Array) -> dict[str, tuple]:
     """Of each function its rates, and their integrals where these are known, at these times."""
-    return {
-        name: jax.vmap(lambda t, own=own: _at(own, t))(times) for name, own in functions.items()
-    }
+    return {name: jax.vmap(functools.partial(_at, own))(times) for name, own in functions.items()}
 
 
 def _at(function: Any, time: Any) -> tuple[list, list | None]:
@@ -132,38 +132,20 @@ def _columns(found: Any) -> list:
     return [x for leaf in jax.tree.leaves(found) for x in jnp.ravel(jnp.asarray(leaf, float))]
 
 
-def _sampled(functions: dict[str, Any], times: np.ndarray) -> tuple[dict, dict]:
-    """By name the rates and impulses of each function at these times, a list of histories."""
+def _sampled(functions: dict[str, Any], times: np.ndarray) -> dict[str, tuple]:
+    """By name the rates of each function at these times, and their integrals where these are known
+    (None: they are not), as lists of histories."""
     padded = np.append(times, np.full(-len(times) % TOGETHER, times[-1]))
     rows = jnp.asarray(padded.reshape(-1, TOGETHER))
     found = [jax.device_get(_values(functions, row)) for row in rows]
-    joined = jax.tree.map(lambda *parts: np.concatenate(parts)[: len(times)], *found)
-    rates = {name: rate for name, (rate, _) in joined.items()}
-    impulses = {
-        name: [_integrated(each, times) for each in rate] if known is None else known
-        for name, (rate, known) in joined.items()
-    }
-    return rates, impulses
-
-
-def _integrated(rate: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """The integral of a rate from the first time to each, by Simpson's rule over pairs of parts."""
-    h = np.diff(times)[::2]
-    begin, middle, end = rate[:-1:2], rate[1::2], rate[2::2]
-    found = np.zeros(len(times))
-    found[2::2] = np.cumsum(h * (begin + 4 * middle + end) / 3)
-    found[1::2] = found[:-1:2] + h * (5 * begin + 8 * middle - end) / 12
-    return found
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[: len(times)], *found)
 
 
 def step_ends(times: np.ndarray, step: float | None, fixed: int | None = None) -> np.ndarray | None:
     """Ends [s] of steps no longer than `step` [s] between saving times, or of the `fixed` number;
     None where they are more than anybody looks at."""
     intervals = np.diff(times)
-    if fixed is None:
-        counts = np.maximum(np.ceil(intervals / step * (1 - SLIVER)), 1)
-    else:
-        counts = np.full(intervals.shape, fixed)
+    counts = np.maximum(np.ceil(intervals / (step or np.inf) * (1 - SLIVER)), fixed or 1)
     if np.sum(counts) * IN_A_STEP > MOST:
         return None
     pairs = zip(times[:-1], intervals, counts.astype(int), strict=True)
@@ -198,44 +180,84 @@ def judged_by(passed: dict[str, float], run: Trajectory) -> Trajectory:
 def load_steps(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any) -> LoadSteps:
     """How a run that is saved at these times [s], the first of which it begins at, sees what its
     loads and drives do. Nothing is said of numbers that are being traced."""
-    functions = on_host(functions_of_time(mechanism))
+    return _looked_at(functions_of_time(mechanism), integrator, times)
+
+
+def _looked_at(functions: dict[str, Any], integrator: AbstractIntegrator, times: Any) -> LoadSteps:
+    functions = on_host(functions)
     if not functions or is_traced((functions, integrator, times)):
         return LoadSteps(integrator, {})
     step, fixed = concrete(integrator.asked_step()), integrator.steps_between_saves
     # What is known of them is looked at, also where something else is being traced.
     with jax.ensure_compile_time_eval():
-        length, passed = _seen(Key(functions, np.asarray(times), step, fixed))
-    return LoadSteps(integrator if length is None else integrator.held(length), passed)
+        breaks, passed = _seen(Key(functions, np.asarray(times), step, fixed))
+    return LoadSteps(_ending_at(integrator, breaks), passed)
+
+
+def _ending_at(integrator: AbstractIntegrator, breaks: np.ndarray) -> AbstractIntegrator:
+    """The integrator with steps that end at these times [s] too; itself where there are none."""
+    known = [] if integrator.breaks is None else on_host(integrator.breaks)
+    if not isinstance(integrator, Adaptive) or np.isin(breaks, known).all():
+        return integrator
+    every = np.append(np.union1d(known, breaks), np.full(MOST_BREAKS, np.inf))[:MOST_BREAKS]
+    return dataclasses.replace(integrator, breaks=every)
 
 
 @functools.lru_cache(maxsize=64)
-def _seen(question: Key) -> tuple[float | None, dict[str, float]]:
-    """The length [s] to which steps that find it themselves are to be held (None: they need not
-    be), and by name the shares that steps pass over."""
+def _seen(question: Key) -> tuple[np.ndarray, dict[str, float]]:
+    """The times [s] at which steps that find their own length are to end, and by name the shares
+    that others pass over."""
     everything, times, step, fixed = question.asked
     functions = {name: each for name, each in everything.items() if changes(each)}
     check_finite(functions, times)
-    if not functions:
-        return None, {}
-    if step is not None or fixed is not None:
-        edges = step_ends(times, step, fixed)
-        return None, {} if edges is None else passed_over(functions, edges)
-    passed: dict[str, float] = {}
-    for halvings, (length, passed) in enumerate(_halved(functions, times)):
-        if max(passed.values(), default=0.0) <= SEEN:
-            return length if halvings else None, {}
-    return None, passed
+    edges = step_ends(times, step, fixed) if step is not None or fixed is not None else None
+    passed = passed_over(functions, edges) if functions and edges is not None else {}
+    if not functions or step is not None or fixed is not None:
+        return np.zeros(0), passed
+    looks = np.linspace(times[0], times[-1], LEAST + 1)
+    rates = [rate for own, _ in _sampled(functions, looks).values() for rate in own]
+    return np.concatenate([_changes(rate, looks) for rate in rates]), {}
 
 
-def _halved(
-    functions: dict[str, Any], times: np.ndarray
-) -> Iterator[tuple[float, dict[str, float]]]:
-    """Steps [s] from the longest between saving times on, each half as long as the one before, with
-    what they pass over."""
-    length = np.diff(times).max()
-    while times[-1] - times[0] <= MOST_HELD * length:
-        edges = step_ends(times, length)
-        if edges is None:
-            return
-        yield length, passed_over(functions, edges)
-        length = 0.5 * length
+def _changes(rate: np.ndarray, looks: np.ndarray) -> np.ndarray:
+    """The looks [s] between which a function changes that coarser ones do not tell."""
+    every = (len(looks) - 1) // COARSE
+    off = np.abs(rate - np.interp(looks, looks[::every], rate[::every]))
+    unseen = off[1:].reshape(-1, every).sum(axis=1) > SEEN * max(np.abs(rate).sum(), 1e-300)
+    changed = np.repeat(unseen, every) & (np.abs(np.diff(rate)) > DIFFERENT * off.max())
+    return looks[np.append(changed, False) | np.append(False, changed)][:MOST_BREAKS]
+
+
+class _AlongRun(eqx.Module):
+    """What a load does along a run, as a function of time [s]: coordinates and speeds are
+    polynomials between its saving times."""
+
+    load: Any
+    times: Any
+    places: Any
+    speeds: Any
+
+    def __call__(self, time):
+        i = jnp.clip(jnp.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2)
+        at = lambda pieces: tuple(jnp.polyval(pieces[:, i], time - self.times[i]))
+        states = tuple(jnp.asarray(each.start, float) for each in self.load.states())
+        return self.load.effect(time, at(self.places), at(self.speeds), states).forces
+
+
+def felt_along(run: Trajectory, integrator: AbstractIntegrator) -> LoadSteps:
+    """The same for what loads of the user's own on coordinates do along a run; the integrator
+    itself where the run has felt them."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    functions, times, ours = {}, run.time, __name__.partition(".")[0]
+    known = not is_traced(run) and run.succeeded
+    for name, load in run.mechanism.loads.items():
+        own = type(load).__module__.partition(".")[0] != ours and known
+        if own and isinstance(load, AbstractStateLoad) and load.sampled_every() is None:
+            read = lambda what, load=load: np.stack(
+                [np.ravel(what(x)) for x in load.coordinates()], 1
+            )
+            path = CubicHermiteSpline(np.asarray(times), read(run.coordinate), read(run.speed))
+            pieces = jnp.asarray(path.c), jnp.asarray(path.derivative().c)
+            functions[name] = _AlongRun(load, jnp.asarray(times), *pieces)
+    return _looked_at(functions, integrator, times)

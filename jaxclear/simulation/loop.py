@@ -35,7 +35,7 @@ from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.error_weights import error_weights
 from jaxclear.simulation.initial_state import Past
-from jaxclear.simulation.invariants import contact_names, judged, sunk_in
+from jaxclear.simulation.invariants import contact_names, contacts_that_turn, judged, sunk_in
 from jaxclear.simulation.sampling import next_instant, sampled, sampled_loads
 from jaxclear.simulation.saving import with_few_enough_steps
 from jaxclear.simulation.wear import (
@@ -186,7 +186,8 @@ def run(
     if noted is not None:
         noted = noted._replace(counts=noted.counts * (times[:-1] <= last.ended)[:, None])
     met = last.peaks
-    extremes = None if met is None else Extremes(*met, contact_names(model))
+    contacts = contact_names(model), contacts_that_turn(mechanism, model)
+    extremes = None if met is None else Extremes(*met, *contacts)
     ends = history, last.worn, last.outcome, last.ended, stats
     return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn)
 
@@ -209,7 +210,12 @@ def sketched(
         jnp.asarray(Outcome.REACHED),
         times[-1],
         RunStats(none, none, none),
-        extremes=Extremes(jnp.zeros(len(contacts)), jnp.zeros(len(contacts)), contacts),
+        extremes=Extremes(
+            jnp.zeros(len(contacts)),
+            jnp.zeros(len(contacts)),
+            contacts,
+            contacts_that_turn(mechanism, model),
+        ),
         noted=Events(blank, blank, blank[:, :, 0]) if events else None,
     )
 
@@ -276,6 +282,7 @@ class _Turn:
 
     def __init__(self, model: Model, integrator: AbstractIntegrator, report: bool):
         self.model, self.report, self.step = model, report, integrator.asked_step()
+        self.breaks = integrator.breaks
         self.arrays, rest = packed((model, integrator))
 
         def advance(arrays, read, ahead, state, warm_start):
@@ -407,10 +414,11 @@ def _in_parts(loop: Callable, part: Callable, begun: Any, span: Span) -> Any:
     return loop(lambda now: now[0] < parts, turn, (jnp.zeros((), int), begun, nothing))[1:]
 
 
-def _between_instants(system: System, loop: Callable, part: Callable) -> Callable:
+def _between_instants(turn: _Turn, loop: Callable, part: Callable) -> Callable:
     """A part of a saving interval that is gone through from instant to instant of what is sampled,
-    by a while `loop`; the part itself where nothing is."""
-    if not sampled_loads(system):
+    and of what steps are to end at, by a while `loop`; the part itself where there are none."""
+    system, breaks = turn.model.system, turn.breaks
+    if not sampled_loads(system) and breaks is None:
         return part
 
     def parts(begun, span):
@@ -420,6 +428,8 @@ def _between_instants(system: System, loop: Callable, part: Callable) -> Callabl
         def turn(now):
             time, carry, (_, noted) = now
             ahead = next_instant(system, time, span.stop)
+            if breaks is not None:
+                ahead = jnp.min(jnp.where(breaks > time, breaks, ahead), initial=ahead)
             progress = span.progress * (ahead - time) / (span.stop - span.start)
             carry, (left, more) = part(
                 carry, span._replace(start=time, stop=ahead, progress=progress)
@@ -456,7 +466,7 @@ def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tupl
         limits, spans = _update_limits(model.system, spans, step, updates)
         length = limits.longest
         part = _between_updates(turn, limits, step, settled, by_kernel)
-    part = _between_instants(model.system, by_kernel, part)
+    part = _between_instants(turn, by_kernel, part)
 
     def one(carry, span):
         carry, (_, noted) = part(carry, span)
@@ -489,7 +499,7 @@ def _from_save_to_save(
         return now._replace(worn=worn, read=read), left
 
     if counted is None:
-        part = _between_instants(system, jax.lax.while_loop, part)
+        part = _between_instants(turn, jax.lax.while_loop, part)
 
     def one(now, span):
         wears = first.worn and counted is None

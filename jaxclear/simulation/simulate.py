@@ -18,7 +18,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.latest import Found, Key, Latest
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import is_traced, on_host
+from jaxclear.ground.quantity import is_traced, on_host, with_quantities
 from jaxclear.ground.warning import told
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
@@ -39,7 +39,7 @@ from jaxclear.simulation.derivatives import (
     until_the_end,
 )
 from jaxclear.simulation.initial_state import Beginning, beginning, state_of
-from jaxclear.simulation.load_steps import LoadSteps, judged_by, load_steps
+from jaxclear.simulation.load_steps import LoadSteps, felt_along, judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.not_finite import told_of_the_end
 from jaxclear.simulation.sampling import check_instants
@@ -76,7 +76,7 @@ def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, 
     given = mechanism, coordinates, speeds, times, integrator, extras, past, updates
     whole: Any = run
     if is_compared(mechanism, integrator):
-        finer = lambda share, *own: (*own[:4], in_other_steps(own[4], share), *own[5:])
+        finer = lambda share, *own: (*own[:4], in_other_steps(own[4], share, own[3]), *own[5:])
         steps = lambda *own: (own[4].asked_step(), own[3])
         whole = compared(run, finer, run_where_alike, steps, order_of(integrator))
     found = backwards(integrator)(whole, *given)
@@ -256,6 +256,7 @@ def _simulated(
     asked: Asked | None = None,
 ) -> Trajectory:
     """A run, however it ended. `asked`: its accuracy (None: what the integrator promises)."""
+    mechanism, integrator = with_quantities((mechanism, integrator))
     key = None if how.state is not None else _key(mechanism, integrator)
     if key is None or _BEGUN.get(key) is None:
         check_run(mechanism, integrator)
@@ -294,6 +295,12 @@ def _simulated(
 
         with stoppable():
             found = again(Replica(integrator, saved))
+            for _ in range(2):
+                steps, more = felt_along(found, integrator)
+                passed = passed | more
+                if steps is integrator:
+                    break
+                integrator, found = steps, again(Replica(steps, saved))
             found = judged_by(passed, until_the_end(diagnosed(guarded(found, integrator))))
         found = verified(found, integrator, again, how.verify, asked)
     return dataclasses.replace(found, doubts=(doubt,)) if doubt else found

@@ -20,7 +20,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import is_traced, with_quantities
 from jaxclear.ground.wording import described
 from jaxclear.multibody import constraints
 from jaxclear.multibody.assembly import nearest, ready
@@ -359,7 +359,7 @@ def positions(
     expect(mechanism, Mechanism, "what is positioned", "a jaxclear.Mechanism")
     check_flags("positions", both_ways=both_ways)
     held, places = checked_positions(positions)
-    scene, way, starts = sought(mechanism, held, places)
+    scene, way, starts = sought(with_quantities(mechanism), held, places)
     return both(scene, jnp.asarray(places), starts, way, both_ways)
 
 

@@ -28,7 +28,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.pose import frame_with_axis, quaternion_from_rotation
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import as_vector
+from jaxclear.ground.quantity import as_vector, with_quantities
 from jaxclear.ground.warning import warn
 from jaxclear.integrators import NonColliding
 from jaxclear.multibody import contact_point, kinematics
@@ -86,6 +86,7 @@ def seated(mechanism: Mechanism, worn: Any = None) -> State:
     """
     check_double_precision()
     expect(mechanism, Mechanism, "what is seated", "a jaxclear.Mechanism")
+    mechanism = with_quantities(mechanism)
     surfaces = worn_as_given(mechanism, worn)
     if not mechanism.topology.clearances:
         return State(surfaces)

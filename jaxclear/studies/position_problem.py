@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_flags
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.quantity import with_quantities
 from jaxclear.ground.wording import listed
 from jaxclear.integrators import Outcome
 from jaxclear.multibody.mechanism import Mechanism
@@ -30,9 +31,7 @@ from jaxclear.studies.mechanism_problem import (
     responses_of,
     wanted_of,
 )
-from jaxclear.studies.variable import (
-    AbstractMechanismVariable,
-)
+from jaxclear.studies.variable import AbstractMechanismVariable
 
 # Samples a chunk: beyond it the rows of the kernel leave the cache
 # (benchmarks/claims/positions.py).
@@ -78,6 +77,7 @@ class PositionProblem(AbstractMechanismProblem):
         correlation: Any = None,
     ):
         check_double_precision()
+        mechanism = with_quantities(mechanism)
         of = "a mechanism over positions"
         wanted = wanted_of(mechanism, response, variables, correlation, "PositionProblem", of)
         check_flags("PositionProblem", both_ways=both_ways)

@@ -19,7 +19,7 @@ from jaxclear.errors.observables import GAPS
 from jaxclear.errors.verification import between, replica
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import part_in_words
-from jaxclear.ground.quantity import on_device
+from jaxclear.ground.quantity import on_device, with_quantities
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
 from jaxclear.integrators.base import PART_OF, STUDIES, Promise
 from jaxclear.integrators.checks import Checks
@@ -77,9 +77,7 @@ from jaxclear.studies.mechanism_problem import (
     responses_of,
     wanted_of,
 )
-from jaxclear.studies.variable import (
-    AbstractMechanismVariable,
-)
+from jaxclear.studies.variable import AbstractMechanismVariable
 
 # Histories that a response may build from the saved states, in multiples of these.
 HISTORY_FACTOR = 12
@@ -153,6 +151,7 @@ class Problem(AbstractMechanismProblem):
         correlation: Any = None,
     ):
         check_double_precision()
+        mechanism = with_quantities(mechanism)
         wanted = wanted_of(mechanism, response, variables, correlation, "Problem", "a trajectory")
         self.mechanism = mechanism
         self.response, self.variables, self.variable_units, self.correlation = wanted
@@ -406,7 +405,7 @@ def _answered(problem: Problem, values: Array) -> SampleResult:
 
 def _finer(share: Any, problem: Problem, values: Array) -> tuple[Any, Array]:
     """The same in other steps."""
-    steps = in_other_steps(problem.integrator, share)
+    steps = in_other_steps(problem.integrator, share, problem.shares * problem.duration)
     return eqx.tree_at(lambda known: known.integrator, problem, steps), values
 
 

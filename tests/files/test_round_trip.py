@@ -286,7 +286,6 @@ def test_every_argument_of_every_class_has_a_file_form():
     known = {
         "Variable": ["derived"],
         "TakingImpactSpeeds": ["motion", "derived", "growth", "so_far"],
-        "FollowingErrors": ["known"],
         # A function is code.
         "FromFunction": ["function"],
     }

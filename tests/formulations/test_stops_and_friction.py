@@ -130,7 +130,8 @@ def test_a_stop_gives_back_its_share_whatever_the_inertia_was_at_the_start(integ
 
 
 def test_the_speed_that_a_stop_gives_back_has_the_slope_of_its_share():
-    """Of -e v by e, also where the inertia changes before the stop is met."""
+    """Of -e v by e, also where the inertia changes before the stop is met; slopes by a hundredth,
+    the most by which steps may leave them off."""
     rig = unfolding_arm(0.4)
 
     def after(share):
@@ -139,7 +140,7 @@ def test_the_speed_that_a_stop_gives_back_has_the_slope_of_its_share():
 
     before = ran(rig, 1.2, jc.integrator.Adaptive(), save=25).speed("shoulder")[5]
     slope = jax.jvp(after, (0.4,), (1.0,))[1]
-    np.testing.assert_allclose(slope, -before, rtol=1e-3)
+    np.testing.assert_allclose(slope, -before, rtol=1e-2)
 
 
 @pytest.mark.parametrize("ratio", [0.01, 0.3, 1.0, 4.0])

@@ -81,19 +81,17 @@ def height(mass, rtol, end):
     return jc.simulate(rig, end, save=3, integrator=integrator, verify=False).coordinate("B")[-1]
 
 
-def test_a_derivative_that_a_tolerance_does_not_determine_is_no_number():
-    """A step goes over the touch of a cam: the tolerance of the motion says little of what a
-    derivative loses there. Without those in other steps it was 0.00089 for 0.00074, silently."""
+@pytest.mark.parametrize("rtol", [1e-5, 1e-7, 1e-9])
+def test_a_derivative_goes_through_touches_of_a_cam_by_an_error_control_of_its_own(rtol):
+    """A step that resolves the motion goes over the touch of a cam, and loses much of a derivative
+    there: by the steps of the motion alone it was 0.00089 for 0.00074 at a tolerance of 1e-7, and
+    0.00081 at 1e-9."""
     end = float((LANDINGS + 0.2) * period(MASS))
     since = lambda mass: end - LANDINGS * period(mass)
     place = lambda mass: HEIGHT - 0.5 * GRAVITY * since(mass) ** 2
-    wanted = float(jax.grad(place)(MASS))
-    slope = lambda rtol: jax.jvp(lambda mass: height(mass, rtol, end), (MASS,), (1.0,))
-    value, found = slope(1e-7)
-    np.testing.assert_allclose(value, place(MASS), rtol=1e-4)
-    assert "a tighter rtol" in jc.why_unknown(found)
-    for rtol in (1e-5, 1e-9):
-        assert not abs(slope(rtol)[1] - wanted) > 0.01 * abs(wanted)
+    value, slope = jax.jvp(lambda mass: height(mass, rtol, end), (MASS,), (1.0,))
+    np.testing.assert_allclose(value, place(MASS), rtol=1e-3 if rtol < 1e-6 else 1e-2)
+    np.testing.assert_allclose(slope, jax.grad(place)(MASS), rtol=1e-2)
 
 
 @pytest.mark.slow

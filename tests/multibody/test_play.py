@@ -537,3 +537,49 @@ def test_a_rotor_is_no_body_of_the_answers():
     row = next(line for line in str(run).splitlines() if line.startswith("orientation"))
     farthest = float(jnp.max(jnp.abs(run.coordinate("A"))))
     np.testing.assert_allclose(float(row.split("]")[1].split()[0]), farthest, rtol=1e-3)
+
+
+@pytest.mark.verified
+def test_the_peak_of_a_flank_is_that_of_all_steps_in_its_unit():
+    """A wheel of inertia J that meets a flank of stiffness k at a speed w presses by w sqrt(k J) at
+    the most; of three saving times none sees it."""
+    inertia, speed, stiffness = 0.5, 2.0, 4e4
+    play = jc.clearance.Backlash(2e-2, law=jc.flank.Stop())
+    rig = jc.Mechanism(
+        {"wheel": jc.Body(1.0, inertia)},
+        {"A": jc.Connection(jc.joint.Revolute(), "ground", "wheel")},
+        couplings={"hold": jc.coupling.Hold("A", 0.0, play=play, stiffness=stiffness)},
+        speeds={"A": speed},
+    )
+    run = jc.simulate(rig, 0.04, save=jc.Saving(3, events=4))
+    peak = jc.response.PeakTransmitted("hold")
+    largest = speed * np.sqrt(stiffness * inertia)
+    assert abs(run.transmitted("hold")).max() < 0.5 * largest
+    assert float(peak(run)) == pytest.approx(largest, rel=1e-4)
+    assert peak.unit_in(rig) == "N m" and run.estimate(peak).error < 1e-3 * largest
+    (told,) = [told for told in run.verification.told if told.name == 'peak transmitted, "hold"']
+    assert told.value == pytest.approx(largest, rel=1e-4) and told.unit == "N m"
+    assert "rad, N m" in str(run.extremes)
+    events = run.events()
+    assert events["speed [rad/s]"].to_numpy() == pytest.approx(speed, rel=1e-4)
+
+
+@pytest.mark.verified
+def test_what_couplings_transmit_is_a_standard_answer():
+    """Two wheels under a torque T, geared 1:1 by a shaft: half of it goes through."""
+    turn = jc.joint.Revolute
+    rig = lambda **shaft: jc.Mechanism(
+        {"a": jc.Body(1.0, 0.1), "b": jc.Body(1.0, 0.1)},
+        {
+            "A": jc.Connection(turn(), "ground", "a"),
+            "B": jc.Connection(turn(), jc.Marker("ground", (0.1, 0.0)), "b"),
+        },
+        {"torque": jc.load.JointTorque("A", 3.0)},
+        couplings={"shaft": jc.coupling.Ratio("B", "A", 1.0, **shaft)},
+    )
+    run = jc.simulate(rig(), 0.1, save=5)
+    told = {told.name: told for told in run.verification.told}
+    for kind in ("mean", "peak"):
+        row = told[f'{kind} transmitted, "shaft"']
+        assert row.value == pytest.approx(1.5, rel=1e-6) and row.unit == "N m"
+    assert not run.warnings and not jc.simulate(rig(stiffness=1e3), 0.1, save=5).warnings

@@ -5,8 +5,10 @@ import os
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -41,7 +43,7 @@ print(json.dumps([states, str(run.stats), [one for one in built if "_" in one]])
 @pytest.fixture
 def kept(tmp_path, monkeypatch):
     monkeypatch.setenv(cache_folder.VARIABLE, str(tmp_path))
-    monkeypatch.setattr(compiled, "_AT_HAND", Latest(compiled.LATEST))
+    monkeypatch.setattr(compiled, "_AT_HAND", Latest(compiled.AT_HAND))
     # These tests put other things in the place of the package's.
     monkeypatch.setattr(as_written, "is_as_written", lambda: True)
     # Files may have been installed a moment ago.
@@ -237,3 +239,49 @@ def test_within_another_program_nothing_is_looked_up(kept, within, monkeypatch):
     x = jnp.ones(2) if within is jax.vmap else jnp.asarray(1.0)
     assert jnp.all(within(lambda x: known(x, 2.0, "")["scaled"])(x) == 2.0)
     assert cache_folder.kept() == []
+
+
+def test_a_number_of_any_type_compiles_nothing_anew(kept, monkeypatch):
+    """`equinox.tree_at` puts it into its place as it is."""
+    rig = jc.scenes.slider_crank("ideal")
+    run = lambda mass: jc.simulate(
+        eqx.tree_at(lambda rig: rig.bodies["rod"].mass, rig, mass),
+        1e-3,
+        integrator=jc.integrator.FixedStep(1e-3),
+        save=2,
+        verify=False,
+    )
+    first = run(np.float64(2.0))
+    monkeypatch.setattr(compiled, "_kept_or_compiled", lambda *_: pytest.fail("compiled anew"))
+    for kind in (float, int, np.float32, np.float64, np.int64, np.asarray, jnp.float32):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            found = run(kind(3))
+        mass = found.mechanism.bodies["rod"].mass
+        assert mass.dtype == np.float64 and mass == 3.0
+        assert jax.tree.structure(found) == jax.tree.structure(first)
+
+
+def test_programs_of_other_functions_are_let_go(kept, monkeypatch):
+    """What a process has at hand is bounded by its memory, whatever is asked: each new function of
+    time is a new program."""
+    latest = Latest(3 * compiled.A_PROGRAM)
+    monkeypatch.setattr(compiled, "_AT_HAND", latest)
+    for i in range(5):
+        times = compiled_quickly(lambda x, i=i: i * x)
+        assert times(jnp.asarray(2.0)) == 2 * i and times(jnp.asarray(3.0)) == 3 * i
+    assert len(latest.kept) == 2
+    assert sum(size for _, size in latest.kept.values()) <= latest.most
+
+
+@pytest.mark.parametrize(("patience", "said"), [(0.0, 1), (60.0, 0)])
+def test_who_waits_is_told_what_is_compiled(kept, monkeypatch, caplog, patience, said):
+    def slow(x):
+        """A search for what takes long."""
+        time.sleep(0.5)
+        return 2 * x
+
+    monkeypatch.setattr(compiled, "PATIENCE", patience)
+    assert compiled_quickly(slow)(jnp.asarray(2.0)) == 4.0
+    sentence = f"compiling for {patience:g} s: A search for"
+    assert len([each for each in caplog.messages if sentence in each]) == said

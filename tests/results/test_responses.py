@@ -27,6 +27,7 @@ def test_responses_are_what_their_names_say(run):
         jc.response.FromFunction,
         jc.response.LostMotion,  # of positions: tests/simulation/test_positions.py
         jc.response.PeakContactForce,  # below
+        jc.response.PeakTransmitted,  # of couplings: tests/multibody/test_play.py
         jc.response.PositionError,
         jc.response.PointingAngle,
     }

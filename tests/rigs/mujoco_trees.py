@@ -94,6 +94,9 @@ def largest_difference(path, *, floating=False, draws=3):
         mechanism = jc.read_mjcf(path, floating=floating)
     alike = {n: x for n, x in mechanism.loads.items() if not isinstance(x, OTHERWISE)}
     mechanism = mechanism.with_loads(alike)
+    # Equalities, a URDF's mimic among them.
+    for name in mechanism.couplings:
+        mechanism = mechanism.with_coupling(name, None)
     model, joints = ideal_tree(path, floating)
     system = prepare(mechanism)
 

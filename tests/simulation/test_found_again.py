@@ -1,6 +1,10 @@
 """What a run found at its beginning is found again by the next run of the same numbers, and by no
 other."""
 
+import copy
+import gc
+import pickle
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,6 +12,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.ground.latest import Latest
 from jaxclear.multibody import assembly
 
 INTEGRATOR = jc.integrator.FixedStep(2e-5)
@@ -61,3 +66,32 @@ def test_arguments_among_results_are_jaxs(searches):
     """Also where they are NumPy's, as saving times are."""
     found = run(slider(2.4e-4))
     assert all(isinstance(x, jax.Array) for x in jax.tree.leaves(eqx.filter(found, eqx.is_array)))
+
+
+def test_runs_of_other_numbers_keep_no_memory():
+    """Equinox keeps what is copied or unpickled for ever, where its own `__new__` makes it."""
+    counted = lambda: sum(
+        isinstance(each, (jc.Mechanism, jc.Trajectory)) for each in gc.get_objects()
+    )
+    run(slider(3e-4))
+    for copied in (copy.copy, lambda it: pickle.loads(pickle.dumps(it))):
+        it = copied(slider(3e-4))
+        assert it.connections["B"].joint.clearance == 3e-4
+    # Beginnings of the latest runs stay: `_BEGUN` is full of others' by then.
+    for i in range(20):
+        run(slider(3.1e-4 + 1e-9 * i))
+    gc.collect()
+    before = counted()
+    for i in range(20):
+        run(slider(3.2e-4 + 1e-9 * i))
+        copy.copy(run(slider(3e-4)))
+        pickle.loads(pickle.dumps(slider(3e-4)))
+    gc.collect()
+    assert counted() <= before
+
+
+def test_the_last_answer_stays_however_large():
+    kept = Latest(2.0)
+    for key, size in (("a", 1.0), ("b", 1.0), ("c", 5.0)):
+        kept.keep(key, key, size)
+    assert [kept.get(key) for key in "abc"] == [None, None, "c"]

@@ -1,6 +1,7 @@
 """A push that is shorter than a step is told of, and steps that find their own length do not pass
 over it. Oracle: a body on a slide that is pushed moves by the impulse over its mass."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -98,3 +99,112 @@ def test_a_study_is_held_to_the_push_too_and_says_what_its_steps_pass_over():
     assert float(found) == pytest.approx(FORCE * LASTS / MASS, rel=1e-5)
     passing = question(jc.integrator.FixedStep(1e-4))
     assert "push" in passing.doubts()[0]
+
+
+def pulse(time):
+    inside = (time > 20.0031) & (time < 20.0036)
+    return 4000.0 * jnp.where(inside, 1.0, 0.0)
+
+
+def bell(time):
+    return 2e3 * jnp.exp(-(((time - 33.0017) / 2e-4) ** 2))
+
+
+def train(time):
+    """Of 0.5 ms every 7 s."""
+    return 5e3 * jnp.where(jnp.mod(time, 7.0) > 6.9995, 1.0, 0.0)
+
+
+def crossed(time):
+    """One that is turned on by another function's zero."""
+    return jnp.where(jnp.abs(jnp.sin(0.31 * time) - 0.5) < 1e-4, 1e3, 0.0)
+
+
+def impulse(function, until):
+    """By adaptive quadrature around the instants at which each acts."""
+    known = {
+        pulse: 4000.0 * 0.5e-3,
+        bell: 2e3 * 2e-4 * np.sqrt(np.pi),
+        train: 5e3 * 5e-4 * int(until / 7.0),
+        crossed: 1e3 * np.diff(np.arcsin([0.4999, 0.5001]))[0] / 0.31 * 6,
+    }
+    return known[function]
+
+
+@pytest.mark.parametrize("push", [pulse, bell, train, crossed], ids=lambda each: each.__name__)
+def test_a_function_of_time_is_felt_however_shortly_it_acts(push):
+    """Speed is impulse over mass, in a run of a minute whose steps are as long as they like;
+    edges between two looks are left to error control."""
+    run = jc.simulate(pushed(push), 60.0, save=6)
+    assert speed(run) == pytest.approx(impulse(push, 60.0) / MASS, rel=5e-5)
+    assert int(run.accepted_steps) < 20_000 and not run.warnings
+
+
+def test_steps_of_fixed_length_that_pass_over_a_short_push_say_so():
+    run = jc.simulate(pushed(pulse), 60.0, save=6, integrator=jc.integrator.FixedStep(5e-3))
+    assert ['of the impulse of "push"' in said for said in run.warnings].count(True) == 1
+
+
+def test_steps_end_at_breaks_that_are_asked_for():
+    breaks = [0.0123, 0.0456]
+    run = jc.simulate(pushed(5.0), 0.1, save=2, integrator=jc.integrator.Adaptive(breaks=breaks))
+    assert speed(run) == pytest.approx(5.0 * 0.1 / MASS)
+    free = jc.simulate(pushed(5.0), 0.1, save=2)
+    assert int(run.accepted_steps) > int(free.accepted_steps)
+
+
+class Strip(jc.load.AbstractCoordinateLoad):
+    """A strip across the way, half a millimetre wide, that brakes what passes."""
+
+    connection: str = eqx.field(static=True)
+
+    def force(self, time, position, speed):
+        on = (position > 0.7101) & (position < 0.7106)
+        force = jnp.where(on, -2e4, 0.0) * jnp.sign(speed)
+        return force, 0.0, -force * speed, 0.0
+
+
+class Knock(jc.load.AbstractCoordinateLoad):
+    """A cosine's bell of 2 ms about an instant."""
+
+    connection: str = eqx.field(static=True)
+
+    def force(self, time, position, speed):
+        part = jnp.clip((time - 3.1234) / 1e-3, -1.0, 1.0)
+        force = 500.0 * (1 + jnp.cos(jnp.pi * part))
+        return force, 0.0, 0.0, force * speed
+
+
+def with_own(load, initial):
+    slide = jc.Connection(jc.joint.Prismatic(), "ground", "cart", axis="x")
+    cart, loads = jc.Body(MASS, 1.0), {"own": load("G")}
+    return jc.Mechanism({"cart": cart}, {"G": slide}, loads, speeds={"G": initial})
+
+
+@pytest.mark.parametrize("save", [3, 101])
+def test_a_load_of_the_users_own_is_felt_however_shortly_it_acts(save):
+    """By its work, and by its impulse. Error control alone finds where a braked body leaves the
+    strip."""
+    braked = jc.simulate(with_own(Strip, 6.0), 1.0, save=save)
+    left = np.sqrt(6.0**2 - 2 * 2e4 * 0.5e-3 / MASS)
+    assert speed(braked) == pytest.approx(left, rel=3e-5) and not braked.warnings
+    knocked = jc.simulate(with_own(Knock, 0.0), 5.0, save=save)
+    assert speed(knocked) == pytest.approx(1e3 * 1e-3 / MASS, rel=1e-5)
+
+
+def test_steps_of_fixed_length_say_what_they_pass_over_of_a_load_of_the_users_own():
+    run = jc.simulate(with_own(Strip, 6.0), 1.0, save=3, integrator=jc.integrator.FixedStep(1e-3))
+    assert ['of the impulse of "own"' in said for said in run.warnings].count(True) == 1
+
+
+def test_slopes_of_a_short_push_are_those_of_its_impulse():
+    """Of impulse over mass, by mass."""
+
+    def after(mass):
+        slide = jc.Connection(jc.joint.Prismatic(), "ground", "cart", axis="x")
+        loads = {"push": jc.load.JointTorque("G", pulse)}
+        rig = jc.Mechanism({"cart": jc.Body(mass, 1.0)}, {"G": slide}, loads)
+        return jc.simulate(rig, 60.0, save=6, throw=False).speed("G")[-1]
+
+    slope = jax.jvp(after, (MASS,), (1.0,))[1]
+    assert float(slope) == pytest.approx(-impulse(pulse, 60.0) / MASS**2, rel=1e-4)

@@ -2,6 +2,8 @@
 small machine with a hidden clearance.
 """
 
+import types
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -9,7 +11,8 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.studies.identification import identify, laws, regression, result
-from jaxclear.studies.identification.sample import check_identifiable
+from jaxclear.studies.identification.result import ends_in_words, unknown_of
+from jaxclear.studies.identification.sample import check_identifiable, check_window, window_end
 
 LOSS = jc.contact.dissipation
 B = lambda rig: rig.connections["B"].joint
@@ -229,6 +232,48 @@ def test_a_hidden_clearance_is_found_and_restitution_is_not(tmp_path):
     again = jc.Measurement(data.time, data.signals, noisier, turn="angle")
     assert jc.identify(problem, again, runs=128, store=tmp_path)["clearance B"].verdict
     assert sorted(tmp_path.rglob("*.npz")) == pieces
+    # What no law of the sample explains identifies nothing, however narrow an interval is.
+    louder = {"a": 3 * data.signals["a"], "angle": data.signals["angle"]}
+    strange = jc.identify(
+        problem,
+        jc.Measurement(data.time, louder, sensors(), turn="angle"),
+        runs=128,
+        store=tmp_path,
+    )
+    assert strange.explains is False and "No law of the sample explains" in str(strange.warned)
+    assert {own.verdict for own in strange.unknowns} <= {"not explained", "not identified"}
+    assert strange["clearance B"].verdict == "not explained"
+    assert ", not explained." in strange.sentence()
+    assert "Intervals suppose the restitution" in found.sentence()
+
+
+def test_an_interval_that_ends_where_its_prior_does_is_not_identified():
+    problem = machine(0.2e-3)
+    inside = unknown_of(problem, "clearance B", (0.8, 0.7, 0.95))
+    touching = unknown_of(problem, "clearance B", (0.9, 0.7, 1.0))
+    assert (inside.verdict, touching.verdict) == ("identified", "partly identified")
+    assert ends_in_words(problem, [inside]) == []
+    assert ends_in_words(problem, [touching]) == [
+        'The interval of "clearance B" ends where its distribution does, at 0.00035: it may lie '
+        "beyond."
+    ]
+
+
+def test_a_part_of_a_record_is_compared_with_that_part_of_a_run():
+    """Turns of 0.1 s at 100 Hz, ten in a run: parts that end within a turn have their place."""
+    time = np.linspace(0.0, 1.0, 101)
+    whole = jc.Measurement(time, {"a": np.sin(time)}, {"a": sensors()["a"]}, turn=0.1)
+    run = types.SimpleNamespace(duration=1.0)
+    assert window_end(run, whole) == 101
+    assert window_end(run, whole.part(0.2, 0.65)) == 66
+    assert window_end(run, whole.part(0.1, 0.9).part(0.2, 0.65)) == 66
+    # Of a shorter run a place as far within a turn, or none.
+    shorter, shortest = (types.SimpleNamespace(duration=lasts) for lasts in (0.6, 0.45))
+    assert window_end(shorter, whole.part(0.2, 0.65)) == 56
+    assert window_end(shortest, whole.part(0.2, 0.65)) is None
+    assert window_end(shortest, whole.part(0.2, 0.6)) == 46
+    with pytest.raises(ValueError, match=r"ends 0.35 s before .* whole turn, such as 0.7 s"):
+        check_window(shortest, whole.part(0.2, 0.65))
 
 
 def bare(**changed):

@@ -9,6 +9,7 @@ import pytest
 from scipy.special import ndtr
 
 import jaxclear as jc
+from jaxclear.studies.surface import fitting
 from jaxclear.studies.surface.polynomials import powers
 from jaxclear.studies.surface.surface import drawn
 
@@ -162,3 +163,19 @@ def test_a_system_fails_by_its_cut_sets():
     )
     assert {tuple(sorted(cut)) for cut in system.cut_sets()} == {(0, 1), (0, 2), (3,)}
     assert system.words() == "(a above 0 and (b above 0 or c above 0)) or d above 0"
+
+
+def test_many_variables_have_the_terms_that_samples_and_memory_bear(monkeypatch):
+    """Sixty variables have 61, 1 891 and 39 711 terms of degree 1, 2 and 3."""
+    assert fitting._degrees(60, 5_673) == (1, 2)
+    assert fitting._degrees(60, 100_000) == (1, 2)
+    assert fitting._degrees(60, 61 * 5_673) == (1,)
+    assert fitting._degrees(10, 1_000_000) == (1, 2)
+    assert fitting._degrees(3, 40_000) == (1, 2, 3, 4)
+    plane = jc.FunctionProblem(
+        lambda a, b: a + b**2, {n: jc.Dimension(0.0, tolerance=0.1) for n in "ab"}
+    )
+    monkeypatch.setattr(fitting, "MOST_NUMBERS", 300)
+    assert jc.surface(plane, 64).degrees == {"response": 1}
+    with pytest.raises(ValueError, match=r"degree 2 in 2 variables has 6 terms, and 64 runs .* 50"):
+        jc.surface(plane, 64, degree=2)

@@ -13,7 +13,7 @@ from jaxclear.components.coupling.force import AbstractForceCoupling
 from jaxclear.components.coupling.losses import Efficiency
 from jaxclear.components.coupling.meshing import Belt, Gear, Rack, Screw
 from jaxclear.components.coupling.one_way import OneWay
-from jaxclear.components.coupling.rope import Rope
+from jaxclear.components.coupling.rope import Capstan, Rope
 from jaxclear.ground.argument_errors import nothing_else
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "AbstractForceCoupling",
     "Belt",
     "Cam",
+    "Capstan",
     "CoordinateTerm",
     "Differential",
     "Efficiency",

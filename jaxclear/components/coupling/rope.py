@@ -1,13 +1,16 @@
-"""A rope over pulleys, a tendon: it pulls, and goes slack."""
+"""Ropes over pulleys, tendons: they pull, and go slack; and one that slips over its pulley."""
 
 from collections.abc import Iterable
+from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 
-from jaxclear.components.acting import CoordinateEffect
+from jaxclear.components.acting import CoordinateEffect, LoadState
 from jaxclear.components.coupling.base import as_name
 from jaxclear.components.coupling.force import AbstractForceCoupling, check_needed
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, as_vector, quantity, vector
 from jaxclear.laws.transmission import one_sided
 
@@ -58,6 +61,105 @@ class Rope(AbstractForceCoupling):
 
     def transmitted(self, effect):
         return -effect.forces[0] / self.radii[0]
+
+    def along(self):
+        return None
+
+
+class Capstan(AbstractForceCoupling):
+    r"""A rope that is wrapped round a pulley and slips on it: a winch, a bollard, a band brake.
+
+    Its two spans are springs of equal stiffness. The rope sticks to the pulley while their pulls
+    keep :math:`e^{-\mu\theta} \le F_a / F_b \le e^{\mu\theta}`, and slips at the bound (Euler,
+    Eytelwein); what it has slipped is a state, which follows its bound within `settling_time`. A
+    span pulls and does not push. Where the pulley turns forwards it takes rope out of the span of a
+    into that of b. It acts on the coordinates alone and loads no bearing.
+
+    Args:
+        a: joint at the end of one span; None: it is tied to the ground.
+        pulley: joint of the pulley; None: it stands still. Two of the three at least are joints.
+        b: joint at the other end; None as for a.
+        friction: friction coefficient of rope and pulley [1], >= 0.
+        wrap: angle over which they touch [rad], >= 0; whole turns count.
+        radius: of the pulley [m], > 0 (1 by default, for a pulley that stands still).
+        radius_a: by how much the span of a gets longer for a unit of its coordinate: a radius [m]
+            of a joint that turns, 1 or -1 of one that slides; 1 by default.
+        radius_b: the same of b.
+        stiffness: of each span [N/m], > 0.
+        pretension: pull of each span where all coordinates are 0 [N]; 0 by default; below 0 slack.
+        settling_time: within which the slip follows its bound [s]; 1e-3 by default. Steps of fixed
+            length are no longer.
+
+    Raises:
+        ValueError: for fewer than two joints.
+
+    Source: Eytelwein 1808, Handbuch der Statik fester Koerper; Johnson 1985, Contact Mechanics,
+    section 8.2, doi:10.1017/CBO9781139171731.
+    """
+
+    a: str | None = eqx.field(static=True, default=None, converter=as_name)
+    pulley: str | None = eqx.field(static=True, default=None, converter=as_name)
+    b: str | None = eqx.field(static=True, default=None, converter=as_name)
+    friction: Scalar = quantity(None, "1", "friction coefficient", at_least=0, kw_only=True)
+    wrap: Scalar = quantity(None, "rad", "angle of wrap", at_least=0, kw_only=True)
+    radius: Scalar = quantity(1.0, "m", "radius of the pulley", above=0, kw_only=True)
+    radius_a: Scalar = quantity(1.0, "m", "way of the span for a unit of a", kw_only=True)
+    radius_b: Scalar = quantity(1.0, "m", "way of the span for a unit of b", kw_only=True)
+    stiffness: Scalar = quantity(None, "N/m", "stiffness of a span", above=0, kw_only=True)
+    pretension: Scalar = quantity(0.0, "N", "pull of a span at 0", kw_only=True)
+    settling_time: Scalar = quantity(1e-3, "s", "time of the slip", above=0, kw_only=True)
+
+    def __check_init__(self):
+        check_needed(self, "friction", "wrap", "stiffness")
+        if len(self.coordinates()) < 2:
+            raise ValueError(
+                "coupling.Capstan ties fewer than two joints; give two of a, pulley and b."
+            )
+
+    def coordinates(self):
+        return tuple(name for name in (self.a, self.pulley, self.b) if name is not None)
+
+    def states(self):
+        return (LoadState("slip", "m"),)
+
+    def _spans(self, values):
+        """How much longer the two spans are than at 0 [m], by the values of the coordinates."""
+        values = iter(values)
+        a, pulley, b = (
+            0.0 if name is None else next(values) for name in (self.a, self.pulley, self.b)
+        )
+        turned = self.radius * pulley
+        return self.radius_a * a + turned, self.radius_b * b - turned
+
+    def effect(self, time, positions, speeds, states):
+        slack = self.pretension / self.stiffness
+        a, b = (jnp.asarray(x + slack, float) for x in self._spans(positions))
+        rate_a, rate_b = self._spans(speeds)
+        grip = jnp.exp(self.friction * self.wrap)
+        # The slip at which the pull of b, then that of a, is the larger one by the bound.
+        by_b, by_a = (grip * a - b) / (1 + grip), (a - grip * b) / (1 + grip)
+        low, high = jnp.minimum(by_a, by_b), jnp.maximum(by_a, by_b)
+        slip = jnp.clip(states[0], low, high)
+        stretch_a, stretch_b = positive_part(a - slip), positive_part(b + slip)
+        pull_a, pull_b = self.stiffness * stretch_a, self.stiffness * stretch_b
+        forwards = jnp.where(states[0] < low, rate_a - grip * rate_b, 0.0)
+        backwards = jnp.where(states[0] > high, grip * rate_a - rate_b, 0.0)
+        lost = (pull_a - pull_b) * (forwards + backwards) / (1 + grip)
+        every = (
+            (self.a, -self.radius_a * pull_a),
+            (self.pulley, -self.radius * (pull_a - pull_b)),
+            (self.b, -self.radius_b * pull_b),
+        )
+        forces = tuple(force for name, force in every if name is not None)
+        stored = 0.5 * (pull_a * stretch_a + pull_b * stretch_b)
+        return CoordinateEffect(forces, ((slip - states[0]) / self.settling_time,), stored, lost, 0)
+
+    def transmitted(self, effect: CoordinateEffect) -> Any:
+        """By how much a is pulled more than b [N]."""
+        forces = dict(zip(self.coordinates(), effect.forces, strict=True))
+        if self.pulley is not None:
+            return -forces[self.pulley] / self.radius
+        return forces[self.b] / self.radius_b - forces[self.a] / self.radius_a
 
     def along(self):
         return None

@@ -15,11 +15,12 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_known, expect
 from jaxclear.ground.wording import described
 from jaxclear.results.signal import usual_statistics
-from jaxclear.studies.identification.laws import Ensemble, ensemble
+from jaxclear.studies.identification.laws import DISSIPATION, FRICTION, Ensemble, ensemble
 from jaxclear.studies.identification.measurement import Measurement, checked_records
 from jaxclear.studies.identification.models import (
     Model,
     check_only_signals,
+    compared_records,
     models_of,
     only_one,
     same_sensing,
@@ -32,9 +33,11 @@ from jaxclear.studies.identification.result import (
     STRANGE,
     Evidence,
     Identified,
+    ends_in_words,
     prior_quantiles,
     prior_shares,
     together,
+    unexplained,
     unknown_of,
 )
 from jaxclear.studies.identification.sample import (
@@ -42,6 +45,7 @@ from jaxclear.studies.identification.sample import (
     Sample,
     as_signals,
     check_identifiable,
+    check_window,
     cut_of,
     sampled,
     sensed,
@@ -111,7 +115,7 @@ def identify(
     check_known("way", how, WAYS, " of identify")
     check_flags("identify", progress_bar=progress_bar)
     models = models_of(problem, records)
-    records = [record.compared for record in records]
+    records = compared_records(problem, records)
     for own in [own for every in models.values() for own in every]:
         if own.response_names:
             check_sampled(own, runs, seed)
@@ -122,6 +126,7 @@ def identify(
     fitted: list[tuple[Any, Measurement, RegressedStatistics]] = []
     for own, record in zip(only_one(models), records, strict=True):
         check_identifiable(own, record)
+        check_window(own, record)
         same = [fit for one, other, fit in fitted if one is own and same_sensing(other, record)]
         if not same:
             known = ensemble(own.mechanism, laws)
@@ -203,10 +208,14 @@ def answered(known: RegressedStatistics, record: Measurement) -> Identified:
         unknown_of(problem, name, row, known.tellers[name])
         for name, row in zip(problem.names, rows, strict=True)
     )
+    explained = fitted.distance(here)
+    if explained <= STRANGE and not _too_few(len(sample.values)):
+        unknowns = unexplained(unknowns)
     joint = _joint(fitted, here, [own.verdict == NOT for own in unknowns])
     values = [prior_quantiles(problem, n, joint[:, i]) for i, n in enumerate(problem.names)]
     remarks = (
         *together(problem.names, fitted, [own.verdict for own in unknowns]),
+        *ends_in_words(problem, unknowns),
         *_laws_in_words(sample.laws),
         *_too_few(len(sample.values)),
         ONE_RECORD,
@@ -219,7 +228,7 @@ def answered(known: RegressedStatistics, record: Measurement) -> Identified:
         sample.failed,
         f"by {len(here)} statistics of {len(shown) // len(known.statistics)} signals",
         remarks,
-        fitted.distance(here),
+        explained,
         Evidence(fitted, {n: (runs, shown[n][0]) for n, runs in known.kinds.items()}, joint),
     )
 
@@ -256,8 +265,15 @@ def _too_few(runs: int) -> tuple[str, ...]:
 
 
 def _laws_in_words(laws: Ensemble) -> tuple[str, ...]:
-    """Which laws acted in the sample."""
-    return tuple(
+    """Which laws acted in the sample, and what intervals suppose of them."""
+    acted = [
         f"The {what} was one of {', '.join(names[:-1])} and {names[-1]}."
         for what, names in laws.names.items()
+    ]
+    alone = [what for what in (DISSIPATION, FRICTION) if what not in laws.names]
+    own = f", and the mechanism's own {' and '.join(alone)}" if alone else ""
+    return (
+        *acted,
+        "Intervals suppose the restitution, the slip speeds and the stiffness of the mechanism, "
+        f"where these are no unknowns{own}: of a machine with others they need not hold.",
     )

@@ -25,15 +25,16 @@ class Measurement(AbstractShown):
     `time` [s] (samples,); `signals` (samples,) by name, each in the unit of its sensor; `sensors`
     by the same names, of `jaxclear.sensor`. `turn`: the name of an `Encoder`'s signal, whose angle
     cuts the others into turns at whole multiples of 2 pi; or the period [s], turns then begin with
-    the record; None where nothing turns. A record shows what a run does up to its end. Times that
-    are not equally spaced are read off straight lines. Raises `ValueError` with a sentence for what
-    is no record.
+    the record; None where nothing turns. A record shows what a run does up to its end, but for the
+    last `cut_off` [s], which `part` has left out. Times that are not equally spaced are read off
+    straight lines. Raises `ValueError` with a sentence for what is no record.
     """
 
     time: np.ndarray
     signals: dict[str, np.ndarray]
     sensors: dict[str, AbstractSensor]
     turn: str | float | None = eqx.field(static=True)
+    cut_off: float = eqx.field(static=True)
 
     def __init__(
         self,
@@ -41,6 +42,8 @@ class Measurement(AbstractShown):
         signals: Mapping[str, Any],
         sensors: Mapping[str, AbstractSensor],
         turn: str | float | None = None,
+        *,
+        cut_off: float = 0.0,
     ):
         at = _column("time of a Measurement", time)
         if len(at) < 2 or np.any(np.diff(at) <= 0):
@@ -70,7 +73,7 @@ class Measurement(AbstractShown):
             expect(sensors[turn], Encoder, f'the sensor of signal "{turn}"', "an Encoder")
         elif turn is not None:
             check_number("turn of a Measurement", turn, "s", above=0)
-        self.turn = turn
+        self.turn, self.cut_off = turn, cut_off
 
     @classmethod
     def read_csv(
@@ -107,13 +110,17 @@ class Measurement(AbstractShown):
         if not given:
             return self
         signals = {name: own for name, own in self.signals.items() if name not in given}
-        return Measurement(self.time, signals, {n: self.sensors[n] for n in signals}, self.turn)
+        sensors = {n: self.sensors[n] for n in signals}
+        return Measurement(self.time, signals, sensors, self.turn, cut_off=self.cut_off)
 
     def part(self, begin: float, end: float) -> "Measurement":
-        """What lies between two times [s]."""
+        """What lies between two times [s]. A record shows a run up to its end; its part is compared
+        with the same part of the run, so that turns may be cut anywhere."""
         inside = (self.time >= begin) & (self.time <= end)
         own = {name: values[inside] for name, values in self.signals.items()}
-        return Measurement(self.time[inside], own, self.sensors, self.turn)
+        at = self.time[inside]
+        cut_off = self.cut_off + float(self.time[-1] - at[-1]) if len(at) else 0.0
+        return Measurement(at, own, self.sensors, self.turn, cut_off=cut_off)
 
     def _shown(self):
         rows = [

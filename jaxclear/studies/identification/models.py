@@ -4,6 +4,7 @@ A model is a problem, or a function that makes it for a record, where what drive
 measured with it.
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
@@ -19,7 +20,12 @@ from jaxclear.studies.identification.by_signal import Compared
 from jaxclear.studies.identification.forward import Forward, Record, Shown
 from jaxclear.studies.identification.laws import Ensemble
 from jaxclear.studies.identification.measurement import Measurement
-from jaxclear.studies.identification.sample import check_identifiable, watched
+from jaxclear.studies.identification.sample import (
+    check_identifiable,
+    check_window,
+    watched,
+    window_end,
+)
 from jaxclear.studies.mechanism_problem import responses_of
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sensor import AbstractSensor, Series, passed
@@ -38,6 +44,17 @@ def models_of(
     if not every:
         raise ValueError("identify is given no model; it must have a problem at least.")
     return {name: [_made(name, own, record) for record in records] for name, own in every.items()}
+
+
+def compared_records(
+    given: Model | Mapping[str, Model], records: Sequence[Measurement]
+) -> list[Measurement]:
+    """Records without what was given to the machine; those that problems were made for show what
+    these do up to their end."""
+    every = given.values() if isinstance(given, Mapping) else [given]
+    made = any(not isinstance(own, AbstractProblem) for own in every)
+    found = [record.compared for record in records]
+    return [dataclasses.replace(own, cut_off=0.0) for own in found] if made else found
 
 
 def only_one(models: Mapping[str, list[AbstractProblem]]) -> list[Any]:
@@ -64,6 +81,7 @@ def same_sensing(one: Measurement, other: Measurement) -> bool:
     """Whether the same sample serves two records."""
     alike = one.sensors.keys() == other.sensors.keys() and one.rate == other.rate
     alike = alike and len(one.time) == len(other.time) and one.turn == other.turn
+    alike = alike and one.cut_off == other.cut_off
     return alike and all(
         bool(eqx.tree_equal(own, other.sensors[name])) for name, own in one.sensors.items()
     )
@@ -116,8 +134,11 @@ def _forward(problem: AbstractProblem, record: Measurement) -> Forward:
         return Forward(problem, _OfFunction(sensors, rate), names)
     check_identifiable(problem, record)
     assert isinstance(problem, Problem)
+    check_window(problem, record)
+    end = window_end(problem, record)
+    assert end is not None
     asked = watched(problem, record, Ensemble(problem.mechanism, {}, {}))
-    return Forward(asked, _OfRun(sensors, rate, problem, len(record.time)), names)
+    return Forward(asked, _OfRun(sensors, rate, problem, slice(end - len(record.time), end)), names)
 
 
 class _OfFunction(eqx.Module):
@@ -134,17 +155,17 @@ class _OfFunction(eqx.Module):
 
 
 class _OfRun(eqx.Module):
-    """Signals and responses of a run, of which a record saw the last so many samples."""
+    """Signals and responses of a run, of which a record saw the samples `shown`."""
 
     sensors: dict[str, AbstractSensor]
     rate: Array
     problem: Problem
-    count: int = eqx.field(static=True)
+    shown: slice = eqx.field(static=True)
 
     def __call__(self, asked: Problem, values: Array) -> Shown:
         """Those of one set of values; nan where the run did not reach its end."""
         run = asked.started(values)[2]
-        last = lambda signal: jnp.where(run.succeeded, signal, jnp.nan)[-self.count :]
+        last = lambda signal: jnp.where(run.succeeded, signal, jnp.nan)[self.shown]
         signals = {n: last(_sensed(own, run, self.rate)) for n, own in self.sensors.items()}
         return Shown(signals, responses_of(self.problem, run))
 

@@ -19,6 +19,10 @@ from jaxclear.studies.problem import Problem
 from jaxclear.studies.variable import Variable, with_values
 
 IDENTIFIED, PARTLY, NOT = "identified", "partly identified", "not identified"
+# Of an interval beside a record that no law of the sample explains.
+UNEXPLAINED = "not explained"
+# An interval ends where its prior does, if nearer than this share [1] of the prior's interval.
+AT_END = 1e-4
 # Width of an interval beside the prior's: from here on it is the prior's, and up to here the
 # record decides more than the prior does.
 NOT_ABOVE, PARTLY_ABOVE = 0.8, 0.5
@@ -60,7 +64,7 @@ class Unknown(NamedTuple):
         ends = f"{self.low:.4g} to {self.high:.4g}{unit}"
         if self.verdict == NOT:
             return f"{self.name} is not identified: its interval is the prior's, {ends}."
-        also = ", partly identified" if self.verdict == PARTLY else ""
+        also = f", {self.verdict}" if self.verdict in (PARTLY, UNEXPLAINED) else ""
         return f"{self.name} is {self.estimate:.4g}{unit}, {ends} with 95 %{also}."
 
 
@@ -73,6 +77,8 @@ def unknown_of(problem: AbstractProblem, name: str, shares: Any, told_by: str = 
     verdict = verdict_of(width)
     if verdict == NOT:
         estimate, low, high = middle, prior_low, prior_high
+    elif end_reached(problem, name, low, high, prior_high - prior_low) is not None:
+        verdict = PARTLY
     unit = problem.variable_units[problem.names.index(name)]
     ends = low, high, prior_low, prior_high
     return Unknown(name, unit, estimate, *ends, width, verdict, told_by)
@@ -81,6 +87,38 @@ def unknown_of(problem: AbstractProblem, name: str, shares: Any, told_by: str = 
 def verdict_of(width: float) -> str:
     """In words, for the width [1] of an interval beside the prior's."""
     return NOT if width > NOT_ABOVE else PARTLY if width > PARTLY_ABOVE else IDENTIFIED
+
+
+def end_reached(
+    problem: AbstractProblem, name: str, low: float, high: float, prior: float
+) -> float | None:
+    """The end of an unknown's distribution at which its interval ends, beyond which it may lie as
+    well; None where it ends at neither. `prior`: width of the prior's interval."""
+    ends = prior_quantiles(problem, name, np.array([0.0, 1.0]))
+    pairs = zip(ends, (low, high), strict=True)
+    return next((float(end) for end, own in pairs if abs(end - own) < AT_END * prior), None)
+
+
+def ends_in_words(problem: AbstractProblem, unknowns: Sequence[Unknown]) -> list[str]:
+    """Which intervals end where the prior does, and not by what the record says."""
+    said = []
+    for own in unknowns:
+        prior = own.prior_high - own.prior_low
+        end = end_reached(problem, own.name, own.low, own.high, prior)
+        if own.verdict != NOT and end is not None:
+            said.append(
+                f'The interval of "{own.name}" ends where its distribution does, at {end:.4g}: it '
+                "may lie beyond."
+            )
+    return said
+
+
+def unexplained(unknowns: Sequence[Unknown]) -> tuple[Unknown, ...]:
+    """The same beside a record that no law of the sample explains: no interval is that of the
+    machine."""
+    return tuple(
+        own if own.verdict == NOT else own._replace(verdict=UNEXPLAINED) for own in unknowns
+    )
 
 
 def prior_quantiles(problem: AbstractProblem, name: str, shares: np.ndarray) -> np.ndarray:

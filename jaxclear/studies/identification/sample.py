@@ -98,6 +98,39 @@ def check_identifiable(problem: Any, record: Measurement) -> None:
         )
 
 
+def window_end(problem: Problem, record: Measurement) -> int | None:
+    """Where in a run's samples what a record shows ends: before what was cut off the record, or, of
+    a run that is too short for that, as many whole turns later as it takes; None where no whole
+    turns do."""
+    room = round(float(problem.duration) * record.rate) + 1 - len(record.time)
+    cut = round(record.cut_off * record.rate)
+    if cut > room and record.turn is not None and not isinstance(record.turn, str):
+        cut = round(_beyond_whole_turns(record) * record.rate)
+    elif cut > room:
+        # What tells its turns itself, or has none, has no place in a run.
+        cut = 0
+    return len(record.time) + room - cut if cut <= room else None
+
+
+def _beyond_whole_turns(record: Measurement) -> float:
+    """Time [s] from the end of a record to the end of a whole turn of what it is a part of."""
+    turn = float(record.turn or 0.0)
+    # A whole turn but for rounding is one.
+    return max(record.cut_off - turn * np.floor(record.cut_off / turn + 1e-6), 0.0)
+
+
+def check_window(problem: Problem, record: Measurement) -> None:
+    """Raises `ValueError` with a sentence where a record ends within a turn at which no run of the
+    problem shows as much."""
+    if window_end(problem, record) is None:
+        whole = record.time[-1] + _beyond_whole_turns(record)
+        raise ValueError(
+            f"the record ends {record.cut_off:.6g} s before what it is a part of, within a turn, "
+            f"and the problem's runs are too short to be compared there; end its part at a whole "
+            f"turn, such as {whole:.6g} s, or give the problem a longer duration."
+        )
+
+
 def sampled(
     problem: Problem,
     record: Measurement,
@@ -138,7 +171,8 @@ def cut_of(record: Measurement, sample: Sample) -> Cut:
     if record.turn is None:
         return Cut(0, 0)
     if isinstance(record.turn, str):
-        angles = [record.signals[record.turn], *_end(sample.signals[record.turn], record)]
+        shown = _shown_part(sample.problem, sample.signals[record.turn], record)
+        angles = [record.signals[record.turn], *shown]
         ends = [whole_turns(own) for own in angles]
         turns = min(last - first for first, last in ends)
     else:
@@ -157,9 +191,12 @@ def cut_of(record: Measurement, sample: Sample) -> Cut:
     return Cut(turns, samples)
 
 
-def _end(signals: np.ndarray, record: Measurement) -> np.ndarray:
-    """What of the runs stands beside the record: as many samples, at their end."""
-    return signals[:, signals.shape[1] - len(record.time) :]
+def _shown_part(problem: Problem, signals: np.ndarray, record: Measurement) -> np.ndarray:
+    """What of the runs stands beside the record: as many samples, at their end or before what was
+    cut off the record."""
+    end = window_end(problem, record)
+    assert end is not None
+    return signals[:, end - len(record.time) : end]
 
 
 def as_signals(signals: dict[str, np.ndarray], record: Measurement, cut: Cut) -> dict[str, Signal]:
@@ -188,7 +225,7 @@ def sensed(sample: Sample, record: Measurement, seed: int) -> dict[str, np.ndarr
         shown = own
         if name != record.turn:
             shown = record.sensors[name].sensed(own, record.rate, rng)
-        found[name] = _end(shown, record)
+        found[name] = _shown_part(sample.problem, shown, record)
     return found
 
 

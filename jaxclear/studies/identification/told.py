@@ -16,9 +16,13 @@ from jaxclear.studies.identification.result import (
     IDENTIFIED,
     NOT,
     NOTHING,
+    PARTLY,
     Identified,
     Unknown,
+    end_reached,
+    ends_in_words,
     prior_quantiles,
+    unexplained,
     unknown_of,
     verdict_of,
 )
@@ -79,7 +83,7 @@ def of_signals(
         if name in found.unknowns or name in own
     ]
     drawn = _values(problem, found, np.random.default_rng(seed))
-    remarks = [*_misfits(found, first), *_at_ends(problem, unknowns), *_models(found)]
+    remarks = [*_misfits(found, first), *ends_in_words(problem, unknowns), *_models(found)]
     remarks += _rest(found, first, problems)
     remarks += _together(unknowns, found.fits[first][0]) if records < FEWEST else _drift(found)
     units = problem.units()
@@ -89,7 +93,10 @@ def of_signals(
 
 
 def _unknown(problem: AbstractProblem, name: str, own: CredibleInterval) -> Unknown:
-    return _row(name, problem.variable_units[problem.names.index(name)], own)
+    found = _row(name, problem.variable_units[problem.names.index(name)], own)
+    prior = found.prior_high - found.prior_low
+    at_end = end_reached(problem, name, found.low, found.high, prior) is not None
+    return found._replace(verdict=PARTLY) if at_end and found.verdict == IDENTIFIED else found
 
 
 def _row(name: str, unit: str, own: CredibleInterval) -> Unknown:
@@ -162,22 +169,6 @@ def _misfits(found: BySignal, first: str) -> list[str]:
     return said
 
 
-def _at_ends(problem: AbstractProblem, unknowns: Sequence[Unknown]) -> list[str]:
-    """Which intervals end where the prior does, and not by what the record says."""
-    said = []
-    for own in unknowns:
-        ends = prior_quantiles(problem, own.name, np.array([0.0, 1.0]))
-        near = 1e-4 * (own.prior_high - own.prior_low)
-        both = zip(ends, (own.low, own.high), strict=True)
-        reached = [end for end, found in both if abs(end - found) < near]
-        if own.verdict == IDENTIFIED and reached:
-            said.append(
-                f'The interval of "{own.name}" ends where its distribution does, at '
-                f"{float(reached[0]):.4g}: it may lie beyond."
-            )
-    return said
-
-
 def _models(found: BySignal) -> list[str]:
     """Which models remain, and what speaks against others."""
     said = []
@@ -240,6 +231,8 @@ def of_records(problem: Any, every: Sequence[Identified], seed: int) -> Identifi
     ends = np.array([prior_quantiles(problem, n, np.array([0.0, 1.0])) for n in problem.names])
     remarks = dict.fromkeys(text for own in every for text in own.remarks)
     explained = [own.explained for own in every if own.explained is not None]
+    if any(own.explains is False for own in every):
+        unknowns = list(unexplained(unknowns))
     return Identified(
         problem,
         tuple(unknowns),

@@ -13,7 +13,13 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.surface.polynomials import levels, orthonormal, powers, products
+from jaxclear.studies.surface.polynomials import (
+    MOST_TERMS,
+    levels,
+    orthonormal,
+    powers,
+    products,
+)
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
 
@@ -23,6 +29,8 @@ RANK = 1e-10
 HIGHEST = 4
 # Terms of a fit for each of its equations, at the most.
 MOST_SHARE = 0.7
+# Numbers of a fit, equations times terms, at the most: 2 GiB, of which it takes a few.
+MOST_NUMBERS = 1 << 28
 
 
 class Fit(NamedTuple):
@@ -88,6 +96,15 @@ def fitted(
         )
     polynomials = orthonormal(values, degrees[-1])
     table = powers(levels(polynomials), degrees[-1])
+    if len(table) * equations > MOST_NUMBERS:
+        fewer = ", or slopes=False" if gradients is not None else ""
+        raise ValueError(
+            f"a surface of degree {degrees[-1]} in {values.shape[1]} variables has {len(table)} "
+            f"terms, and {len(values)} runs give {equations} equations for them: "
+            f"{8 * len(table) * equations / 2**30:.2g} GiB, and several times that to solve. Take "
+            f"{MOST_NUMBERS // len(table) * len(values) // equations} runs at the most, or a lower "
+            f"degree{fewer}."
+        )
     if degree is not None and len(table) > MOST_SHARE * equations:
         wanted = int(np.ceil(len(table) / MOST_SHARE * len(values) / equations))
         raise ValueError(
@@ -146,10 +163,11 @@ def _good(
 
 
 def _degrees(variables: int, equations: int) -> tuple[int, ...]:
-    """Degrees that so many equations determine."""
-    return tuple(
-        d for d in range(1, HIGHEST + 1) if comb(variables + d, d) <= MOST_SHARE * equations
+    """Degrees that so many equations determine, and that memory has room for."""
+    most = min(
+        MOST_SHARE * equations, MOST_TERMS, max(MOST_NUMBERS // max(equations, 1), 1 + variables)
     )
+    return tuple(d for d in range(1, HIGHEST + 1) if comb(variables + d, d) <= most)
 
 
 def _equations(

@@ -1,0 +1,9 @@
+  %arguments_place = getelementptr i8, ptr %frame, i64 72
+  %arguments = load ptr, ptr %arguments_place
+  %results_place = getelementptr i8, ptr %frame, i64 112
+  %results = load ptr, ptr %results_place
+  %first = load ptr, ptr %arguments
+  %rank_place = getelementptr i8, ptr %first, i64 32
+  %rank = load i64, ptr %rank_place
+  %sizes_place = getelementptr i8, ptr %first, i64 40
+  %sizes = load ptr, ptr %sizes_place

@@ -1,0 +1,90 @@
+"""Mechanisms of several spatial loops: what XLA compiles of their assembly is bounded, the rest is
+machine code of kernels."""
+
+import logging
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.ground.factorisation import least_change, of_rank
+from jaxclear.multibody import assembly
+from jaxclear.native import once, rows
+from jaxclear.native.rows import operations_of
+
+LINKS = [(0.2, 0.0, 0.0), (0.1, 0.15, 0.05), (0.0, 0.2, -0.05), (-0.1, 0.1, 0.1), (0.1, 0.0, 0.15)]
+# Where the tips are drawn, and how far they are from there.
+TIP, OFF = np.sum(LINKS, axis=0), np.array([0.02, -0.03, 0.01])
+AXES = [(np.sin(i), np.cos(i), 0.3 * i) for i in range(5)]
+
+
+def loops(count):
+    """So many chains of five skew hinges, whose tips are held by ball joints."""
+    bodies, connections = {}, {}
+    for k in range(count):
+        before, at = "ground", (0.0, 0.4 * k, 0.0)
+        for i, (axis, link) in enumerate(zip(AXES, LINKS, strict=True)):
+            name = f"link {k} {i}"
+            bodies[name] = jc.Body(1.0, (1e-3, 2e-3, 3e-3), link)
+            ends = jc.Marker(before, at, axis=axis), jc.Marker(name, (0.0, 0.0, 0.0), axis=axis)
+            connections[f"hinge {k} {i}"] = jc.Connection(jc.joint.Revolute(), *ends)
+            before, at = name, link
+        tip = jc.Marker("ground", tuple(TIP + OFF + (0.0, 0.4 * k, 0.0))), jc.Marker(before, at)
+        connections[f"ball {k}"] = jc.Connection(jc.joint.Spherical(), *tip)
+    return jc.Mechanism(bodies, connections)
+
+
+def of_numbers(function, rig, *rest):
+    """The function over the numbers of a mechanism, and these."""
+    numbers, form = eqx.partition(rig, eqx.is_array)
+    return lambda given: jax.tree.leaves(
+        eqx.filter(function(eqx.combine(given, form), *rest), eqx.is_array)
+    ), numbers
+
+
+def test_of_more_loops_xla_compiles_no_more(monkeypatch):
+    """Written out an assembly of ten hinges and two loops took XLA 15 s to compile."""
+    judged, numbers = of_numbers(assembly._judged.__wrapped__, loops(2), True, None)
+    left = operations_of(jax.make_jaxpr(judged)(numbers).jaxpr)
+    monkeypatch.setattr(rows, "LONG", 10**9)
+    judged, numbers = of_numbers(assembly._judged.__wrapped__, loops(2), True, None)
+    whole = operations_of(jax.make_jaxpr(judged)(numbers).jaxpr)
+    assert left < rows.SHORT + 0.3 * whole and whole > 10_000
+
+
+def test_kernels_assemble_as_xla(monkeypatch, caplog):
+    caplog.set_level(logging.INFO, "jaxclear")
+    rig = loops(1)
+    monkeypatch.setattr(rows, "LONG", 10)
+    found = jc.assemble(rig)
+    assert not [x for x in caplog.messages if "left to XLA" in x]
+    monkeypatch.setattr(rows, "LONG", 10**9)
+    jax.clear_caches()
+    other = jc.assemble(rig)
+    np.testing.assert_allclose(found.coordinates, other.coordinates, atol=1e-12)
+    np.testing.assert_allclose(other.residuals["ball 0"], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [5, 17])
+def test_row_operations_of_any_size_are_kernels(count, caplog):
+    """Rows that follow from others among them; beside NumPy's least squares."""
+    caplog.set_level(logging.INFO, "jaxclear")
+    random = np.random.default_rng(0)
+    matrix = random.normal(size=(count, count + 4))
+    matrix[-1] = matrix[0] - matrix[1]
+    targets = matrix @ random.normal(size=count + 4)
+    scales = jnp.ones(count + 4)
+
+    def change(matrix, targets):
+        chosen = of_rank(matrix, targets, scales, count - 1)
+        return least_change(matrix, targets, scales), least_change(*chosen, scales)
+
+    whole, chosen = jax.jit(lambda *given: once(change, *given))(matrix, targets)
+    wanted = np.linalg.lstsq(matrix, targets)[0]
+    np.testing.assert_allclose(whole.change, wanted, atol=1e-11)
+    np.testing.assert_allclose(chosen.change, wanted, atol=1e-11)
+    assert whole.met.tolist() == [True] * (count - 1) + [False] and chosen.met.all()
+    assert not [x for x in caplog.messages if "left to XLA" in x]
