@@ -107,6 +107,7 @@ class Action(NamedTuple):
         return order if order in places else places[0]
 
     def _equals(self, marker: Marker) -> bool:
+        structure: Any
         leaves, structure = jax.tree.flatten(marker)
         others, other = jax.tree.flatten(self.marker)
         same = lambda x, y: x is y or concrete(x) == concrete(y) is not None

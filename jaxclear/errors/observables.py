@@ -233,10 +233,10 @@ def apart(
         for unit, least in (("N m", float(one.idle)), ("N", float(one.idle) / arm if arm else 0.0)):
             torque = unit == "N m"
             own = [k for k, n in enumerate(names) if turns(run.mechanism, couplings[n]) == torque]
-            sent = [np.asarray(getattr(each, f"{kind}_sent"))[own] for each in (one, other, finest)]
+            a, b, c = (np.asarray(getattr(x, f"{kind}_sent"))[own] for x in (one, other, finest))
             if own:
                 places = [names[k] for k in own]
-                found += _by_place(f"{kind} transmitted", part, unit, places, *sent, least)
+                found += _by_place(f"{kind} transmitted", part, unit, places, a, b, c, least)
     if one.friction_loss is not None:
         loss, less, last = (float(np.asarray(each.friction_loss)) for each in (one, other, finest))
         scale = max(last, LEAST_LOSS * float(np.asarray(finest.turnover))) or max(loss, less)

@@ -249,8 +249,8 @@ def factor_of_rank(matrix: Rows, rank: int) -> KnownRank:
         inverses = jnp.where(here, inverse, inverses)
         return (rest, free - at, first, columns, above, inverses, place + 1), None
 
-    begin = to_array(matrix), jnp.ones(m), jnp.zeros(()), jnp.zeros((rank, m))
-    begin = *begin, jnp.zeros((rank, rank)), jnp.zeros(rank), jnp.zeros((), int)
+    matrices = to_array(matrix), jnp.ones(m), jnp.zeros(()), jnp.zeros((rank, m))
+    begin = *matrices, jnp.zeros((rank, rank)), jnp.zeros(rank), jnp.zeros((), int)
     *_, columns, above, inverses, _ = jax.lax.scan(add, begin, length=rank)[0]
     return KnownRank(list(columns), [list(above[j][:j]) for j in range(rank)], list(inverses))
 

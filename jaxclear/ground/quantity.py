@@ -389,8 +389,9 @@ def with_quantities(tree: Any) -> Any:
     inner = lambda x: isinstance(x, eqx.Module)
     if not inner(tree):
         return jax.tree.map(lambda x: with_quantities(x) if inner(x) else x, tree, is_leaf=inner)
-    values = {}
-    for name, metadata in _leaves(type(tree)):
+    values: dict[str, Any] = {}
+    kind: Any = type(tree)
+    for name, metadata in _leaves(kind):
         as_field = metadata.get("converter") if "unit" in metadata else None
         value = with_quantities(getattr(tree, name))
         values[name] = value if as_field is None else as_field(value)

@@ -38,15 +38,17 @@ class StopOfRatio(AbstractCoordinateLoad):
 
     def damped(self, inertia: Any) -> AbstractCoordinateLoad:
         """The stop with its damping, for an inertia along its coordinate [kg m^2, kg]."""
-        damping = 2 * self.ratio * jnp.sqrt(self.stop.stiffness * inertia)
-        return dataclasses.replace(self.stop, damping=damping)
+        stop: Any = self.stop
+        damping = 2 * self.ratio * jnp.sqrt(stop.stiffness * inertia)
+        return dataclasses.replace(stop, damping=damping)
 
 
 def with_damping_ratios(system: System) -> System:
     """The system with the damping ratios of its stops in the place of their restitution."""
+    loads: Any = coordinate_loads(system)
     found = {
         name: StopOfRatio(load.connection, load, damping_ratio_of(load.restitution))
-        for name, load in coordinate_loads(system)
+        for name, load in loads
         if any(side.stop is load for side in load.sides())
         and load.damping is None
         and None not in (load.restitution, load.stiffness)

@@ -201,7 +201,8 @@ def _place(mechanism: Mechanism, rows: tuple[Row, ...], q: Array, time: Any) -> 
         jacobian = stacked(asked, blocks_of(asked, q, time))[0] * speed_scales(asked)
         return jacobian, jax.lax.map(functools.partial(through, motions), jnp.eye(len(rows)))
 
-    return Place(*compiled_sooner(placed), asked.arm)
+    jacobian, forces = compiled_sooner(placed)
+    return Place(jacobian, forces, asked.arm)
 
 
 def rank_of(rows: np.ndarray) -> int:

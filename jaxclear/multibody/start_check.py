@@ -229,7 +229,7 @@ def _jolt(start: Start) -> np.ndarray:
 def beyond_limits(mechanism: Mechanism, start: Start) -> str:
     """A sentence where a coordinate starts beyond a stop or inside the flank of a play; "" where
     none does, and for what is being traced."""
-    stops = {n: own for n, own in mechanism.loads.items() if _sides(own)}
+    stops: dict[str, Any] = {n: own for n, own in mechanism.loads.items() if _sides(own)}
     plays = {n: own for n, own in mechanism.couplings.items() if own.gives and own.play}
     if not (stops or plays) or is_traced((mechanism, start)):
         return ""
@@ -267,7 +267,7 @@ def _limits_passed(
     motions = motions_at(asked, q, still, 0.0)[2]
     found = [asked.arm]
     for name in stops:
-        load = mechanism.loads[name]
+        load: Any = mechanism.loads[name]
         branch = system.topology.branch_of(load.coordinates()[0])
         own = None if branch is None else motions[system.topology.branches.index(branch)]
         place = [] if own is None else own.coordinates[:1]

@@ -420,7 +420,7 @@ def _rotor(mechanism: Mechanism, connection: str | None) -> Any:
     return sum(own) if own else None
 
 
-def coordinate_loads(system: System) -> list[tuple[str, AbstractStateLoad]]:
+def coordinate_loads(system: System | Mechanism) -> list[tuple[str, AbstractStateLoad]]:
     """Loads on coordinates of joints, by name."""
     return [
         (name, load) for name, load in system.loads.items() if isinstance(load, AbstractStateLoad)

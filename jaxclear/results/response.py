@@ -296,8 +296,7 @@ def _largest_met(run: Trajectory, joint: str) -> Scalar:
     """Largest force [N] of any step, and elastic force at the deepest indentation; 0 where none was
     kept, and of contacts whose law changes with the radius as worn."""
     extremes = run.extremes
-    followed = extremes is not None and joint in extremes.contacts
-    if not followed or run.formulation.forces_are_means:
+    if extremes is None or joint not in extremes.contacts or run.formulation.forces_are_means:
         return jnp.zeros(())
     system = run.history.model().system
     depths, *forces = (

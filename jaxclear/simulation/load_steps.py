@@ -196,11 +196,12 @@ def _looked_at(functions: dict[str, Any], integrator: AbstractIntegrator, times:
 
 def _ending_at(integrator: AbstractIntegrator, breaks: np.ndarray) -> AbstractIntegrator:
     """The integrator with steps that end at these times [s] too; itself where there are none."""
-    known = [] if integrator.breaks is None else on_host(integrator.breaks)
+    known: Any = [] if integrator.breaks is None else on_host(integrator.breaks)
     if not isinstance(integrator, Adaptive) or np.isin(breaks, known).all():
         return integrator
     every = np.append(np.union1d(known, breaks), np.full(MOST_BREAKS, np.inf))[:MOST_BREAKS]
-    return dataclasses.replace(integrator, breaks=every)
+    adaptive: Any = integrator
+    return dataclasses.replace(adaptive, breaks=every)
 
 
 @functools.lru_cache(maxsize=64)

@@ -296,11 +296,11 @@ def _simulated(
         with stoppable():
             found = again(Replica(integrator, saved))
             for _ in range(2):
-                steps, more = felt_along(found, integrator)
+                refined, more = felt_along(found, integrator)
                 passed = passed | more
-                if steps is integrator:
+                if refined is integrator:
                     break
-                integrator, found = steps, again(Replica(steps, saved))
+                integrator, found = refined, again(Replica(refined, saved))
             found = judged_by(passed, until_the_end(diagnosed(guarded(found, integrator))))
         found = verified(found, integrator, again, how.verify, asked)
     return dataclasses.replace(found, doubts=(doubt,)) if doubt else found

@@ -116,7 +116,7 @@ def shapley_effects(
         responses, held = (_on_surface(surface.bare(), at) for at in (values, inside))
         reached, warnings = np.ones(len(values), bool), surface.warnings
     good = np.all(reached.reshape(len(sets), -1), axis=0)
-    effects = {}
+    effects: dict[Any, Any] = {}
     for name in problem.response_names:
         own = _effects(responses[name], good, sets, steps, group, count)
         if surface is not None:
@@ -128,9 +128,9 @@ def shapley_effects(
             ]
         effects |= {(name, variable): one for variable, one in zip(problem.names, own, strict=True)}
     seen = np.asarray(values)[np.tile(good, len(sets))] if surface is None else surface.values
-    open_ = open_shares(problem, seen, effects)
-    said = _remark(surface), (*warnings, *open_)
-    return ShapleyEffects(problem, effects, len(values), int((~good).sum()), *said)
+    little = open_shares(problem, seen, effects)
+    remark, failed = _remark(surface), int((~good).sum())
+    return ShapleyEffects(problem, effects, len(values), failed, remark, (*warnings, *little))
 
 
 def _all_steps(count: int) -> list[Step]:
