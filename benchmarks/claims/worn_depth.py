@@ -234,7 +234,7 @@ def by_saves(counts: tuple[int, ...]) -> list[dict[str, Any]]:
     Motions differ a little, as steps end at saving times, so depths are those of a volume of 1."""
     rows = []
     for kind, (rig, duration, integrator, joint, surface) in with_saves().items():
-        steps = round(duration / integrator.step)
+        steps = round(duration / float(integrator.step))
         run = lambda save, how=(rig, duration, integrator): jc.simulate(
             how[0], how[1], save=save, integrator=how[2], verify=False
         )
