@@ -124,7 +124,7 @@ class Adaptive(AbstractIntegrator):
     )
     largest_step: Scalar | None = quantity(None, "s", "largest step", above=0, kw_only=True)
     most_steps: int = count(200_000, "most steps between saves or wear updates", kw_only=True)
-    breaks: jax.Array | None = eqx.field(default=None, kw_only=True, converter=_as_times)
+    breaks: Any = eqx.field(default=None, kw_only=True, converter=_as_times)
 
     @property
     def promise(self):
