@@ -14,11 +14,13 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.ground.quantity import AbstractQuantified, public_name
+from jaxclear.studies.design.cost import AbstractCost
 from tests.test_architecture import CLASSES
 
 # What a field without a default may hold, by its type; numbers see `number_within`.
 FILLERS = {str: "arm", float: 2.0, tuple[int, int]: (12, 1), tuple[int, ...]: (6, 7)}
 FILLERS[tuple[str, ...]] = ("a", "b", "c")  # as many as a vector has numbers
+FILLERS[AbstractCost] = jc.cost.Table((1e-5, 2e-5), (2.0, 1.0))  # others hold a cost themselves
 COUNTS = {"quaternion": 4}  # numbers of a vector where they are not 3
 BIG_ENOUGH = {"outer_radius": 2.0}  # numbers that another one bounds
 # Numbers that bound each other.

@@ -243,7 +243,12 @@ def page_rows() -> list[dict[str, Any]]:
             module = reference.module_at(path)
             for word in asked.split() or reference.public_names(module):
                 lines = reference.described(f"{path}.{word}", getattr(module, word))
-                read += [p._replace(is_head=False) for p in docstrings("\n".join(lines))]
+                # A list of arguments is no paragraph.
+                read += [
+                    p._replace(is_head=False)
+                    for p in docstrings("\n".join(lines))
+                    if not p.text.startswith("Args:")
+                ]
         rows.append(
             {
                 "page": name,

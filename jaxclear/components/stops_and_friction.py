@@ -165,14 +165,17 @@ class JointFriction(AbstractStateLoad):
     where steps have a length: :math:`t_0/z_0` is the inverse of the speed that :math:`\tau` takes
     from the joint in that time, for the inertia along its coordinate where a run starts, and
     :math:`z_0` is 1e-6 (rad, m) or what that damps critically; derivatives of `Adaptive` then want
-    an `rtol` of 1e-7; where they are nan there too they want a `presliding` of 1e-4. With a
-    `transition_speed` :math:`v_0` it is a function of the speed instead,
+    an `rtol` of 1e-7; where they are nan there too they want a `presliding` of 1e-4.
+
+    With a `transition_speed` :math:`v_0` it is a function of the speed instead,
     :math:`F = -\tau\tanh(\dot q/v_0)`, in every integrator, and creeps under a steady load. The
     friction of a clutch or a brake ends and begins with what presses it: a function of time, of
-    which what is below 0 counts as 0, or `Pressed`, the force of another load or coupling. Friction
-    by what the joint carries is that of `joint.PlainBearing` and `joint.Slideway`. In closed loops
-    what each of several such loads holds at rest is not unique (Wojtyra 2017, Multibody Syst. Dyn.
-    39, 337, doi:10.1007/s11044-016-9535-6): one of the many answers is told.
+    which what is below 0 counts as 0, or `Pressed`, the force of another load or coupling.
+
+    Friction by what the joint carries is that of `joint.PlainBearing` and
+    `joint.Slideway`. In closed loops what each of several such loads holds at rest is not unique
+    (Wojtyra 2017, Multibody Syst. Dyn. 39, 337, doi:10.1007/s11044-016-9535-6): one of the many
+    answers is told.
 
     Source: Prandtl 1928, Z. angew. Math. Mech. 8, 85, doi:10.1002/zamm.19280080202 (elastic, then
     perfectly plastic: it does not drift as Dahl's and LuGre's bristles do, Dupont et al. 2002, IEEE

@@ -42,6 +42,7 @@ from jaxclear.files.forms import (
 from jaxclear.files.text import Misread, Node, misread, plain_text
 from jaxclear.ground.quantity import members_of_union
 from jaxclear.ground.wording import described, listed, public_name, unknown
+from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.laws import contact, material
 from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.multibody.loops import AsNeeded, Baumgarte, Projection
@@ -233,6 +234,7 @@ TOLD: dict[type, dict[str, tuple[AbstractForm | None, Getter]]] = {
         "guess": (NUMBERS_BY_NAME, _given("guess")),
         "stabilisation": (Part((Baumgarte, Projection)), _stabilisation),
     },
+    Adaptive: {"breaks": (NumberArray(), _attribute("breaks"))},
     Saving: {"at": (Choice((Whole({"at_least": 2}), NumberArray())), _attribute("at"))},
     Condition: {
         "acts": (Part((Heating,)), _attribute("acts")),

@@ -123,7 +123,7 @@ class Adaptive(AbstractIntegrator):
         kw_only=True,
     )
     largest_step: Scalar | None = quantity(None, "s", "largest step", above=0, kw_only=True)
-    most_steps: int = count(200_000, "most steps between two saving times", kw_only=True)
+    most_steps: int = count(200_000, "most steps between saves or wear updates", kw_only=True)
     breaks: Any = eqx.field(default=None, kw_only=True, converter=_as_times)
 
     @property

@@ -100,9 +100,9 @@ class Span(NamedTuple):
 
 class Carry(NamedTuple):
     """What a run hands from turn to turn; `worn` are its worn surfaces (none where they are not to
-    wear on), `read` these as gaps read them, `ended` [s] is the last saving time that it reached,
-    `steps` those accepted and rejected so far, `peaks` the largest of every contact (None: no
-    integrator follows them)."""
+    wear on), `read` these as gaps read them, `ended` [s] is the last time that it reached: when a
+    state is saved, surfaces wear, or steps are to end; `steps` those accepted and rejected so far,
+    `peaks` the largest of every contact (None: no integrator follows them)."""
 
     state: State
     worn: Worn

@@ -118,7 +118,10 @@ def test_the_walls_colours_add_up_to_the_volume_worn_by_then(page, run):
     volume = np.asarray(run.worn_volume("B", "bearing"))
     assert share.shape == (page.frames, len(worn)) and np.all(np.diff(share, axis=0) >= 0)
     assert 0 < volume[20] < volume[34] < volume[-1]
-    np.testing.assert_allclose(share @ worn / worn.sum(), volume / volume[-1], atol=0.003)
+    # Surfaces are updated a little before a frame, at the latest at the frame before.
+    shown, share_of = share @ worn / worn.sum(), volume / volume[-1]
+    assert np.all(shown <= share_of + 0.003) and np.all(shown[1:] >= share_of[:-1] - 0.003)
+    assert abs(shown[-1] - 1.0) < 0.003
 
 
 @pytest.mark.slow

@@ -154,7 +154,7 @@ class SliderGuide(AbstractClearance):
             raise ValueError(
                 "is a SliderGuide whose axis (z of its marker) and gaps (x) must lie in the plane "
                 'in which its parts move: give the connection, or both markers, axis="x", "-x", '
-                '"y" or "-y"; a guide along another direction takes markers with a quaternion.'
+                '"y" or "-y", or another direction as its two numbers in the plane.'
             )
 
     def grown(self, outer, inner):

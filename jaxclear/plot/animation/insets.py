@@ -183,10 +183,10 @@ def _wearing(
     if worn is None:
         return None
     joint: Any = run.mechanism.connections[name].joint
-    # A gap has read at a saving time what stood at the one before.
-    before = jax.tree.map(np.asarray, run.history.read[name][side])
+    # As the surface was updated last before a saving time, and at the end as it is then.
+    updated = jax.tree.map(np.asarray, run.history.read[name][side])
     at_end = cut(joint.maps()[side][0].reading(run.worn[name][side]))
-    depth = np.concatenate([cut(before)[1:], np.asarray(at_end)[None]])[frames]
+    depth = np.concatenate([cut(updated)[:-1], np.asarray(at_end)[None]])[frames]
     share = np.where(at_end > 0, depth / np.where(at_end > 0, at_end, 1.0), 1.0)
     in_bytes = np.round(255 * np.clip(np.nan_to_num(share), 0.0, 1.0)).astype(np.uint8)
     return Worn(circle(worn), in_bytes)
