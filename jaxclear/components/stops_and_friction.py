@@ -165,7 +165,7 @@ class JointFriction(AbstractStateLoad):
     where steps have a length: :math:`t_0/z_0` is the inverse of the speed that :math:`\tau` takes
     from the joint in that time, for the inertia along its coordinate where a run starts, and
     :math:`z_0` is 1e-6 (rad, m) or what that damps critically; derivatives of `Adaptive` then want
-    an `rtol` of 1e-7.
+    an `rtol` of 1e-7; where they are nan there too they want a `presliding` of 1e-4.
 
     With a `transition_speed` :math:`v_0` it is a function of the speed instead,
     :math:`F = -\tau\tanh(\dot q/v_0)`, in every integrator, and creeps under a steady load. The

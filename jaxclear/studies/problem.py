@@ -51,6 +51,7 @@ from jaxclear.simulation.derivatives import (
     is_compared,
     order_of,
     refusal,
+    until_the_end,
     where_alike,
 )
 from jaxclear.simulation.initial_state import Past, past_of, state_of
@@ -243,7 +244,7 @@ class Problem(AbstractMechanismProblem):
             start = carried_on(mechanism, *motion.moving)
         extras = Extras(events=self.events, discrete=discrete)
         given = mechanism, *start[:2], times, self.integrator, extras, self.past
-        found = run(*given, self.updates)
+        found = until_the_end(run(*given, self.updates))
         return mechanism, start, found
 
     def _beginning(self, mechanism: Mechanism) -> tuple[Array, Array] | None:

@@ -64,13 +64,25 @@ def test_what_a_clutch_takes_from_a_shaft_is_the_impulse_of_its_signal(kind):
 
 @pytest.mark.parametrize("kind", ["adaptive", "rigid", "permanent"])
 def test_derivatives_go_by_the_friction_of_a_clutch(kind):
-    def end(most):
-        rig = slide(jc.load.JointFriction("slide", pulses(most)), speed=5.0)
-        run = jc.simulate(rig, 2.0, integrator=STEPS[kind], save=2, throw=False, verify=False)
-        return run.speed("slide").ravel()[-1]
+    """Of Adaptive through a bristle that it resolves; through a stiffer one, as by default, they
+    are that or nan."""
 
-    slope = jax.jvp(end, (3.0,), (1.0,))[1]
-    np.testing.assert_allclose(slope, -2 / np.pi / MASS, rtol=1e-3)
+    def slope(**bristle):
+        def end(most):
+            clutch = jc.load.JointFriction("slide", pulses(most), **bristle)
+            rig = slide(clutch, speed=5.0)
+            run = jc.simulate(rig, 2.0, integrator=STEPS[kind], save=2, throw=False, verify=False)
+            return run.speed("slide").ravel()[-1]
+
+        return jax.jvp(end, (3.0,), (1.0,))[1]
+
+    wanted, usual = -2 / np.pi / MASS, slope()
+    if kind == "adaptive":
+        np.testing.assert_allclose(slope(presliding=1e-4), wanted, rtol=1e-3)
+        if np.isnan(usual):
+            assert jc.why_unknown(usual)
+            return
+    np.testing.assert_allclose(usual, wanted, rtol=1e-3)
 
 
 STIFFNESS, INERTIA, START = 800.0, 0.05, 0.01
