@@ -77,7 +77,7 @@ class Extras(NamedTuple):
 
 
 # Path [cells] that a contact takes between two updates of its surface: half a cell leaves the
-# deepest place of the four-bar within 1 % (`benchmarks.claims.worn_depth`); longer ones are taken
+# deepest place of the four-bar within 2 % (`benchmarks.claims.worn_depth`); longer ones are taken
 # again up to twice that. In a run without such paths so many updates are made.
 PATH, FEWEST_UPDATES = 0.5, 100
 # How much longer or shorter than the part before a part between two updates is at most.
