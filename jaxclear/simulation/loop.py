@@ -356,8 +356,9 @@ def _between_updates(
     def end_of_part(time, length, stop):
         if step is not None:
             length = jnp.maximum(jnp.floor(length / step * (1 + SLIVER)), 1.0) * step
-        # No sliver of a part is left.
-        return jnp.where(time + (1 + SLIVER) * length < stop, time + length, stop)
+        # No sliver of a part is left, and time grows.
+        inside = (time + (1 + SLIVER) * length < stop) & (time + length > time)
+        return jnp.where(inside, time + length, stop)
 
     def parts(begun, span):
         def one(now):
@@ -393,9 +394,9 @@ def _between_updates(
     return parts
 
 
-def _in_parts(loop: Callable, part: Callable, begun: Any, span: Span) -> Any:
-    """What is handed on and left behind a saving interval that is gone through in its equal parts,
-    by a while `loop`; `part`: (what is handed on, span) -> (that, what is left: by the last
+def _in_parts(part: Callable, begun: Any, span: Span) -> Any:
+    """What is handed on and left behind a saving interval that is gone through in its equal parts;
+    `part`: (what is handed on, span) -> (that, what is left: by the last
     part, and the events of all)."""
     parts: Any = span.parts
     length = (span.stop - span.start) / parts
@@ -403,15 +404,14 @@ def _in_parts(loop: Callable, part: Callable, begun: Any, span: Span) -> Any:
     def turn(now):
         index, carry, (_, noted) = now
         begins = jnp.where(index == 0, span.start, span.start + index * length)
-        last = index + 1 == parts
-        ends = jnp.where(last, span.stop, span.start + (index + 1) * length)
-        due = None if span.due is None else span.due | (index > 0)
-        carry, (left, more) = part(carry, Span(begins, ends, span.progress / parts, due))
+        ends = jnp.where(index + 1 == parts, span.stop, span.start + (index + 1) * length)
+        carry, (left, more) = part(carry, Span(begins, ends, span.progress / parts))
         return index + 1, carry, (left, None if more is None else together(noted, more))
 
     left = jax.eval_shape(part, begun, span)[1]
     nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), left)
-    return loop(lambda now: now[0] < parts, turn, (jnp.zeros((), int), begun, nothing))[1:]
+    first = jnp.zeros((), int), begun, nothing
+    return jax.lax.while_loop(lambda now: now[0] < parts, turn, first)[1:]
 
 
 def _between_instants(turn: _Turn, loop: Callable, part: Callable) -> Callable:
@@ -504,7 +504,7 @@ def _from_save_to_save(
     def one(now, span):
         wears = first.worn and counted is None
         span = span._replace(parts=updates)
-        go = functools.partial(_in_parts, jax.lax.while_loop, part) if wears else part
+        go = functools.partial(_in_parts, part) if wears else part
         now, (read, noted) = go(now, span)
         return now, (now.state, read, noted)
 
