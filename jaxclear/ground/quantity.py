@@ -448,14 +448,25 @@ def quantity(
     at_most: float | None = None,
     **kwargs: Any,
 ) -> Any:
-    """A scalar field with a unit (SI, "1" if none), a sentence of meaning and the range of its
-    values.
+    """Declare a field that holds one number with a unit and a range.
 
-    `default` may be a number or `None`. The range, `above`, `at_least`, `below`, `at_most` [unit],
-    is checked when an object is built (see `AbstractQuantified`), for all numbers of a mechanism,
-    and for every sample of a study.
-    `converter` is for what may be given in other ways than as one number. `usual`: (least, largest,
-    likely slip) of what mechanisms have; beyond them a `Mechanism` warns.
+    The range is checked when an object is built (see `AbstractQuantified`) and for every sample of
+    a study.
+
+    Args:
+        default: a number, or None where the number may be absent; without it the field is required.
+        unit: SI unit; "1" (default) for a number without.
+        meaning: what the number is, part of a sentence; "" by default.
+        above: exclusive lower bound [unit]; None (default) for none.
+        at_least: inclusive lower bound [unit]; None (default) for none.
+        below: exclusive upper bound [unit]; None (default) for none.
+        at_most: inclusive upper bound [unit]; None (default) for none.
+        kwargs: further arguments of `equinox.field`; `converter` for a field that accepts more than
+            one number; `usual`, (least, largest, likely mistake) [unit] of usual mechanisms, beyond
+            which a `Mechanism` warns; `wanted`, what the field accepts, in words.
+
+    Returns:
+        The field.
     """
     bounds = {"above": above, "at_least": at_least, "below": below, "at_most": at_most}
     said = {k: v for k, v in bounds.items() if v is not None}
@@ -477,15 +488,35 @@ def vector(
     counts: tuple[int, ...] = (),
     **kwargs: Any,
 ) -> Any:
-    """A field of two or more scalars, each its own leaf, sharing one unit. `counts`: how many there
-    may be (any number by default).
+    """Declare a field that holds several numbers with one unit, each a leaf of its own.
+
+    Args:
+        default: numbers, or None where they may be absent; without it the field is required.
+        unit: SI unit; "1" (default) for numbers without.
+        meaning: what the numbers are, part of a sentence; "" by default.
+        counts: allowed numbers of components; any (default) where empty.
+        kwargs: further arguments of `equinox.field`; `converter`, `usual` and `wanted` as of
+            `quantity`.
+
+    Returns:
+        The field.
     """
     said = {"counts": counts} | {k: kwargs.pop(k) for k in METADATA if k in kwargs}
     return _field(default, unit, meaning, kwargs.pop("converter", as_vector), kwargs, said)
 
 
 def count(default: Any = dataclasses.MISSING, meaning: str = "", at_least: int = 1, **kwargs: Any):
-    """A static field of a whole number: how often, how many."""
+    """Declare a static field that holds a whole number.
+
+    Args:
+        default: the number; without it the field is required.
+        meaning: what is counted, part of a sentence; "" by default.
+        at_least: smallest number allowed; 1 by default.
+        kwargs: further arguments of `equinox.field`.
+
+    Returns:
+        The field.
+    """
     said = {"at_least": at_least, "meaning": meaning}
     if default is not dataclasses.MISSING:
         kwargs["default"] = default
@@ -505,10 +536,16 @@ def _field(default, unit, meaning, converter, kwargs, said):
 
 
 class AbstractQuantified(AbstractShown, metaclass=AnsweringMeta):
-    """What has numbers with units. Building one raises `ValueError` for a field that holds what it
-    may not, a number that is not finite or outside its range: `integrator.MoreauJean has gamma =
-    -1; it must be at least 0.` What a class compares in a `__check_init__` of its own comes after
-    that. `print` shows its numbers with their units.
+    """Base class of everything that has numbers with units.
+
+    Building an object checks its fields: `integrator.MoreauJean has gamma = -1; it must be at least
+    0.` A `__check_init__` of a subclass runs after that. `print` shows the numbers with their
+    units. A class that derives from it declares its numbers by `jaxclear.quantity` and
+    `jaxclear.vector`.
+
+    Raises:
+        ValueError: if a field holds a value of the wrong kind, a number that is not finite or
+            outside its range.
     """
 
     def _shown(self):

@@ -32,10 +32,18 @@ from jaxclear.results.state_history import StateHistory, check_known, over_time
 
 
 class CouplingHistory(AbstractHistory):
-    """A coupling with play or stiffness: its `twist` (lost motion and wind-up together) with its
-    `rate`, the `torque` that acts against it, and the power `lost` in it [W], where its play is
-    seen (m, m/s, N for a length). `flank`: 1 while the upper one presses, where the twist is
-    largest, -1 while the lower one does, 0 in the gap; 0 throughout without play."""
+    """A coupling with play or stiffness over time, where its play is measured.
+
+    Units are those of a coupling that turns; for one that slides m, m/s and N.
+
+    Args:
+        twist: lost motion and wind-up together [rad], shape (time,).
+        rate: rate of the twist [rad/s], shape (time,).
+        torque: torque that acts against the twist [N m], shape (time,).
+        lost: power lost in it [W], shape (time,).
+        flank: 1 while the upper flank presses (where the twist is largest), -1 while the lower one
+            does, 0 in the gap or without play, shape (time,).
+    """
 
     twist: Float[Array, " time"] = measured("rad")
     rate: Float[Array, " time"] = measured("rad/s")
