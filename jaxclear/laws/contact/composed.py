@@ -166,12 +166,11 @@ def _product(
         )
 
     build.__name__ = build.__qualname__ = name
-    with_loss = "; with a `restitution` times" if factor is None else " times"
-    no_loss = ", without one no loss" if factor is None else ""
+    with_loss = " times" if factor else " without loss, or, with a `restitution`, times"
     prose, _, source = _split_docstring(factor or force)
     entries = "\n".join(_split_docstring(part)[1] for part in parts)
     build.__doc__ = (
-        f"Elastic force `{force.__name__}`{with_loss} dissipation factor `{loss.__name__}`{no_loss}."
+        f"Elastic force `{force.__name__}`{with_loss} dissipation factor `{loss.__name__}`."
         f"\n\n{prose}\n\nArgs:\n{entries}\n\n{source}"
     )
     given = {n: p for part in parts for n, p in inspect.signature(part).parameters.items()}
