@@ -176,7 +176,7 @@ def read_shapes(path: Any, *, floating: bool = False) -> dict[str, dict[str, Tri
 
     Args:
         path: path of the file.
-        floating: as of `read_urdf` and `read_mjcf`; False by default.
+        floating: whether roots without a joint get a free one, as of `read_mjcf`; False by default.
 
     Returns:
         By body and name (points [m], shape (n, 3); triangles, shape (m, 3)), in the frame of the

@@ -54,8 +54,8 @@ def safe_divide(numerator, denominator):
     """numerator / denominator, and 0 with zero derivative where the denominator is exactly 0.
 
     Args:
-        numerator: dividend, any shape.
-        denominator: divisor, of the same shape.
+        numerator: dividend, an array of any shape.
+        denominator: divisor, an array of the same shape.
 
     Returns:
         The quotient.
@@ -84,7 +84,7 @@ def power(base: Float[Array, "..."], exponent: Float[Array, "..."] | None) -> Fl
     """max(base, 0) ** exponent; value and first derivative are 0 at and below zero.
 
     Args:
-        base: base, any shape.
+        base: base, an array of any shape.
         exponent: exponent [1], > 1; None for Hertz's 3/2, evaluated as x sqrt(x), which is several
             times cheaper.
 
@@ -101,7 +101,7 @@ def positive_part(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """max(x, 0), with derivative 0 at 0.
 
     Args:
-        x: any shape.
+        x: an array of any shape.
 
     Returns:
         An array of the same shape.
@@ -116,9 +116,9 @@ def smooth_step(x: Float[Array, "..."], start, stop, low=0.0, high=1.0) -> Float
     its first derivative.
 
     Args:
-        x: argument, any shape.
-        start: where the step begins, in the unit of `x`.
-        stop: where it ends, different from `start`.
+        x: argument, an array of any shape.
+        start: value of `x` where the step begins.
+        stop: value of `x` where it ends, different from `start`.
         low: value before it; 0 by default.
         high: value behind it; 1 by default.
 
@@ -133,7 +133,7 @@ def smooth_sign(x: Float[Array, "..."], width) -> Float[Array, "..."]:
     """tanh(x / width): a sign function that passes through zero within a few widths.
 
     Args:
-        x: argument, any shape.
+        x: argument, an array of any shape.
         width: width of the transition, in the unit of `x`, > 0.
 
     Returns:
@@ -187,8 +187,7 @@ def arc_sine(x: Float[Array, "..."]) -> Float[Array, "..."]:
     Returns:
         The angle [rad], from -pi/2 to pi/2.
 
-    Source:
-        The quotient of polynomials of Sun's fdlibm (e_asin.c).
+    Source: The quotient of polynomials of Sun's fdlibm (e_asin.c).
     """
     size = jnp.abs(x)
     # Above 1/2 that of half the angle that is left to a right one.

@@ -201,8 +201,7 @@ def quaternion_from_rotation(rotation: Float[Array, "*n 3 3"]) -> Float[Array, "
     Returns:
         Quaternions (w, x, y, z), w >= 0, shape (*n, 4).
 
-    Source:
-        Shepperd 1978, J. Guidance and Control 1, 223, doi:10.2514/3.55767b.
+    Source: Shepperd 1978, J. Guidance and Control 1, 223, doi:10.2514/3.55767b.
     """
     turn = jnp.moveaxis(jnp.asarray(rotation, float), (-2, -1), (0, 1))
     a, b, c = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
@@ -232,8 +231,7 @@ def frame_with_axis(axis: tuple) -> sp.Mat:
     Returns:
         The rotation matrix, 3 rows of 3.
 
-    Source:
-        Frisvad 2012, J. Graphics Tools 16, 151, eq. 3.
+    Source: Frisvad 2012, J. Graphics Tools 16, 151, eq. 3.
     """
     x, y, z = axis
     length = jnp.sqrt(x * x + y * y + z * z)

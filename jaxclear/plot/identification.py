@@ -36,8 +36,8 @@ def identification(found: Identified, *, ax: Any = None) -> Any:
     out, with their true values. An identification from signals has unknowns and pairs only.
 
     Args:
-        found: what `jaxclear.identify` returns.
-        ax: matplotlib axes to draw in, one for each panel; by default a new figure.
+        found: a `Identified`, as `jaxclear.identify` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each panel; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -64,8 +64,8 @@ def remaining_life(found: RemainingLife, *, ax: Any = None) -> Any:
     """The unknown at each record, and the lines that the records allow, up to the limit.
 
     Args:
-        found: what `jaxclear.remaining_life` returns.
-        ax: matplotlib axes to draw in; by default a new figure.
+        found: a `RemainingLife`, as `jaxclear.remaining_life` returns it.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.

@@ -23,9 +23,9 @@ def settled(found: Settled, *, ax: Any = None) -> Any:
     Filled marks are cycles that are taken as the motion.
 
     Args:
-        found: what `jaxclear.settled` returns.
-        ax: matplotlib axes to draw in, one for the distance and one for each response; by default a
-            new figure.
+        found: a `Settled`, as `jaxclear.settled` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for the distance and one for each response; by
+            default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -62,8 +62,8 @@ def wear_lives(found: WearLives, *, ax: Any = None) -> Any:
     """Largest depth and worn volume of every life over its cycles.
 
     Args:
-        found: what `jaxclear.wear_lives` returns.
-        ax: two matplotlib axes to draw in; by default a new figure.
+        found: a `WearLives`, as `jaxclear.wear_lives` returns it.
+        ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -103,8 +103,8 @@ def wear_life(life: WearLife, *, ax: Any = None) -> Any:
     errors. Warnings stand below.
 
     Args:
-        life: what `jaxclear.wear_life` returns.
-        ax: matplotlib axes to draw in, one for each quantity; by default a new figure.
+        life: a `WearLife`, as `jaxclear.wear_life` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each quantity; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -179,8 +179,8 @@ def design(found: Design, *, ax: Any = None) -> Any:
     The limits are drawn as used shares, by the last verification, with 95 % errors.
 
     Args:
-        found: what `jaxclear.design` returns.
-        ax: three matplotlib axes to draw in; by default a new figure.
+        found: a `Design`, as `jaxclear.design` returns it.
+        ax: three `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -259,9 +259,9 @@ def design_front(found: Sequence[Design], limit: int = 0, *, ax: Any = None) -> 
     Designs that satisfy their limits are filled, the others hollow.
 
     Args:
-        found: what `jaxclear.design_front` returns.
+        found: a sequence of `Design`, as `jaxclear.design_front` returns it.
         limit: number of the limit, from 0 (default) on.
-        ax: matplotlib axes to draw in; by default a new figure.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.

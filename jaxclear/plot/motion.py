@@ -40,7 +40,7 @@ def displacement(
         runs: runs by the label of each.
         ideal: run of the ideal mechanism, with the same saving times.
         body: name of the body.
-        ax: three matplotlib axes to draw in; by default a new figure.
+        ax: three `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -91,7 +91,7 @@ def angular_velocity(
         ideal: run of the ideal mechanism, with the same saving times.
         body: name of the body.
         label: legend of `run`; "with clearance" by default.
-        ax: two matplotlib axes to draw in; by default a new figure.
+        ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -126,7 +126,7 @@ def journal_ends(run: Trajectory, joint: str, *, ax: Any = None) -> Any:
     Args:
         run: the run.
         joint: name of a `clearance.JournalBearing`.
-        ax: two matplotlib axes to draw in; by default a new figure.
+        ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -194,9 +194,9 @@ def journal_orbit(
     Args:
         run: the run.
         joint: name of a joint with radial clearance.
-        plane: plane of the bearing's axes: "xy" (default), "xz" or "yz".
+        plane: name of the plane of the bearing's axes: "xy" (default), "xz" or "yz".
         since: time from which the path is drawn [s]; 0 by default.
-        ax: matplotlib axes to draw in; by default a new figure.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -245,7 +245,7 @@ def hysteresis(run: Trajectory, joint: str, *, since: float = 0.0, ax: Any = Non
         run: the run.
         joint: name of a joint with friction.
         since: time from which the curves are drawn [s]; 0 by default.
-        ax: two matplotlib axes to draw in; by default a new figure.
+        ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -315,7 +315,7 @@ def modes(run: Trajectory, *joints: str, ax: Any = None) -> Any:
     Args:
         run: the run.
         joints: names of joints; all with clearance by default.
-        ax: matplotlib axes to draw in; by default a new figure.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -358,8 +358,9 @@ def pointing_budget(error: PointingError, *, ax: Any = None) -> Any:
     each with its share of the mean square.
 
     Args:
-        error: what `jaxclear.pointing_error` returns.
-        ax: four matplotlib axes to draw in, row by row (over time, bars); by default a new figure.
+        error: a `PointingError`, as `jaxclear.pointing_error` returns it.
+        ax: four `matplotlib.axes.Axes` to draw in, row by row (over time, bars); by default a new
+            figure.
 
     Returns:
         The figure, or the axes that were given.

@@ -61,7 +61,7 @@ def overview(run: Trajectory, *, ax: Any = None) -> Any:
 
     Args:
         run: the run.
-        ax: three matplotlib axes to draw in; by default a new figure.
+        ax: three `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -119,8 +119,8 @@ def positions(found: Positions, *, ax: Any = None) -> Any:
     """Centres of mass (x and y), and journals in their gaps, over positions of the drives.
 
     Args:
-        found: what `jaxclear.positions` returns.
-        ax: two matplotlib axes to draw in; by default a new figure.
+        found: a `Positions`, as `jaxclear.positions` returns it.
+        ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -193,8 +193,8 @@ def result(found: Any, *, ax: Any = None) -> Any:
 
     Args:
         found: the result.
-        ax: matplotlib axes to draw in, as many as the figure's own function takes; by default a new
-            figure.
+        ax: `matplotlib.axes.Axes` to draw in, as many as the figure's own function takes; by
+            default a new figure.
 
     Returns:
         The figure, or the axes that were given.

@@ -147,7 +147,7 @@ def phase_portrait(
             same. By default x for a body or a journal in its clearance, else the coordinate of the
             joint.
         since: time from which the curve is drawn [s]; 0 by default.
-        ax: matplotlib axes to draw in; by default a new figure.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -220,10 +220,10 @@ def poincare_section(
     Args:
         run: the run.
         of: name of a body or joint.
-        axis: "x", "y", "z" or "turn", as of `phase_portrait`.
+        axis: name of the quantity, "x", "y", "z" or "turn", as of `phase_portrait`.
         period: period of the drive [s], > 0.
         since: time of the first point [s]; 0 by default.
-        ax: matplotlib axes to draw in; by default a new figure.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -264,11 +264,11 @@ def bifurcation(
     Args:
         runs: runs by the number that varies.
         of: name of a body or joint.
-        axis: "x", "y", "z" or "turn", as of `phase_portrait`.
+        axis: name of the quantity, "x", "y", "z" or "turn", as of `phase_portrait`.
         period: period of the drive [s], > 0.
         since: time of the first point [s]; 0 by default.
         over: name of the number with its unit in brackets; "radial clearance [m]" by default.
-        ax: matplotlib axes to draw in; by default a new figure.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -350,13 +350,13 @@ def spectrum(
     Args:
         run: the run, with evenly spaced saving times.
         of: name of a body or joint.
-        axis: "x", "y", "z" or "turn", as of `phase_portrait`, or "force": the normal force of a
-            joint's contacts.
+        axis: name of the quantity, "x", "y", "z" or "turn", as of `phase_portrait`, or "force": the
+            normal force of a joint's contacts.
         since: time from which values are used [s]; 0 by default.
         period: period of the drive [s], > 0, whose harmonics are marked; None by default.
         segments: number of windows, overlapping by half, over which is averaged, >= 1; 3 by
             default. More give a smoother curve of lower resolution.
-        ax: matplotlib axes to draw in; by default a new figure.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.

@@ -45,8 +45,9 @@ def monte_carlo(study: MonteCarlo | Campaign, *, ax: Any = None) -> Any:
     """Histogram of every response over the sample, with its mean and 5 to 95 % range.
 
     Args:
-        study: what `jaxclear.monte_carlo` or `jaxclear.campaign` returns.
-        ax: matplotlib axes to draw in, one for each response; by default a new figure.
+        study: a `MonteCarlo` or `Campaign`, as `jaxclear.monte_carlo` or `jaxclear.campaign`
+            returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -103,8 +104,8 @@ def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
     A method that refused is named, not drawn.
 
     Args:
-        study: what `jaxclear.sensitivity` returns.
-        ax: matplotlib axes to draw in, one for each derivative; by default a new figure.
+        study: a `Sensitivity`, as `jaxclear.sensitivity` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each derivative; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -156,8 +157,8 @@ def sweep(study: Sweep, *, ax: Any = None) -> Any:
     than 8.
 
     Args:
-        study: what `jaxclear.sweep` returns.
-        ax: matplotlib axes to draw in, one for each response; by default a new figure.
+        study: a `Sweep`, as `jaxclear.sweep` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -204,8 +205,8 @@ def work_precision(advice: Advice, *, ax: Any = None) -> Any:
     an error of 1 or more. Errors below a hundredth of the accuracy are drawn there.
 
     Args:
-        advice: what `jaxclear.advise` returns.
-        ax: matplotlib axes to draw in; by default a new figure.
+        advice: a `Advice`, as `jaxclear.advise` returns it.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -269,8 +270,8 @@ def worst_case(study: WorstCase, *, ax: Any = None) -> Any:
     """Nominal value and extremes of each response, by runs and of first order.
 
     Args:
-        study: what `jaxclear.worst_case` returns.
-        ax: matplotlib axes to draw in, one for each response; by default a new figure.
+        study: a `WorstCase`, as `jaxclear.worst_case` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -310,9 +311,10 @@ def error_budget(study: MonteCarlo | Campaign, *responses: str, ax: Any = None) 
     Contributions are percentages of the variance.
 
     Args:
-        study: what `jaxclear.monte_carlo` or `jaxclear.campaign` returns.
+        study: a `MonteCarlo` or `Campaign`, as `jaxclear.monte_carlo` or `jaxclear.campaign`
+            returns it.
         responses: names of responses; all by default.
-        ax: matplotlib axes to draw in, one for each response; by default a new figure.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -376,8 +378,8 @@ def sobol_indices(study: SobolIndices, *, ax: Any = None) -> Any:
     """First-order and total Sobol' index of each variable, with 95 % intervals.
 
     Args:
-        study: what `jaxclear.sobol_indices` returns.
-        ax: matplotlib axes to draw in, one for each response; by default a new figure.
+        study: a `SobolIndices`, as `jaxclear.sobol_indices` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -395,8 +397,8 @@ def screening(study: Screening, *, ax: Any = None) -> Any:
     """Mean size and standard deviation of each variable's elementary effects, with 95 % intervals.
 
     Args:
-        study: what `jaxclear.screening` returns.
-        ax: matplotlib axes to draw in, one for each response; by default a new figure.
+        study: a `Screening`, as `jaxclear.screening` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -415,8 +417,8 @@ def shapley_effects(study: ShapleyEffects, *, ax: Any = None) -> Any:
     """Shapley effect of each variable, with 95 % intervals.
 
     Args:
-        study: what `jaxclear.shapley_effects` returns.
-        ax: matplotlib axes to draw in, one for each response; by default a new figure.
+        study: a `ShapleyEffects`, as `jaxclear.shapley_effects` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -435,8 +437,8 @@ def surface(found: ResponseSurface, *, ax: Any = None) -> Any:
     """Predictions of a response surface over runs that it was fitted without (leave-one-out).
 
     Args:
-        found: what `jaxclear.surface` returns.
-        ax: matplotlib axes to draw in, one for each response; by default a new figure.
+        found: a `ResponseSurface`, as `jaxclear.surface` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -485,8 +487,8 @@ def corrected(study: Corrected, *, ax: Any = None) -> Any:
     """Mean and standard deviation of each response by a corrected surface, with 95 % errors.
 
     Args:
-        study: what `jaxclear.corrected` returns.
-        ax: matplotlib axes to draw in, one for each response; by default a new figure.
+        study: a `Corrected`, as `jaxclear.corrected` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -505,8 +507,8 @@ def multi_fidelity(study: MultiFidelity, *, ax: Any = None) -> Any:
     """Mean and standard deviation of each response by models of several costs, with 95 % errors.
 
     Args:
-        study: what `jaxclear.multi_fidelity` returns.
-        ax: matplotlib axes to draw in, one for each response; by default a new figure.
+        study: a `MultiFidelity`, as `jaxclear.multi_fidelity` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -527,8 +529,8 @@ def reliability(study: Reliability, *, ax: Any = None) -> Any:
     The method of the answer is drawn in black.
 
     Args:
-        study: what `jaxclear.reliability` returns.
-        ax: two matplotlib axes to draw in; by default a new figure.
+        study: a `Reliability`, as `jaxclear.reliability` returns it.
+        ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.

@@ -90,7 +90,7 @@ def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing", *, ax: 
         run: the run.
         joint: name of the joint.
         surface: name of the surface; "bearing" by default.
-        ax: two matplotlib axes to draw in; by default a new figure.
+        ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
@@ -165,7 +165,7 @@ def wear_surface(
         surface: name of the surface; "bearing" by default.
         exaggeration: factor of the depth [1]; by default the deepest place is drawn as a fifth of
             the radius.
-        ax: matplotlib axes with projection="3d" to draw in; by default a new figure.
+        ax: `matplotlib.axes.Axes` with projection="3d" to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.

@@ -61,8 +61,7 @@ class AbstractResponse(AbstractQuantified):
     A subclass defines `__call__` and `unit`, and `drawn_from` where only a part of the run has to
     be accurate for it.
 
-    Args:
-        unit: unit of the number, such as "m"; "" where `unit_in` derives it from the mechanism.
+    Its field `unit` is the unit of the number, "" where `unit_in` derives it from the mechanism.
     """
 
     unit: eqx.AbstractVar[str]
@@ -217,8 +216,8 @@ class PositionError(AbstractResponse):
         body: name of the body.
         reference: positions of the reference path [m], shape (time, 3), ground frame, such as
             `run.body(name).com` of a run with the same duration and saving times.
-        axes: the ground's axes along which the distance is measured, some of 0, 1, 2 (x, y, z); all
-            by default.
+        axes: numbers of the ground's axes along which the distance is measured, some of 0, 1, 2 (x,
+            y, z); all by default.
         unit: unit of the number, "m".
 
     Raises:

@@ -94,8 +94,7 @@ def by_turns(
     Raises:
         ValueError: if the angle passes through fewer whole turns.
 
-    Source:
-        Fyfe & Munck 1997, Mech. Syst. Signal Process. 11, 187, doi:10.1006/mssp.1996.0056.
+    Source: Fyfe & Munck 1997, Mech. Syst. Signal Process. 11, 187, doi:10.1006/mssp.1996.0056.
     """
     found = np.empty((len(values), turns, samples))
     for i, (own, at) in enumerate(zip(values, np.broadcast_to(angle, values.shape), strict=True)):
@@ -138,8 +137,7 @@ def synchronous_average(signal: Signal, bins: int = 32) -> np.ndarray:
     Raises:
         ValueError: if the signal has no turns.
 
-    Source:
-        McFadden & Toozhy 2000, Mech. Syst. Signal Process. 14, 981, doi:10.1006/mssp.2000.1309.
+    Source: McFadden & Toozhy 2000, Mech. Syst. Signal Process. 14, 981, doi:10.1006/mssp.2000.1309.
     """
     cycle = _turns(signal, "synchronous_average").mean(1)
     return _binned(cycle, bins) / signal.size

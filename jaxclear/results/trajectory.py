@@ -292,8 +292,7 @@ class Trajectory(AbstractShown):
         Raises:
             ValueError: if the response is no function.
 
-        Source:
-            Richardson 1911, doi:10.1098/rsta.1911.0009; Roache 1994, J. Fluids Eng. 116, 405.
+        Source: Richardson 1911, doi:10.1098/rsta.1911.0009; Roache 1994, J. Fluids Eng. 116, 405.
         """
         return self.verification.estimate(self, checked(response)).of(response, self.mechanism)
 

@@ -169,7 +169,7 @@ def animate(
             or (points [m], triangles), or several of these by name, as `jaxclear.read_shapes`
             returns them. Other bodies are cuboids with their inertia, no larger than the distance
             of their joints.
-        title: title of the page; None (default) for none.
+        title: text above the page; None (default) for none.
 
     Returns:
         The `Animation`.
