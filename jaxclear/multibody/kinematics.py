@@ -22,7 +22,15 @@ JacobianRow = dict[int, Any]
 
 
 def along(row: JacobianRow, speeds: Any) -> Any:
-    """The row times a vector of speeds."""
+    """A row of a Jacobian times a vector of speeds.
+
+    Args:
+        row: entries of the row by the index of the speed, a dict.
+        speeds: speeds [m/s, rad/s], an array or tuple.
+
+    Returns:
+        the rate of what the row is the gradient of [per s].
+    """
     return sp.total(sp.mul(entry, speeds[j]) for j, entry in row.items())
 
 

@@ -166,14 +166,25 @@ def antenna(
     friction: Any = "set_valued",
     offset: float = OFFSET,
 ) -> Mechanism:
-    """The satellite with links 1 and 2, both joints ("J1", "J2") being `kind`: "spatial", "planar"
-    or "ideal".
+    """The antenna pointing mechanism on its satellite: links 1 and 2, joints "J1" and "J2".
+    Everything starts at rest, link 2 level.
 
-    `clearance`: radial [m]. `drive`: "periodic", "step" or two torques. `friction`: "set_valued"
-    (Coulomb, for integrator.NonColliding and MoreauJean), "regularised" (three zones, for compliant
-    integrators too), a law, or None. `offset` [m]: how far link 2 lies beside link 1. The planar
-    kind leaves a journal free to tilt and slide unless its joint always touches: take it with
-    integrator.NonColliding only. Everything starts at rest, link 2 level.
+    Args:
+        kind: kind of both joints, a text: "spatial", "planar" or "ideal". The planar kind leaves a
+            journal free to tilt and slide unless its joint always touches: take it with
+            `integrator.NonColliding` only.
+        clearance: radial clearance [m], > 0.
+        drive: torques of both motors: "periodic", "step", or a tuple of two [N m], numbers or
+            functions of time [s].
+        friction: "set_valued" (Coulomb, for `NonColliding` and `MoreauJean`), "regularised" (three
+            zones, for compliant integrators too), a friction law, or None.
+        offset: distance of link 2 from link 1 along the axis of J2 [m].
+
+    Returns:
+        the mechanism.
+
+    Raises:
+        ValueError: for an unknown word, or a clearance that is not positive.
     """
     check_number("clearance of antenna", clearance, "m", above=0)
     check_number("offset of antenna", offset, "m")

@@ -143,14 +143,28 @@ def guide(
     torque: Any | None = None,
     gravity: float | None = GRAVITY,
 ) -> Mechanism:
-    """The mechanism of the paper, joint "P" between guide and slider being `kind`: "guide" with
-    clearance, "wearing" as this with both parts wearing, or "ideal".
+    """The mechanism of the paper whose joint "P" between guide and slider has clearance.
 
-    `clearance`: gap on each side of the centred slider [m]. `friction`: "set_valued" (NonColliding,
-    MoreauJean), "regularised" (compliant runs; NonColliding takes its coefficients), a law, or
-    None. `drive` of the crank: "constant" from `crank_angle` [rad] with `crank_speed` [rad/s], or
-    your own drive (starting at `crank_angle`), or None: a free crank that starts so, under `torque`
-    [N m] (a number or a function of time). `gravity` [m/s2] along -y, None: absent.
+    Args:
+        kind: kind of joint P, a text: "guide" with clearance, "wearing" as this with both parts
+            wearing, or "ideal".
+        clearance: gap on each side of the centred slider [m], > 0.
+        friction: "set_valued" (for `NonColliding` and `MoreauJean`), "regularised" (for compliant
+            integrators; `NonColliding` takes its coefficients), a friction law, or None.
+        drive: drive of the crank: "constant" from `crank_angle` with `crank_speed`; or one of
+            `jaxclear.drive` that starts at `crank_angle`; or None: a free crank that starts so,
+            under `torque`.
+        crank_angle: angle of the crank at the start [rad].
+        crank_speed: speed of the crank, at the start or throughout [rad/s].
+        torque: torque on a free crank [N m], a number or a function of time [s]; none by default.
+        gravity: acceleration of free fall along -y [m/s^2]; None: absent.
+
+    Returns:
+        the mechanism.
+
+    Raises:
+        ValueError: for an unknown word, a clearance that is not positive, or a torque on a driven
+            crank.
     """
     check_number("clearance of guide", clearance, "m", above=0)
     check_number("crank_angle of guide", crank_angle, "rad")
