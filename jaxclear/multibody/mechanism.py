@@ -356,7 +356,7 @@ class Mechanism(AbstractQuantified):
             ValueError: for a name that does not exist; a new body needs a connection too, so give
                 both to `Mechanism`.
         """
-        check_known("body", name, self.bodies, " in this mechanism")
+        check_name("body", name, self.bodies, " in this mechanism")
         expect(body, Body, f'what is put in place of "{name}"', "a jaxclear.Body")
         return rebuilt(self, bodies=self.bodies | {name: body})
 
