@@ -51,10 +51,11 @@ class ContactReport(NamedTuple):
 
 
 class AbstractFormulation(eqx.Module):
-    """How contact enters the equations of motion. An integrator holds one. Class attribute of a
-    member: `forces_are_means`, whether the forces of contacts are no functions of the state; states
-    then hold the impulses of all their components, and what is reported are means over the saving
-    intervals.
+    """How contact enters the equations of motion. An integrator holds one.
+
+    Class attribute of a member: `forces_are_means`, whether the forces of contacts are no functions
+    of the state; states then hold the impulses of all their components, and what is reported are
+    means over the saving intervals.
     """
 
     forces_are_means: eqx.AbstractClassVar[bool]

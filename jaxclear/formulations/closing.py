@@ -25,7 +25,9 @@ MOST = 0.2
 
 def closed(model: Model, time: Any, state: State, length: Any = None) -> State:
     """The state at the end of a step with its loops closed anew, where the mechanism's loops are to
-    be. The residual falls to its square. States that are at a bound stay there.
+    be.
+
+    The residual falls to its square. States that are at a bound stay there.
 
     Args:
         model: the mechanism, a `Model`.

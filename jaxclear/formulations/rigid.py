@@ -83,8 +83,10 @@ class Strikes(NamedTuple):
 
 
 class RigidContact(AbstractFormulation):
-    """Unilateral contact with Newton's law of impact and set-valued Coulomb friction. Of a contact
-    law only its coefficient of restitution is taken, of a friction law its coefficients.
+    """Unilateral contact with Newton's law of impact and set-valued Coulomb friction.
+
+    Of a contact law only its coefficient of restitution is taken, of a friction law its
+    coefficients.
     """
 
     forces_are_means: ClassVar = True

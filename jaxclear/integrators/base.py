@@ -110,10 +110,11 @@ FLANKS = "how the instants move at which flanks meet"
 
 
 class AbstractIntegrator(AbstractQuantified):
-    """Carries a state over an interval. Class attributes of a member: `pathwise`, whether
-    forward-mode derivatives through its steps are those of the discrete run (where contacts open
-    and close, not those of the motion); `projects`, whether loops can be closed anew after its
-    steps.
+    """Carries a state over an interval.
+
+    Class attributes of a member: `pathwise`, whether forward-mode derivatives through its steps are
+    those of the discrete run (where contacts open and close, not those of the motion); `projects`,
+    whether loops can be closed anew after its steps.
     """
 
     pathwise: eqx.AbstractClassVar[bool]

@@ -188,19 +188,24 @@ USUAL_STEP = 2e-5
 
 class FixedStep(AbstractIntegrator):
     """Explicit Runge-Kutta with equal steps: the same cost for every sample, so the choice for
-    batches. Steps are shortened a little to meet the saving times. No error control: halve `step`
-    to see the error. Stable up to about 1.6 / omega (rk4), half of that ("semi_implicit") and a
-    quarter ("heun"), omega = sqrt(contact stiffness / mass), of the order of 1e4 rad/s in a steel
-    bearing (benchmarks/claims/stability.py, for K from 1e10 N/m^1.5 on; in softer contacts a step
-    must not cross the clearance). Impact speeds are those at the touch within a step, to the third
-    power of the step; a force that begins as the 3/2th power of the indentation limits the order of
-    a run through impacts to 5/2. Derivatives are those of the discrete run: where contacts open and
-    close, by "rk4" without `steps_per_save` those of the motion (`saltation`; within 1e-3 through
-    six bounces of Hertzian laws in steps of 20 us). So are those of "heun", "semi_implicit" and
-    "euler" without `steps_per_save` and `contact_steps`: of the motion, which is integrated beside
-    the run (`variational`), nan where that differs from it by 3 % of the narrowest gap. Else they
-    are not those of the motion (`jaxclear.sensitivity` compares methods). Without `steps_per_save`
-    they are nan too where steps twice as long show that they are off by a hundredth
+    batches.
+
+    Steps are shortened a little to meet the saving times. No error control: halve `step` to see the
+    error. Stable up to about 1.6 / omega (rk4), half of that ("semi_implicit") and a quarter
+    ("heun"), omega = sqrt(contact stiffness / mass), of the order of 1e4 rad/s in a steel bearing
+    (benchmarks/claims/stability.py, for K from 1e10 N/m^1.5 on; in softer contacts a step must not
+    cross the clearance).
+
+    Impact speeds are those at the touch within a step, to the third power of the step; a force that
+    begins as the 3/2th power of the indentation limits the order of a run through impacts to 5/2.
+
+    Derivatives are those of the discrete run: where contacts open and close, by "rk4" without
+    `steps_per_save` those of the motion (`saltation`; within 1e-3 through six bounces of Hertzian
+    laws in steps of 20 us). So are those of "heun", "semi_implicit" and "euler" without
+    `steps_per_save` and `contact_steps`: of the motion, which is integrated beside the run
+    (`variational`), nan where that differs from it by 3 % of the narrowest gap. Else they are not
+    those of the motion (`jaxclear.sensitivity` compares methods). Without `steps_per_save` they are
+    nan too where steps twice as long show that they are off by a hundredth
     (`jaxclear.why_unknown`).
 
     Args:

@@ -30,19 +30,25 @@ ITERATIONS, DAMPED_ITERATIONS = 2, 8
 
 class ImplicitStep(AbstractIntegrator):
     """Midpoint rule with mean contact forces: equal steps that no contact makes too long. The
-    choice for statistics. Order 2 in free motion. Over a step a contact force does the work that
-    its law says (discrete gradient) or takes more energy out, so stiff contacts do not make motion
-    explode, as long as the iteration ends: at K = 1e12 N/m^1.5 and 5e-4 s few iterations gain
-    energy, `newton_iterations=30` does not. One evaluation a step. Friction that would stop a slip
-    within a step is taken towards the step's end, so that slip decays and does not ring; friction
-    loss and wear are those of the mean slip. Impact speeds are those at the touch within a step, to
-    order 2. With theta = 1 / (1 + rebound), a linear contact mode omega is damped as by the theta
-    method, amplitude per step sqrt((1 + (1 - theta)^2 z^2) / (1 + theta^2 z^2)) with z = omega h;
-    damping ratio about (theta - 1/2) z for small z. Speeds at saving times are those with which
-    positions change; within a step they lack that damping. Loads that oscillate by themselves
-    (stiff springs, dampers) are explicit: step < 2 / omega of them; couplings with stiffness or
-    play are not. A step should move the parts by less than a clearance, and by less than a cell of
-    a worn surface, or forces at the saved instants are far off, though the motion stays bounded.
+    choice for statistics.
+
+    Order 2 in free motion. Over a step a contact force does the work that its law says (discrete
+    gradient) or takes more energy out, so stiff contacts do not make motion explode, as long as the
+    iteration ends: at K = 1e12 N/m^1.5 and 5e-4 s few iterations gain energy,
+    `newton_iterations=30` does not. One evaluation a step. Friction that would stop a slip within a
+    step is taken towards the step's end, so that slip decays and does not ring; friction loss and
+    wear are those of the mean slip. Impact speeds are those at the touch within a step, to order 2.
+
+    With theta = 1 / (1 + rebound), a linear contact mode omega is damped as by the theta method,
+    amplitude per step sqrt((1 + (1 - theta)^2 z^2) / (1 + theta^2 z^2)) with z = omega h; damping
+    ratio about (theta - 1/2) z for small z. Speeds at saving times are those with which positions
+    change; within a step they lack that damping.
+
+    Loads that oscillate by themselves (stiff springs, dampers) are explicit: step < 2 / omega of
+    them; couplings with stiffness or play are not. A step should move the parts by less than a
+    clearance, and by less than a cell of a worn surface, or forces at the saved instants are far
+    off, though the motion stays bounded.
+
     Without `steps_per_save` derivatives through contacts are those of the motion itself, which is
     integrated beside the steps in parts that resolve contacts (`variational`): within 1e-3 through
     six bounces of Hertzian laws, half a per cent to two with a damper beside the spring; nan where

@@ -255,22 +255,29 @@ LOOSE = 0.1
 
 class MoreauJean(AbstractIntegrator):
     """Event-capturing steps with unilateral contact and set-valued Coulomb friction: no stiffness,
-    and joints truly stick. Clearance joints are the same as for compliant contact, one word
-    changed; of a contact law only its coefficient of restitution is taken (`contact.Rigid` has
-    nothing else), and where surfaces wear how wide it lets the mean force of a step press, of a
-    regularised friction law its coefficients; a run says how much of friction's loss changes by
-    that (`Check.COULOMB_FRICTION`). Newton's law of impact applies to a contact whose gap closes
-    within a share `gamma` of a step; impacts are not located, so their instants have an error of a
-    step, and order is 1. Of contacts of one joint that strike within a step the first to touch
-    does, the others in the next ones: struck at once they would share an impact that they do not.
-    Loads are taken at the middle (explicitly): step < 2 / omega of springs. Steps must be short: no
-    body may cross its clearance within one (step^2 x acceleration < clearance, for light bodies
-    above all), and with a restitution near 1 turning bodies gain energy unless step x spin is well
-    below 1 - restitution. Stops (`load.JointStop`) and flanks of play (`clearance.Backlash`) that
-    have a restitution are rigid, stops that steps do not follow too; dry friction
-    (`load.JointFriction`) sticks. Ideal joints that rub do so by the reaction of the same step, an
-    impact's impulse included, and stick as contacts do; of their friction laws too the coefficients
-    are taken. Forces are impulses: `Trajectory.contact` gives the means over each saving interval.
+    and joints truly stick.
+
+    Clearance joints are the same as for compliant contact, one word changed; of a contact law only
+    its coefficient of restitution is taken (`contact.Rigid` has nothing else), and where surfaces
+    wear how wide it lets the mean force of a step press, of a regularised friction law its
+    coefficients; a run says how much of friction's loss changes by that (`Check.COULOMB_FRICTION`).
+
+    Newton's law of impact applies to a contact whose gap closes within a share `gamma` of a step;
+    impacts are not located, so their instants have an error of a step, and order is 1. Of contacts
+    of one joint that strike within a step the first to touch does, the others in the next ones:
+    struck at once they would share an impact that they do not. Loads are taken at the middle
+    (explicitly): step < 2 / omega of springs.
+
+    Steps must be short: no body may cross its clearance within one (step^2 x acceleration <
+    clearance, for light bodies above all), and with a restitution near 1 turning bodies gain energy
+    unless step x spin is well below 1 - restitution.
+
+    Stops (`load.JointStop`) and flanks of play (`clearance.Backlash`) that have a restitution are
+    rigid, stops that steps do not follow too; dry friction (`load.JointFriction`) sticks. Ideal
+    joints that rub do so by the reaction of the same step, an impact's impulse included, and stick
+    as contacts do; of their friction laws too the coefficients are taken. Forces are impulses:
+    `Trajectory.contact` gives the means over each saving interval.
+
     First derivatives through contacts are those of the motion, as far as the steps resolve it
     (`through_impacts`): they are off by as much as places are relative to the gap, nan where
     impacts have made that grow to a hundredth, where those in other steps show that they are off by

@@ -20,19 +20,21 @@ LOOSE = 1e-6
 class NonColliding(AbstractIntegrator):
     """Joints with a small clearance taken as always in contact: motion of the ideal mechanism,
     reactions carried in the gap, set-valued Coulomb friction that truly sticks. No impacts, no
-    stiffness, so steps follow the motion alone. Use where joints stay pressed (slow or well-loaded
-    mechanisms); where a reaction passes through zero a real journal would cross its gap and strike,
-    which `Trajectory.switchings` reports and compliant integrators show. Clearance joints are the
-    same as there, one word changed; a regularised friction law gives its coefficients, and a run
-    says how much of the loss changes by that (`Check.COULOMB_FRICTION`). Collars carry, and neither
-    rub nor wear (`Check.COLLAR_FORCE`). What no motion of a loop changes, such as forces along
-    parallel axes, its closing joint does not carry (`Check.INDETERMINATE_FORCE`), and parts follow
-    their forces in their gaps at once (`Check.GAP_MOTION`). Midpoint rule, order 2 in smooth motion
-    and 1 across stick and slip; coordinates on groups move by exponentials. Steps should end where
-    loads jump. A stop (`load.JointStop`) is rigid, and gives its restitution back within a step;
-    dry friction (`load.JointFriction`) sticks; the play of couplings is seated
-    (`clearance.Backlash`). Joints of a closed loop that stick together share what holds it in no
-    unique way.
+    stiffness, so steps follow the motion alone.
+
+    Use where joints stay pressed (slow or well-loaded mechanisms); where a reaction passes through
+    zero a real journal would cross its gap and strike, which `Trajectory.switchings` reports and
+    compliant integrators show. Clearance joints are the same as there, one word changed; a
+    regularised friction law gives its coefficients, and a run says how much of the loss changes by
+    that (`Check.COULOMB_FRICTION`). Collars carry, and neither rub nor wear (`Check.COLLAR_FORCE`).
+    What no motion of a loop changes, such as forces along parallel axes, its closing joint does not
+    carry (`Check.INDETERMINATE_FORCE`), and parts follow their forces in their gaps at once
+    (`Check.GAP_MOTION`). Midpoint rule, order 2 in smooth motion and 1 across stick and slip;
+    coordinates on groups move by exponentials. Steps should end where loads jump.
+
+    A stop (`load.JointStop`) is rigid, and gives its restitution back within a step; dry friction
+    (`load.JointFriction`) sticks; the play of couplings is seated (`clearance.Backlash`). Joints of
+    a closed loop that stick together share what holds it in no unique way.
 
     Args:
         step: largest step [s], > 0.
