@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.ground.outcome import AbstractOutcome
 from jaxclear.ground.printing import AbstractShown
-from jaxclear.ground.quantity import AbstractQuantified, as_given
+from jaxclear.ground.quantity import AbstractQuantified, lenient_converter
 from jaxclear.ground.wording import described
 
 
@@ -197,8 +197,8 @@ class LCP(AbstractLinearProblem):
         ValueError: if shapes do not fit.
     """
 
-    matrix: Float[Array, "n n"] = eqx.field(converter=as_given(as_floats))
-    offset: Float[Array, " n"] = eqx.field(converter=as_given(as_floats))
+    matrix: Float[Array, "n n"] = eqx.field(converter=lenient_converter(as_floats))
+    offset: Float[Array, " n"] = eqx.field(converter=lenient_converter(as_floats))
 
     def __check_init__(self):
         n = getattr(self.offset, "size", 0)
@@ -227,9 +227,9 @@ class HorizontalLCP(AbstractLinearProblem):
         ValueError: if shapes do not fit.
     """
 
-    w_matrix: Float[Array, "n n"] = eqx.field(converter=as_given(as_floats))
-    z_matrix: Float[Array, "n n"] = eqx.field(converter=as_given(as_floats))
-    offset: Float[Array, " n"] = eqx.field(converter=as_given(as_floats))
+    w_matrix: Float[Array, "n n"] = eqx.field(converter=lenient_converter(as_floats))
+    z_matrix: Float[Array, "n n"] = eqx.field(converter=lenient_converter(as_floats))
+    offset: Float[Array, " n"] = eqx.field(converter=lenient_converter(as_floats))
 
     def __check_init__(self):
         n = getattr(self.offset, "size", 0)

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.ground.columns import columns_of
 from jaxclear.ground.quantity import (
     AbstractQuantified,
@@ -28,7 +28,7 @@ from jaxclear.ground.quantity import (
     is_traced,
     quantity,
 )
-from jaxclear.ground.warning import asked, shape_of
+from jaxclear.ground.warning import call_user_function, shape_of
 from jaxclear.ground.wording import described, public_name
 
 
@@ -68,7 +68,7 @@ def check_function_of_time(part: Any, field: str, counts: tuple[int, ...] = (1,)
     owner = f"{public_name(type(part))} has {field} = {described(function)}"
     answers = lambda at: jax.tree.map(jnp.asarray, function(at))
     found = shape_of(
-        lambda at: asked(f"{owner}, which", answers, at, wanted=f"It {wanted}."),
+        lambda at: call_user_function(f"{owner}, which", answers, at, requirement=f"It {wanted}."),
         jax.ShapeDtypeStruct((), jnp.float64),
     )
     shapes = [leaf.shape for leaf in jax.tree.leaves(found)]
@@ -160,8 +160,8 @@ class TimeTable(AbstractFunctionOfTime):
         beyond: str = "held",
         factor: Any = 1.0,
     ):
-        check_known("interpolation of a TimeTable", interpolation, INTERPOLATIONS)
-        check_known("way beyond a TimeTable", beyond, BEYOND)
+        check_name("interpolation of a TimeTable", interpolation, INTERPOLATIONS)
+        check_name("way beyond a TimeTable", beyond, BEYOND)
         known = _known_times(times)
         values = _checked(values, known, beyond)
         self.times, self.values, self.factor = jnp.asarray(known), values, factor

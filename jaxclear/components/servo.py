@@ -17,7 +17,7 @@ from jaxclear.components.function_of_time import (
     number_or_function,
     value_at,
 )
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, count, quantity
 from jaxclear.ground.tangents import derived, moved
@@ -103,7 +103,7 @@ class Servo(AbstractStateLoad):
         check_function_of_time(self, "reference")
         check_function_of_time(self, "feedforward")
         if self.encoder is not None:
-            check_known("encoder of a Servo", self.encoder, ENCODERS)
+            check_name("encoder of a Servo", self.encoder, ENCODERS)
         if self.delay and self.period is None:
             raise ValueError(
                 "load.Servo has a delay without a period; it is counted in periods: give one."

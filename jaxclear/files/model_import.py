@@ -25,7 +25,7 @@ from jaxclear.files.mujoco_model import (
     not_taken_over,
 )
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.exchange import without_loads_on
@@ -104,7 +104,7 @@ def read_mjcf(
 
 
 def _mechanism(read: Compiled, stops: str, keyframe: str | None = None) -> Mechanism:
-    check_known("stops", stops, STOPS)
+    check_name("stops", stops, STOPS)
     model = read.model
     bodies, joints = names_of(model)
     tree = Tree(model, bodies, joints)

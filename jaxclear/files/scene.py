@@ -38,7 +38,7 @@ from jaxclear.files.parts import Part, mapping
 from jaxclear.files.places import NumberPlaces, check_numbers
 from jaxclear.files.text import JSON, YAML, Misread, Node, misread, parsed, text_of
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_flags, check_known, expect
+from jaxclear.ground.arguments import check_flags, check_name, expect
 from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.ground.wording import described, listed, unknown
 from jaxclear.integrators import AbstractIntegrator
@@ -112,7 +112,7 @@ class Scene(AbstractQuantified):
         if self.duration is not None:
             check_duration(self.duration)
         if isinstance(self.state, str):
-            check_known("start of a Scene, beside a jaxclear.State", self.state, [SEATED])
+            check_name("start of a Scene, beside a jaxclear.State", self.state, [SEATED])
         by_name("variables", self.variables)
         expect(self.responses, Mapping, "responses of a Scene", "a dictionary from names")
 

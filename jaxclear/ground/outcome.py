@@ -101,15 +101,15 @@ def why_unknown(derivatives: Any) -> str:
     Returns:
         A sentence for each reason; "" where no number is nan.
     """
-    found: dict[Unknown, None] = {}
+    reasons: dict[Unknown, None] = {}
     for leaf in jax.tree.leaves(derivatives):
         leaf = np.asarray(leaf)
         if leaf.dtype == np.float64:
             bits = np.unique(leaf[np.isnan(leaf)].view(np.uint64))
-            found |= dict.fromkeys(map(_reason, bits.tolist()))
-    return " ".join(f"{each.sentence[0].upper()}{each.sentence[1:]}" for each in found)
+            reasons |= dict.fromkeys(map(_reason, bits.tolist()))
+    return " ".join(f"{each.sentence[0].upper()}{each.sentence[1:]}" for each in reasons)
 
 
 def _reason(bits: int) -> Unknown:
-    known = (bits & (REASON << 32)) == WORD and (bits & REASON) in set(Unknown)
-    return Unknown(bits & REASON) if known else Unknown.SOMEHOW
+    has_reason = (bits & (REASON << 32)) == WORD and (bits & REASON) in set(Unknown)
+    return Unknown(bits & REASON) if has_reason else Unknown.SOMEHOW

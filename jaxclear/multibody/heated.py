@@ -14,7 +14,7 @@ import jax
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.multibody.mechanism import Mechanism
 
 
@@ -46,7 +46,7 @@ def heated(mechanism: Mechanism, rise: Any, expansion: Any) -> Mechanism:
     known = [GROUND, *mechanism.bodies]
     if isinstance(expansion, Mapping):
         for name, value in expansion.items():
-            check_known("body", name, known, " in this mechanism")
+            check_name("body", name, known, " in this mechanism")
             check_number(f'expansion of body "{name}"', value, "1/K")
         own = expansion
     else:

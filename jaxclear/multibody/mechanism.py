@@ -19,7 +19,7 @@ from jaxclear.components.coupling import AbstractCoupling
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractLoad
-from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.printing import (
     INDENT,
     fields_in_words,
@@ -361,7 +361,7 @@ class Mechanism(AbstractQuantified):
             ValueError: for a name that does not exist; a new body needs a connection too, so give
                 both to `Mechanism`.
         """
-        check_known("body", name, self.bodies, " in this mechanism")
+        check_name("body", name, self.bodies, " in this mechanism")
         expect(body, Body, f'what is put in place of "{name}"', "a jaxclear.Body")
         return rebuilt(self, bodies=self.bodies | {name: body})
 
@@ -380,7 +380,7 @@ class Mechanism(AbstractQuantified):
             ValueError: for None and a name that does not exist.
         """
         if load is None:
-            check_known("load", name, self.loads, " in this mechanism")
+            check_name("load", name, self.loads, " in this mechanism")
             return self.with_loads({n: own for n, own in self.loads.items() if n != name})
         return self.with_loads(self.loads | {name: load})
 
@@ -411,7 +411,7 @@ class Mechanism(AbstractQuantified):
         """
         couplings: dict[str, Any] = dict(self.couplings)
         if coupling is None:
-            check_known("coupling", name, couplings, " in this mechanism")
+            check_name("coupling", name, couplings, " in this mechanism")
             del couplings[name]
         else:
             couplings[name] = coupling

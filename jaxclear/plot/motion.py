@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.patches import Patch
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.plot.canvas import (
     MILLI,
     check_run,
@@ -205,7 +205,7 @@ def journal_orbit(
         ValueError: if there is no such joint or plane, or the joint has no radial clearance.
     """
     check_run(run)
-    check_known("plane of journal_orbit", plane, PLANES)
+    check_name("plane of journal_orbit", plane, PLANES)
     check_number("since of journal_orbit", since, "s")
     history = run.contact(joint)
     gap: Any = run.mechanism.connections[joint].joint

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_count, check_known, check_number, expect
+from jaxclear.ground.arguments import check_count, check_name, check_number, expect
 from jaxclear.plot.canvas import check_run, over_time, panels, readable, warned
 from jaxclear.results.relative_motion import relative_motion
 from jaxclear.results.trajectory import Trajectory
@@ -73,12 +73,12 @@ def signal(run: Trajectory, of: str, axis: str | None = None) -> TimeCurve:
     """
     check_run(run)
     mechanism = run.mechanism
-    check_known("body or joint", of, [*mechanism.bodies, *mechanism.connections],
+    check_name("body or joint", of, [*mechanism.bodies, *mechanism.connections],
                 " in this mechanism")  # fmt: skip
     time = np.asarray(run.time)
     if of in mechanism.bodies:
         axis = "x" if axis is None else axis
-        check_known("axis", axis, (*AXES, TURN), f' of body "{of}"')
+        check_name("axis", axis, (*AXES, TURN), f' of body "{of}"')
         motion = run.body(of)
         if axis == TURN:
             turn = np.asarray(motion.rotation)
@@ -101,7 +101,7 @@ def _usual(run: Trajectory, of: str) -> str:
 def _of_joint(run: Trajectory, of: str, axis: str) -> TimeCurve:
     touching = of in run.formulation.contact_joints(run.mechanism)
     known = (*AXES, TURN, *([FORCE] if touching else []))
-    check_known("axis", axis, known, f' of joint "{of}"')
+    check_name("axis", axis, known, f' of joint "{of}"')
     time = np.asarray(run.time)
     if axis == FORCE:
         force = np.asarray(run.contact(of).normal_force).sum(axis=1)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.printing import as_typed
 from jaxclear.plot.canvas import Roomy, key, panels, readable
 from jaxclear.studies.advice import PRESENT, Advice
@@ -325,7 +325,7 @@ def error_budget(study: MonteCarlo | Campaign, *responses: str, ax: Any = None) 
     study = _sampled(study)
     names = responses or tuple(study.responses)
     for name in names:
-        check_known("response", name, study.responses, " in this study")
+        check_name("response", name, study.responses, " in this study")
     rows = len(study.problem.names) + 1
     size = (WIDE * len(names), 1.4 + 0.35 * rows)
     sheet = panels("error_budget", ax, 1, len(names), size, sharey=True)

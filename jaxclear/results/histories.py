@@ -33,7 +33,7 @@ from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import NOTHING
-from jaxclear.results.state_history import StateHistory, check_known, columns, over_time
+from jaxclear.results.state_history import StateHistory, check_name, columns, over_time
 
 # Vectors of a clearance joint and numbers of each of its contacts.
 OF_JOINT = ("offset", "force", "torque")
@@ -257,7 +257,7 @@ class EnergyHistory(AbstractHistory):
 
 def body(history: StateHistory, name: str) -> BodyHistory:
     """Motion of a body."""
-    check_known(name, history.mechanism.bodies, "body")
+    check_name(name, history.mechanism.bodies, "body")
     com, rotation, velocity, spin, origin = _body(history, name)
     return BodyHistory(com, rotation, velocity, spin, origin, history, name)
 
@@ -330,7 +330,7 @@ def contact_impulse(history: StateHistory, name: str) -> Float[Array, " time"]:
 
 def check_contact_joint(history: StateHistory, name: str) -> None:
     """Raises `ValueError` where the formulation tells of no contacts in a joint."""
-    check_known(name, history.formulation.contact_joints(history.mechanism), "clearance joint")
+    check_name(name, history.formulation.contact_joints(history.mechanism), "clearance joint")
 
 
 @eqx.filter_jit
@@ -357,7 +357,7 @@ def reaction(history: StateHistory, name: str) -> ReactionHistory:
         for n, own in couplings.items()
         if isinstance(own, AbstractBodyCoupling) and own.motor is None
     ]
-    check_known(name, [*history.mechanism.connections, *meshing], "joint")
+    check_name(name, [*history.mechanism.connections, *meshing], "joint")
     kind = "coupling" if name in couplings else "joint"
     unique = is_unique(history, name, f'the reaction of {kind} "{name}"')
     return dataclasses.replace(_reaction(history, name), unique=unique)

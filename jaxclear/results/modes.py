@@ -25,7 +25,7 @@ import scipy
 
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.printing import shown_in_words
+from jaxclear.ground.printing import with_text_repr
 from jaxclear.ground.table import as_table
 from jaxclear.ground.warning import warn
 from jaxclear.integrators.events import Events
@@ -258,7 +258,7 @@ class Mode(enum.IntEnum):
         return self.name.lower().replace("_", " ")
 
 
-@shown_in_words
+@with_text_repr
 class Phase(NamedTuple):
     """A time interval in which a journal moves in one mode.
 

@@ -18,9 +18,9 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.argument_errors import nothing_else
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.ground.numerics import safe_sqrt
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_given, count
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, lenient_converter
 from jaxclear.ground.wording import described
 from jaxclear.multibody.topology import coordinate_units, turns
 from jaxclear.multibody.transmissions import torque_on_flanks
@@ -227,7 +227,7 @@ class PositionError(AbstractResponse):
 
     body: str = eqx.field(static=True)
     reference: Float[Array, "time 3"] = eqx.field(
-        converter=as_given(lambda path: jnp.asarray(path, float))
+        converter=lenient_converter(lambda path: jnp.asarray(path, float))
     )
     axes: tuple[int, ...] = eqx.field(
         static=True,
@@ -392,7 +392,7 @@ class PeakTransmitted(AbstractResponse):
         return "peak forces"
 
     def __call__(self, run):
-        check_known("coupling", self.coupling, run.mechanism.couplings)
+        check_name("coupling", self.coupling, run.mechanism.couplings)
         saved = jnp.max(jnp.abs(run.transmitted(self.coupling)))
         return peak_of_steps(run, self.coupling, saved)
 
@@ -488,7 +488,7 @@ class FromFunction(AbstractResponse):
     needs: str = eqx.field(static=True, default="anything")
 
     def __check_init__(self):
-        check_known("part of a run", self.needs, ["anything", *sorted(DRAWN)], " to draw from")
+        check_name("part of a run", self.needs, ["anything", *sorted(DRAWN)], " to draw from")
 
     def drawn_from(self):
         return self.needs

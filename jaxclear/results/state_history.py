@@ -84,7 +84,7 @@ class StateHistory(eqx.Module):
         topology = self.mechanism.topology
         floating = [b.body for b in topology.branches if b.connection is None]
         known = [*self.mechanism.connections, *floating, *topology.motors]
-        check_known(name, known, "joint or floating body")
+        check_name(name, known, "joint or floating body")
         if name in dict(topology.geared):
             own = geared_motors(self.mechanism)[name]
             found = own.ratio * self.coordinate(own.joint, speeds)
@@ -180,7 +180,7 @@ def single(values: Float[Array, "time k"]) -> Float[Array, "time ..."]:
     return values[:, 0] if values.shape[1] == 1 else values
 
 
-def check_known(name: str, names: Any, kind: str) -> None:
+def check_name(name: str, names: Any, kind: str) -> None:
     """Refuse a name that does not exist in the mechanism.
 
     Args:

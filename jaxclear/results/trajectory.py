@@ -18,8 +18,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
-from jaxclear.ground.arguments import check_count, check_flags, check_known
-from jaxclear.ground.printing import AbstractShown, shown_in_words
+from jaxclear.ground.arguments import check_count, check_flags, check_name
+from jaxclear.ground.printing import AbstractShown, with_text_repr
 from jaxclear.ground.quantity import constant, is_traced, on_host, on_numbers
 from jaxclear.ground.table import as_table
 from jaxclear.integrators.checks import Checks, Outcome
@@ -40,7 +40,7 @@ from jaxclear.results.transmissions import CouplingHistory
 from jaxclear.results.verification import AbstractVerification, Estimate, Unverified, checked
 
 
-@shown_in_words
+@with_text_repr
 class SingularPosition(eqx.Module):
     """A position of a run at which the drives do not determine the motion of a loop.
 
@@ -631,7 +631,7 @@ class Trajectory(AbstractShown):
     def _check_wears(self, joint, surface):
         self.history.check_single()
         known = [*self.mechanism.connections, *self.mechanism.couplings]
-        check_known("joint or coupling", joint, known, " in this mechanism")
+        check_name("joint or coupling", joint, known, " in this mechanism")
         if not isinstance(surface, str) or surface not in self.worn.get(joint, {}):
             wearing = ", ".join(f'"{j}" {s}' for j, surfaces in self.worn.items() for s in surfaces)
             raise ValueError(

@@ -28,7 +28,7 @@ from jaxclear.results.histories import (
     measured,
     solved,
 )
-from jaxclear.results.state_history import StateHistory, check_known, over_time
+from jaxclear.results.state_history import StateHistory, check_name, over_time
 
 
 class CouplingHistory(AbstractHistory):
@@ -58,7 +58,7 @@ def coupling(history: StateHistory, name: str) -> CouplingHistory:
     history.check_single()
     every = history.mechanism.couplings
     known = [n for n, own in every.items() if own.gives or own.play is not None]
-    check_known(name, known, "coupling with play or stiffness")
+    check_name(name, known, "coupling with play or stiffness")
     return _coupling(history, name) if every[name].gives else _seated(history, name)
 
 
@@ -111,7 +111,7 @@ def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
     mechanism = history.mechanism
     loads = [n for n, x in mechanism.loads.items() if isinstance(x, AbstractStateLoad)]
     known = (*mechanism.couplings, *mechanism.driven, *loads)
-    check_known(name, known, "coupling, driven joint or load on a coordinate")
+    check_name(name, known, "coupling, driven joint or load on a coordinate")
     if name in loads and name not in (*mechanism.couplings, *mechanism.driven):
         return _of_load(history, name)
     if name not in mechanism.couplings:

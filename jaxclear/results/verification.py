@@ -12,13 +12,13 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxclear.ground.printing import AbstractShown, in_few, shown_in_words, with_error
+from jaxclear.ground.printing import AbstractShown, in_few, with_error, with_text_repr
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described
 
 
-@shown_in_words
+@with_text_repr
 class Estimate(AbstractShown):
     """A number computed from a run, with its numerical error.
 

@@ -30,7 +30,7 @@ from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.joint import Free, Revolute
 from jaxclear.components.load import MotorTorque
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_known, check_number
+from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact import CarvalhoMartins
 from jaxclear.laws.friction import AbstractFrictionLaw, Coulomb, ThreeZone
@@ -95,7 +95,7 @@ def driving_torques(drive: str | tuple) -> tuple[Any, Any]:
     """
     if isinstance(drive, tuple) and len(drive) == 2:
         return drive
-    check_known("drive of the antenna (beside two torques)", drive, DRIVES)
+    check_name("drive of the antenna (beside two torques)", drive, DRIVES)
     if drive == "periodic":
         first, second = TORQUES
         return PeriodicTorque(first), PeriodicTorque(second)
@@ -108,7 +108,7 @@ def friction_law(friction: Any) -> AbstractFrictionLaw | None:
     """
     if friction is None or isinstance(friction, AbstractFrictionLaw):
         return friction
-    check_known("friction of the antenna (beside a law, and None)", friction, FRICTIONS)
+    check_name("friction of the antenna (beside a law, and None)", friction, FRICTIONS)
     if friction == "set_valued":
         return Coulomb(mu_kinetic=MU_KINETIC, mu_static=MU_STATIC)
     return ThreeZone(
@@ -121,7 +121,7 @@ def friction_law(friction: Any) -> AbstractFrictionLaw | None:
 
 def bearing(kind: str, clearance: Any, rub: AbstractFrictionLaw | None) -> Any:
     """A joint of the antenna: "spatial" (FSRJ) or "planar" (FPRJ) with clearance, or "ideal"."""
-    check_known("kind", kind, KINDS, " of antenna")
+    check_name("kind", kind, KINDS, " of antenna")
     if kind == "ideal":
         return Revolute()
     contact = CarvalhoMartins(stiffness=HertzStiffness(steel(), steel()), restitution=RESTITUTION)

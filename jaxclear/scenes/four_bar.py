@@ -31,7 +31,7 @@ from jaxclear.components.joint import Revolute, Spherical
 from jaxclear.components.load import Gravity
 from jaxclear.components.wear_map import Wearing
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_flags, check_known, check_number
+from jaxclear.ground.arguments import check_flags, check_name, check_number
 from jaxclear.laws.contact import LankaraniNikravesh
 from jaxclear.laws.friction import ThreeZone
 from jaxclear.laws.material import steel
@@ -133,7 +133,7 @@ def four_bar(
     Raises:
         ValueError: for an unknown word, or a clearance that is not positive.
     """
-    check_known("kind", kind, KINDS, " of four_bar")
+    check_name("kind", kind, KINDS, " of four_bar")
     check_number("clearance of four_bar", clearance, "m", above=0)
     check_number("follower_offset of four_bar", follower_offset, "m")
     check_flags("four_bar", friction=friction, wear=wear)

@@ -38,7 +38,7 @@ from jaxclear.components.joint import Prismatic, Revolute
 from jaxclear.components.load import AbstractLoad, Gravity, JointTorque
 from jaxclear.components.wear_map import Wearing
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_known, check_number
+from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.laws.contact import CarvalhoMartins
 from jaxclear.laws.friction import AbstractFrictionLaw, Coulomb, CoulombTanh
 from jaxclear.laws.material import steel
@@ -74,7 +74,7 @@ def friction_law(friction: Any) -> AbstractFrictionLaw | None:
     """
     if friction is None or isinstance(friction, AbstractFrictionLaw):
         return friction
-    check_known("friction of the guide (beside a law, and None)", friction, FRICTIONS)
+    check_name("friction of the guide (beside a law, and None)", friction, FRICTIONS)
     if friction == "set_valued":
         return Coulomb(mu_kinetic=MU)
     return CoulombTanh(mu_kinetic=MU, transition_speed=REGULARISING_SPEED)
@@ -87,7 +87,7 @@ def slider_joint(
     as this with both parts wearing, or "ideal"; `middle` of the guide [m] along it from where the
     slider starts.
     """
-    check_known("kind", kind, KINDS, " of guide")
+    check_name("kind", kind, KINDS, " of guide")
     if kind == "ideal":
         return Prismatic()
     walls: dict[str, Any] = {}
@@ -171,7 +171,7 @@ def guide(
     reach, tilt = _from_pivot_to_crank(crank_angle)
     joint = slider_joint(kind, clearance, friction_law(friction), GUIDE_ARM - reach)
     if isinstance(drive, str):
-        check_known("drive of guide (beside a drive of your own, and None)", drive, ["constant"])
+        check_name("drive of guide (beside a drive of your own, and None)", drive, ["constant"])
         drive = ConstantSpeed(crank_speed, crank_angle)
     if drive is not None and torque is not None:
         raise ValueError(

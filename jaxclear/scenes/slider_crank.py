@@ -22,7 +22,7 @@ from jaxclear.components.joint import Prismatic, Revolute
 from jaxclear.components.load import Gravity
 from jaxclear.components.wear_map import Wearing
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_known, check_number
+from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.laws.contact import AbstractContactLaw, LankaraniNikravesh
 from jaxclear.laws.friction import AbstractFrictionLaw, Ambrosio
 from jaxclear.laws.material import Material
@@ -89,7 +89,7 @@ def slider_crank(
     """
     joint = kind
     if isinstance(kind, str):
-        check_known("kind", kind, KINDS, " of slider_crank (beside a joint of your own)")
+        check_name("kind", kind, KINDS, " of slider_crank (beside a joint of your own)")
         check_number("clearance of slider_crank", clearance, "m", above=0)
         planar = kind == "planar"
         joint = bearing(clearance, contact, friction, wear) if planar else Revolute()

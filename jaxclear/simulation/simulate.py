@@ -16,10 +16,10 @@ from jaxclear.errors.estimates import HALF
 from jaxclear.errors.verification import Replica, verified
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
-from jaxclear.ground.latest import Found, Key, Latest
+from jaxclear.ground.latest import Key, Latest, Value
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced, on_host, with_quantities
-from jaxclear.ground.warning import told
+from jaxclear.ground.warning import count_warnings
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
@@ -256,14 +256,14 @@ def _key(mechanism: Mechanism, integrator: AbstractIntegrator) -> Key | None:
     return None if is_traced(key.leaves) else key
 
 
-def _kept(latest: Latest[Found], key: Any, find: Callable[[], Found]) -> Found:
+def _kept(latest: Latest[Value], key: Any, find: Callable[[], Value]) -> Value:
     """What was found lately under a key, or what is found now (None: nobody may find it again).
     What warns is looked for each time."""
     known = None if key is None else latest.get(key)
     if known is not None:
         return known
-    before, found = told(), find()
-    if key is not None and told() == before:
+    before, found = count_warnings(), find()
+    if key is not None and count_warnings() == before:
         latest.keep(key, found)
     return found
 

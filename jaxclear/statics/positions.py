@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.body import Marker
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.ground.datasets import Column, dataset
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.ground.printing import AbstractShown
@@ -158,7 +158,7 @@ class Positions(AbstractShown):
         Raises:
             ValueError: if there is no such body.
         """
-        check_known("body", name, self.scene.mechanism.bodies, " in this mechanism")
+        check_name("body", name, self.scene.mechanism.bodies, " in this mechanism")
         com = sp.vec3(self.scene.mechanism.bodies[name].com)
 
         def one(now):
@@ -202,7 +202,7 @@ class Positions(AbstractShown):
         scene = self.scene
         branches = {own.name: own for own in scene.mechanism.topology.branches}
         names = [*scene.mechanism.connections, *branches]
-        check_known("joint or floating body", name, dict.fromkeys(names), " in this mechanism")
+        check_name("joint or floating body", name, dict.fromkeys(names), " in this mechanism")
         if name in scene.held:
             return self.position[:, scene.held.index(name)]
         branch = branches.get(name)
@@ -228,7 +228,7 @@ class Positions(AbstractShown):
             ValueError: if there is no such joint.
         """
         check_single(self.found)
-        check_known("joint", joint, self.seats, " with clearance in this mechanism")
+        check_name("joint", joint, self.seats, " with clearance in this mechanism")
         return self.seats[joint][:, :3]
 
     def reaction(self, joint: str) -> Float[Array, "positions 6"]:
@@ -243,7 +243,7 @@ class Positions(AbstractShown):
         Raises:
             ValueError: if there is no such joint.
         """
-        check_known("joint", joint, self.scene.mechanism.connections, " in this mechanism")
+        check_name("joint", joint, self.scene.mechanism.connections, " in this mechanism")
         return self._over(lambda now: sp.stack([x for p in now.reactions[joint] for x in p]))
 
     def to_dataset(self) -> Any:
