@@ -59,7 +59,7 @@ LOOSEST_IN_GAP = 4e-4
 # landing makes errors: at most a share of the narrowest gap, at least rounding beside all arms.
 LANDING, LANDING_IN_GAP = 0.1, 1e-4
 ROUNDING = 1e-12
-# Tolerances that could be only so much tighter are as tight as they can be.
+# Bounds that could be only so much tighter are as tight as they can be.
 ROUNDED_OFF = 0.5
 # Derivatives have grown too much where a place within the tolerance, grown as they have, is more
 # than this beside the narrowest gap: beyond, they were off by a tenth and more, within by less than
