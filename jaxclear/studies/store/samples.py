@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxclear.ground.datasets import told_versions
+from jaxclear.ground.datasets import library_versions
 from jaxclear.ground.warning import warn
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.replicas import Replicas, together_with
@@ -213,7 +213,7 @@ class Samples:
 
     @cached_property
     def _now(self) -> dict[str, str]:
-        return told_versions()
+        return library_versions()
 
     @cached_property
     def figures(self) -> list[tuple[str, str]]:
