@@ -63,7 +63,7 @@ def campaign(
     **settings: Any,
 ) -> Any:
     """A Monte Carlo study of any size, kept in a folder chunk by chunk: values, responses,
-    outcomes, warnings, seed, versions and what the problem is, as text and NumPy's archives.
+    outcomes, warnings, seed, versions and what the problem is, in plain files with checksums.
 
     Asked again, it goes on from the chunks that are finished, also to more samples: it becomes what
     it would be had it been asked for them at once, in the scramblings that the folder has.
@@ -82,12 +82,12 @@ def campaign(
     that all of them see. `verify`: the first 16 samples have replicas, as in `monte_carlo`, kept as
     well. `progress_bar` shows rate, time left, failures.
 
-    `study`: another one to keep, `jaxclear.sensitivity`, `sobol_indices`, `shapley_effects`,
-    `surface`, `worst_case`, `reliability`, `design`, `wear_life` or `wear_lives`, with its own
-    arguments in `settings`; its own result is returned. Its samples or lives are kept as they are
-    computed, by one process at a time.
+    `study`: another one to keep, such as `jaxclear.sensitivity`, with its own arguments in
+    `settings`; its own result is returned. It is another way to write
+    `jaxclear.sensitivity(problem, store=folder)`, which every study that runs samples or lives
+    takes.
 
-    Raises `ValueError` with a sentence for what cannot be asked, `ImportError` without zarr.
+    Raises `ValueError` with a sentence for what cannot be asked.
     """
     check_flags("campaign", verify=verify, progress_bar=progress_bar)
     if study is not None:
