@@ -81,6 +81,12 @@ def identifier(thing):
     return name
 
 
+def is_described_elsewhere(kind, name):
+    """Whether another library describes a method, such as diffrax those of its solvers."""
+    others = (base for base in kind.__mro__ if not base.__module__.startswith("jaxclear"))
+    return any(name in vars(base) for base in others)
+
+
 def documented_things():
     """{name: (its arguments, docstrings that may list them)} of the public surface."""
     things = {}
@@ -91,7 +97,8 @@ def documented_things():
             if inspect.isclass(thing) and not issubclass(thing, enum.Enum):
                 things[identifier(thing)] = argument_names(thing), [*class_docstrings(thing)]
                 for name, member in inspect.getmembers(thing, inspect.isroutine):
-                    if not name.startswith("_") and owner(thing, name).startswith("jaxclear"):
+                    own = owner(thing, name).startswith("jaxclear") and not name.startswith("_")
+                    if own and not is_described_elsewhere(thing, name):
                         docstrings = [*method_docstrings(thing, name)]
                         things[identifier(member)] = argument_names(member), docstrings
             elif inspect.isfunction(thing):

@@ -218,11 +218,13 @@ REACH = 0.6
 
 
 class Wearing(AbstractQuantified):
-    """A surface that wears. The surface is updated whenever a contact has moved by half a cell, and
-    at the saving times; companion runs halve that path, so that its error is part of the estimate.
-    A scar narrower than a few cells has too small a depth, and the run says so; the tilted journal
-    of a `JournalBearing` takes some hundred along. A run whose steps are counted (`steps_per_save`)
-    updates the surface at each saving time.
+    """A surface that wears.
+
+    The surface is updated whenever a contact has moved by half a cell, and at the saving times;
+    companion runs halve that path, so that its error is part of the estimate. A scar narrower than
+    a few cells has too small a depth, and the run says so; the tilted journal of a `JournalBearing`
+    takes some hundred along. A run whose steps are counted (`steps_per_save`) updates the surface
+    at each saving time.
 
     Args:
         law: wear law of this surface alone, one of `jaxclear.wear`.
