@@ -44,11 +44,10 @@ STUDIES = (
     "chosen_integrator usual_integrator",
     "sampling scrambling sequential replicas statistics",
     "monte_carlo sweep screening worst_case advice",
-    "campaign",
+    "campaign store",
     "surface",
     "statistics.shapley statistics.sobol_indices sensitivity fidelity reliability design life "
     "identification",
-    "store",
 )
 LONGEST_FILE, LONGEST_FUNCTION, LONGEST_LINE = 800, 80, 100
 # Libraries that a run does without: loaded when a table, a data set or a kernel is asked for.

@@ -298,9 +298,11 @@ def test_a_life_is_a_response_as_any_other(tmp_path, monkeypatch):
     found = jc.monte_carlo(asked, 2, store=tmp_path / "kept")
     together = len(done)
     plain = jc.monte_carlo(asked, 2)
-    assert len(done) == 2 * together
+    alone = len(done) - together
+    # A cycle that comes twice is computed once.
+    assert 0.5 * alone < together <= alone
     again = jc.monte_carlo(asked, 2, store=tmp_path / "kept")
-    assert len(done) == 2 * together
+    assert len(done) == together + alone
     for one in (plain, again):
         assert str(one) == str(found)
         np.testing.assert_array_equal(one.responses["life"], found.responses["life"])
