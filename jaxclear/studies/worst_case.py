@@ -22,16 +22,16 @@ import scipy
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
-from jaxclear.ground.printing import AbstractShown, shown_in_words
+from jaxclear.ground.printing import AbstractShown, with_text_repr
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import RESPONSE, TABLE, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.endless import answered, finite_beside, why_unanswered
-from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
+from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.warned import by_kind, codes_of, concerning
 
 # Points from which each extreme is climbed to, the corner of the slopes apart.
@@ -42,7 +42,7 @@ MOST_CORNERS = 2**10
 SHORTEST, MOST_ROUNDS = 1e-3, 60
 
 
-@shown_in_words
+@with_text_repr
 class Extreme(AbstractShown):
     """The least or largest value found of a response [its unit], `values` (variables,) where it
     occurs, and the value of first order there: nominal and slopes times deviations, nan where

@@ -25,13 +25,12 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags
-from jaxclear.ground.printing import left_out
+from jaxclear.ground.printing import failed_samples_sentence
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, with_interval
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless, undrawn_levels
 from jaxclear.studies.inputs import Inputs
-from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import (
@@ -41,6 +40,7 @@ from jaxclear.studies.statistics.scrambled import (
     Statistic,
     jackknifed,
 )
+from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.surface.fitting import HIGHEST
 from jaxclear.studies.surface.polynomials import Expansion, levels, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface
@@ -66,7 +66,7 @@ class SobolIndices(AbstractAnswer):
     def sentence(self) -> str:
         """Which variables lead the variance of each response, and how many base samples failed."""
         led = leading(self.total, "total index")
-        return " ".join(filter(None, [led, left_out(self.failed, "base sample")]))
+        return " ".join(filter(None, [led, failed_samples_sentence(self.failed, "base sample")]))
 
     def _stated(self):
         over = (RESPONSE, VARIABLE)
