@@ -441,8 +441,8 @@ def driving(history: StateHistory, name: str) -> Float[Array, " time"]:
         # What couplings do along its coordinate comes through no body.
         rows = constraints.coupling_rows(system, now.motions, solution.multipliers)
         on_drives = forces_on_drives(now.motions, (*forces.rows, *rows))
-        given = sp.sub(given, on_drives.get(index, 0))
-        return jnp.asarray(given, float)
+        along = sp.sub(along, on_drives.get(index, 0))
+        return jnp.asarray(along, float)
 
     return over_time(history, one)
 
