@@ -14,8 +14,8 @@ from jaxclear.ground.arguments import check_number, expect
 from jaxclear.ground.quantity import Scalar, is_one_number, is_traced, quantity
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, meant
-from jaxclear.multibody.heated import heated
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.thermal_expansion import apply_thermal_expansion
 from jaxclear.multibody.topology import own_numbers
 from jaxclear.studies.base import AbstractVariable, one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
@@ -148,8 +148,8 @@ class Variable(AbstractMechanismVariable):
 
 @dataclasses.dataclass(frozen=True)
 class Heating:
-    """What a temperature does, for a `Condition` to act by: `heated(mechanism, rise, expansion)`
-    for a `rise` [K] above the drawing's. `expansion`: coefficient of linear expansion [1/K], one
+    """What a temperature does, for a `Condition` to act by: `apply_thermal_expansion(mechanism,
+    rise, expansion)` for a `rise` [K] above the drawing's. `expansion`: coefficient of linear expansion [1/K], one
     for all, or by body. It is data: a scene file holds it, and no function of one's own.
     """
 
@@ -173,7 +173,9 @@ class Heating:
     def __call__(self, mechanism: Mechanism, rise: Any) -> Mechanism:
         """The mechanism at this rise [K]."""
         own = self.expansion
-        return heated(mechanism, rise, dict(own) if isinstance(own, tuple) else own)
+        return apply_thermal_expansion(
+            mechanism, rise, dict(own) if isinstance(own, tuple) else own
+        )
 
 
 class Condition(AbstractMechanismVariable):
