@@ -76,8 +76,8 @@ def read_mjcf(
     is driven by less; in MuJoCo it creeps), limits a `JointStop`. Active equalities `connect` and
     `weld` are `Spherical` and `Fixed` joints that close loops, linear ones between joints (URDF's
     `mimic`) a `Ratio`; a joint with an equality of its own is driven (`drive.ConstantPosition`).
-    Welded bodies without inertia become part of their parent. Several joints of one body get bodies between them,
-    of 1e-12 of its mass. `read_shapes` reads geometries.
+    Welded bodies without inertia become part of their parent. Several joints of one body get bodies
+    between them, of 1e-12 of its mass. `read_shapes` reads geometries.
 
     A `NotImported` warning names what is missing: contacts, actuators, tendons, other equalities, a
     reference configuration that is not kept, and the above of balls and free joints. An

@@ -148,9 +148,14 @@ class Variable(AbstractMechanismVariable):
 
 @dataclasses.dataclass(frozen=True)
 class Heating:
-    """What a temperature does, for a `Condition` to act by: `apply_thermal_expansion(mechanism,
-    rise, expansion)` for a `rise` [K] above the drawing's. `expansion`: coefficient of linear expansion [1/K], one
-    for all, or by body. It is data: a scene file holds it, and no function of one's own.
+    """Thermal expansion by a temperature rise, as data: what a `Condition` acts by.
+
+    A scene file holds it. It calls `apply_thermal_expansion(mechanism, rise, expansion)`, `rise`
+    [K] above the temperature of the drawing.
+
+    Args:
+        expansion: coefficient of linear expansion [1/K], one number for all bodies and the ground,
+            or a dict by body.
     """
 
     expansion: float | tuple[tuple[str, float], ...]

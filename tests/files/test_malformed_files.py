@@ -303,7 +303,7 @@ def test_old_names_of_classes_are_read_with_a_warning(tmp_path):
         {"a": jc.Body(1.0, 1.0)},
         {"A": jc.Connection(jc.joint.Revolute(jc.drive.ConstantPosition(0.5)), "ground", "a")},
     )
-    jc.write_scene(path, rig)
+    jc.write_scene(rig, path)
     path.write_text(path.read_text().replace("ConstantPosition", "Held"))
     with pytest.warns(FutureWarning, match=r"drive\.Held is called jaxclear\.drive\.ConstantPos"):
         again = jc.read_scene(path).mechanism
