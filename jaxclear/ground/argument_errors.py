@@ -9,11 +9,14 @@ import functools
 import importlib.util
 import inspect
 import re
+import sys
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import equinox as eqx
 
+from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import as_typed, described, final_members, listed, meant, public_name
 
 if TYPE_CHECKING:
@@ -23,6 +26,11 @@ else:
 
 P, R = ParamSpec("P"), TypeVar("R")
 PACKAGE_PATH = re.compile(r"\bjaxclear(\.\w+)+")
+# An entry of `Args:`: names, and the description up to the unit, the range or the default.
+ARGUMENT = re.compile(
+    r"^ {4}((?:\w+, )*\w+): (.*?)(?: \[|, [<>]=? |, a count|; |\.(?:\s|\Z))",
+    re.MULTILINE | re.DOTALL,
+)
 KEYWORDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 ORDERED = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
@@ -35,6 +43,19 @@ REMOVED = {
     f"jaxclear.cost.{name}": "give the cost as a function of (nominal, tolerance)"
     for name in ("Exponential", "ReciprocalExponential", "ReciprocalPower", "ReciprocalSquared")
 }
+# Names that have changed, by the old ones; these work for one version and warn.
+RENAMED = {
+    "jaxclear.coupling.Hold": "Latch",
+    "jaxclear.drive.Held": "ConstantPosition",
+    "jaxclear.heated": "apply_thermal_expansion",
+}
+
+
+def warn_of_renaming(path: str) -> str:
+    """The new name for an old one, such as "jaxclear.drive.Held"."""
+    new = f"{path.rpartition('.')[0]}.{RENAMED[path]}"
+    warn(f"{path} is called {new} now; the old name goes in the next version.", FutureWarning)
+    return RENAMED[path]
 
 
 class AnsweringMeta(ModuleMeta):
@@ -44,7 +65,9 @@ class AnsweringMeta(ModuleMeta):
         check = namespace.get("__check_init__")
         if check is not None and any(isinstance(base, AnsweringMeta) for base in bases):
             namespace = namespace | {"__check_init__": _after_fields(check)}
-        return ModuleMeta.__new__(mcs, name, bases, namespace, **kwargs)
+        kind = ModuleMeta.__new__(mcs, name, bases, namespace, **kwargs)
+        _describe_fields(kind)
+        return kind
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
         if cls.__name__.startswith("Abstract"):
@@ -60,6 +83,17 @@ class AnsweringMeta(ModuleMeta):
             if sentence:
                 raise TypeError(sentence) from None
             raise
+
+
+def _describe_fields(kind: Any) -> None:
+    """Takes the meaning of a class's numbers from `Args:` of its docstring, up to the unit."""
+    section = inspect.cleandoc(vars(kind).get("__doc__") or "").partition("\n\nArgs:\n")[2]
+    for names, meaning in ARGUMENT.findall(section.partition("\n\n")[0]):
+        for name in names.split(", "):
+            field = kind.__dataclass_fields__.get(name)
+            if field is not None and field.metadata.get("meaning") == "":
+                words = {"meaning": " ".join(meaning.split())}
+                field.metadata = MappingProxyType({**field.metadata, **words})
 
 
 def _after_fields(class_check: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -151,12 +185,14 @@ def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
 
 def nothing_else(
     module: str, offered: list[str]
-) -> tuple[Callable[[str], NoReturn], Callable[[], list[str]]]:
-    """The `__getattr__` and `__dir__` of a module: for any name beyond those offered, a sentence;
-    what completes a name that is being typed shows these alone."""
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """The `__getattr__` and `__dir__` of a module: for any name beyond those offered, a sentence,
+    for an old one what has the new; what completes a name that is being typed shows these alone."""
 
-    def refuse(name: str) -> NoReturn:
+    def refuse(name: str) -> Any:
         path = f"{module} has no {name!r}"
+        if f"{module}.{name}" in RENAMED:
+            return getattr(sys.modules[module], warn_of_renaming(f"{module}.{name}"))
         if name.startswith("__"):
             raise AttributeError(f"{path}.")
         if f"{module}.{name}" in REMOVED:
