@@ -14,8 +14,8 @@ from jaxclear.ground.arguments import check_number, expect
 from jaxclear.ground.quantity import Scalar, is_one_number, is_traced, quantity
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, meant
-from jaxclear.multibody.heated import heated
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.thermal_expansion import apply_thermal_expansion
 from jaxclear.multibody.topology import own_numbers
 from jaxclear.studies.base import AbstractVariable, one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
@@ -218,16 +218,14 @@ class Variable(AbstractMechanismVariable):
 
 @dataclasses.dataclass(frozen=True)
 class Heating:
-    """Thermal expansion of a mechanism, for a `Condition`.
+    """Thermal expansion by a temperature rise, as data: what a `Condition` acts by.
 
-    It is data, so a scene file can hold it.
+    A scene file holds it. It calls `apply_thermal_expansion(mechanism, rise, expansion)`, `rise`
+    [K] above the temperature of the drawing.
 
     Args:
-        expansion: coefficient of linear expansion [1/K], one number for all bodies, or a dictionary
-            by body.
-
-    Raises:
-        ValueError: if a coefficient is no finite number or the dictionary is empty.
+        expansion: coefficient of linear expansion [1/K], one number for all bodies and the ground,
+            or a dict by body.
     """
 
     expansion: float | tuple[tuple[str, float], ...]
@@ -258,7 +256,9 @@ class Heating:
             The new `Mechanism`.
         """
         own = self.expansion
-        return heated(mechanism, rise, dict(own) if isinstance(own, tuple) else own)
+        return apply_thermal_expansion(
+            mechanism, rise, dict(own) if isinstance(own, tuple) else own
+        )
 
 
 class Condition(AbstractMechanismVariable):
