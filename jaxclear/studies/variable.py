@@ -17,7 +17,7 @@ from jaxclear.ground.wording import described, meant
 from jaxclear.multibody.heated import heated
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.topology import own_numbers
-from jaxclear.studies.base import AbstractVariable, one_distribution
+from jaxclear.studies.experiment import AbstractVariable, one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
 
 # The least quantile of a response that studies tell.
@@ -34,28 +34,8 @@ class AbstractMechanismVariable(AbstractVariable):
         """The numbers of the mechanism that it sets by itself."""
 
     @abstractmethod
-    def nominal_in(self, mechanism: Mechanism) -> Any:
-        """Its nominal value."""
-
-    @abstractmethod
-    def unit_in(self, mechanism: Mechanism) -> str:
-        """Its unit."""
-
-    @abstractmethod
-    def put(self, mechanism: Mechanism, value: Any) -> Mechanism:
-        """The mechanism with its numbers set."""
-
-    @abstractmethod
-    def followed(self, mechanism: Mechanism, value: Any) -> Mechanism:
-        """The mechanism, all of whose variables are set, with what follows from this one."""
-
-    @abstractmethod
     def check(self, name: str, mechanism: Mechanism) -> None:
         """Raises `ValueError` where it has nothing to do with the mechanism."""
-
-    @abstractmethod
-    def told(self, name: str, mechanism: Mechanism) -> dict[str, Any]:
-        """All that tells it from another, but for its distribution."""
 
     def check_derived(self, name: str, mechanism: Mechanism, varied: set[int]) -> None:
         """Raises `ValueError` where a derived number is not what the mechanism itself has (one of
@@ -101,7 +81,7 @@ class Variable(AbstractMechanismVariable):
         first = self.leaves(mechanism)[0]
         return next((unit for _, leaf, _, unit in own_numbers(mechanism) if leaf is first), "1")
 
-    def put(self, mechanism, value):
+    def put(self, name, mechanism, value):
         # Leaves that vary together move by the same amount.
         old = self.leaves(mechanism)
         new = [leaf + (value - old[0]) for leaf in old]
@@ -219,7 +199,7 @@ class Condition(AbstractMechanismVariable):
     def unit_in(self, mechanism):
         return self.unit
 
-    def put(self, mechanism, value):
+    def put(self, name, mechanism, value):
         return mechanism
 
     def followed(self, mechanism, value):
@@ -251,27 +231,6 @@ def _pair(given: Any) -> tuple[Callable, Callable]:
             "a mechanism: where a number stands, and what it is."
         )
     return tuple(given)
-
-
-def with_values(
-    mechanism: Mechanism, variables: list[AbstractMechanismVariable], values: Any
-) -> Mechanism:
-    """The mechanism with its variables set, in the order of `values`, and what follows."""
-    for variable, value in zip(variables, values, strict=True):
-        mechanism = variable.put(mechanism, value)
-    for variable, value in zip(variables, values, strict=True):
-        mechanism = variable.followed(mechanism, value)
-    return mechanism
-
-
-def places_of(
-    mechanism: Mechanism, variables: Mapping[str, AbstractMechanismVariable]
-) -> dict[str, Any]:
-    """What each variable points at, in words, and what follows from it."""
-    found: dict[str, Any] = {}
-    for name, own in variables.items():
-        found |= own.told(name, mechanism)
-    return found
 
 
 def check_variables(variables: dict[str, Any], mechanism: Mechanism) -> None:
