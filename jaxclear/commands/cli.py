@@ -18,8 +18,8 @@ from jaxclear.commands.cache import cache
 from jaxclear.commands.own_scene import example, identify, monte_carlo, parameters, run
 from jaxclear.commands.report import report
 from jaxclear.ground import cache_folder
-from jaxclear.studies.ledger.ledger import OtherStudy
-from jaxclear.studies.ledger.pieces import Unwritable
+from jaxclear.studies.store.files import Unwritable
+from jaxclear.studies.store.store import OtherStudy
 
 STUDIES = (antenna, arm, design, flap, four_bar, guide, parallel_3rsr, wear_life)
 # Programs that compile faster than this are not kept [s].

@@ -32,7 +32,6 @@ from jaxclear.results.response import PeakContactForce
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.statics.positions import Positions
 from jaxclear.studies.advice import Advice
-from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.design.result import Design
 from jaxclear.studies.fidelity.result import MultiFidelity
 from jaxclear.studies.identification.remaining_life import RemainingLife
@@ -46,6 +45,7 @@ from jaxclear.studies.screening import Screening
 from jaxclear.studies.sensitivity.derivative import Sensitivity
 from jaxclear.studies.statistics.shapley import ShapleyEffects
 from jaxclear.studies.statistics.sobol_indices import SobolIndices
+from jaxclear.studies.store.result import Campaign
 from jaxclear.studies.surface.correction import Corrected
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.sweep import Sweep

@@ -16,7 +16,6 @@ from jaxclear.ground.arguments import check_known, expect
 from jaxclear.ground.printing import as_typed
 from jaxclear.plot.canvas import Roomy, key, panels, readable
 from jaxclear.studies.advice import PRESENT, Advice
-from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.fidelity.result import MultiFidelity
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.reliability.result import Reliability
@@ -24,6 +23,7 @@ from jaxclear.studies.screening import Screening
 from jaxclear.studies.sensitivity.derivative import Sensitivity
 from jaxclear.studies.statistics.shapley import ShapleyEffects
 from jaxclear.studies.statistics.sobol_indices import SobolIndices
+from jaxclear.studies.store.result import Campaign
 from jaxclear.studies.surface.correction import Corrected
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.sweep import Sweep

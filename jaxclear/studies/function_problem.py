@@ -32,7 +32,7 @@ from jaxclear.studies.base import (
 )
 from jaxclear.studies.distribution import AbstractDistribution
 from jaxclear.studies.inputs import correlation_matrix
-from jaxclear.studies.ledger.batch import sample_of_chunk
+from jaxclear.studies.store.batch import sample_of_chunk
 
 ALONE = "response"
 # Functions take few operations a sample; above about this many the numbers of a chunk leave the

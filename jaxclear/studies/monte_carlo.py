@@ -24,7 +24,6 @@ from jaxclear.studies.answer import (
 )
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import answered, check_told, endless_sentences, refuse_endless
-from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
 from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
 from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, until_accurate
@@ -56,6 +55,7 @@ from jaxclear.studies.statistics.summary import (
     summary_row,
     warnings_of,
 )
+from jaxclear.studies.store.batch import chunk_size, evaluate_all
 from jaxclear.studies.warned import any_warning, counted, in_words, warned_of
 
 # What responses of replicas are, which are those of the first samples.

@@ -69,7 +69,6 @@ from jaxclear.simulation.simulate import (
 from jaxclear.simulation.singular_positions import diagnosed, diagnosed_outcome
 from jaxclear.studies.base import SampleResult, how_it_ended
 from jaxclear.studies.chosen_integrator import allowed, checked_asked, chosen_integrator, unasked
-from jaxclear.studies.ledger.batch import LEAST_CHUNK, sample_of_chunk
 from jaxclear.studies.mechanism_problem import (
     AbstractMechanismProblem,
     Thinned,
@@ -78,6 +77,7 @@ from jaxclear.studies.mechanism_problem import (
     responses_of,
     wanted_of,
 )
+from jaxclear.studies.store.batch import LEAST_CHUNK, sample_of_chunk
 from jaxclear.studies.variable import AbstractMechanismVariable
 
 # Histories that a response may build from the saved states, in multiples of these.

@@ -23,10 +23,10 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless
-from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import all_values, check_sampled
 from jaxclear.studies.scrambling import normal_scores
 from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed
+from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.warned import told
 
 # Shares of the population [1] that a move goes through: their mean is that of Morris' steps.

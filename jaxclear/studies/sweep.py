@@ -18,7 +18,7 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import answered, why_unanswered
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.warned import told
 
 

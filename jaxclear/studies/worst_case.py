@@ -29,9 +29,9 @@ from jaxclear.studies.answer import RESPONSE, TABLE, VARIABLE, AbstractAnswer, C
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.endless import answered, finite_beside, why_unanswered
-from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
+from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.warned import by_kind, codes_of, concerning
 
 # Points from which each extreme is climbed to, the corner of the slopes apart.

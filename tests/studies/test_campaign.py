@@ -13,10 +13,10 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.native import stop
-from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.ledger import batch
-from jaxclear.studies.ledger.ledger import Ledger
-from jaxclear.studies.ledger.pieces import PIECES
+from jaxclear.studies.store import batch
+from jaxclear.studies.store.files import PIECES
+from jaxclear.studies.store.samples import Samples
+from jaxclear.studies.store.store import Ledger
 
 LIMITS = {"fit": (0.2, 0.9)}
 
@@ -212,7 +212,7 @@ def test_another_problem_is_refused_with_what_differs(folder, tmp_path):
 
 def test_chunks_of_other_versions_warn(folder, monkeypatch):
     now = {"jax": "99.0"}
-    monkeypatch.setattr("jaxclear.studies.campaign.samples.told_versions", lambda: now)
+    monkeypatch.setattr("jaxclear.studies.store.samples.told_versions", lambda: now)
     with pytest.warns(UserWarning, match=r"jax 0\S* then, 99.0 now"):
         jc.campaign(problem(), 10_000, folder=folder, seed=3, chunk=4096)
 

@@ -9,10 +9,10 @@ import pandas
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.campaign.threads import Evaluation, done
-from jaxclear.studies.ledger.batch import Program
-from jaxclear.studies.ledger.pieces import PIECES
+from jaxclear.studies.store.batch import Program
+from jaxclear.studies.store.files import PIECES
+from jaxclear.studies.store.samples import Samples
+from jaxclear.studies.store.threads import Evaluation, done
 from tests.studies.test_campaign import LIMITS, assert_same_study, contents, problem
 
 ASKED = {"seed": 3, "chunk": 4096, "scramblings": 8}

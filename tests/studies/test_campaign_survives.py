@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.campaign import dask_workers
-from jaxclear.studies.ledger import pieces
+from jaxclear.studies.store import files as pieces
+from jaxclear.studies.store import workers as dask_workers
 from tests.studies.test_campaign import contents, problem
 
 pytestmark = pytest.mark.slow

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.ledger import batch
-from jaxclear.studies.ledger.ledger import RESULT, STUDY, Ledger
-from jaxclear.studies.ledger.pieces import PIECES, Unwritable
+from jaxclear.studies.store import batch
+from jaxclear.studies.store.files import PIECES, Unwritable
+from jaxclear.studies.store.samples import Samples
+from jaxclear.studies.store.store import RESULT, STUDY, Ledger
 from tests.studies.test_campaign import contents, kept_at, problem
 
 

@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 
 import jaxclear as jc
 from jaxclear.integrators import Outcome
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 from tests.rigs.wearing_ring import FORCE, HARDNESS, LENGTH, RADIUS, STIFFNESS, WEAR, wearing_ring
 from tests.rigs.wearing_ring import problem as one_turn
 

@@ -13,10 +13,10 @@ import jaxclear as jc
 from jaxclear.ground.printing import with_error
 from jaxclear.plot.studies import _warned_samples
 from jaxclear.studies.base import SampleResult
-from jaxclear.studies.campaign import threads
-from jaxclear.studies.ledger.batch import evaluate_chunk
-from jaxclear.studies.ledger.pieces import PIECES
 from jaxclear.studies.replicas import MOST_REPLICAS
+from jaxclear.studies.store import threads
+from jaxclear.studies.store.batch import evaluate_chunk
+from jaxclear.studies.store.files import PIECES
 
 GRAVITY, DURATION, STEP = 9.81, 0.5, 5e-3
 # One program serves all that are run in chunks of this size.

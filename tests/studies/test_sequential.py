@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.campaign import run
-from jaxclear.studies.campaign.samples import Samples
 from jaxclear.studies.sampling import Drawing, groups
 from jaxclear.studies.sequential import Grown
 from jaxclear.studies.statistics.accuracy import told
 from jaxclear.studies.statistics.scrambled import jackknifed
+from jaxclear.studies.store import run
+from jaxclear.studies.store.samples import Samples
 from tests.studies.test_campaign import problem
 
 

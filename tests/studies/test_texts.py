@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.texts import difference, first_difference, in_texts, tell
+from jaxclear.studies.store.digest import difference, first_difference, in_texts, tell
 
 MODULE = """
 import functools
@@ -265,7 +265,7 @@ PROGRAM = """
 import sys
 sys.path.insert(0, sys.argv[1])
 import a_users_own, hashlib
-from jaxclear.studies.texts import tell
+from jaxclear.studies.store.digest import tell
 found = {}
 tell([getattr(a_users_own, name) for name in sys.argv[2:]], "", found)
 print(hashlib.sha256(repr(sorted(found.items())).encode()).hexdigest())

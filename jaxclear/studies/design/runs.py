@@ -14,9 +14,9 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.endless import answered, bounded
-from jaxclear.studies.ledger.batch import evaluate_all
-from jaxclear.studies.ledger.ledger import Ledger
-from jaxclear.studies.texts import in_texts
+from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.digest import in_texts
+from jaxclear.studies.store.store import Ledger
 from jaxclear.studies.warned import codes_of
 
 # Samples a batch: one record of the store, and one chunk of the compiled program.

@@ -18,7 +18,7 @@ from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import listed
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless
-from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
+from jaxclear.studies.store.batch import chunk_size, evaluate_all
 
 # What a single cheaper model is called.
 ALONE = "cheaper"

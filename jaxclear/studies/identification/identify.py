@@ -53,10 +53,10 @@ from jaxclear.studies.identification.sample import (
     watched,
 )
 from jaxclear.studies.identification.told import of_records, told_by_signals
-from jaxclear.studies.ledger.ledger import Ledger, current
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled
-from jaxclear.studies.texts import in_texts
+from jaxclear.studies.store.digest import in_texts
+from jaxclear.studies.store.store import Ledger, current
 
 WAYS = ("statistics", "signal")
 # What a folder is told to hold.

@@ -17,10 +17,10 @@ from jaxclear.integrators import NonColliding, Outcome
 from jaxclear.results.signal import Signal, by_turns, whole_turns
 from jaxclear.studies.identification.laws import Ensemble
 from jaxclear.studies.identification.measurement import Measurement
-from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import Drawing, usual_scramblings
 from jaxclear.studies.sensor import check_sensor
+from jaxclear.studies.store.batch import chunk_size, evaluate_all
 
 # Turns that statistics of turns need.
 LEAST_TURNS = 3

@@ -20,7 +20,6 @@ from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import prepare, wearing_in
 from jaxclear.results.state_history import SavedMotion
 from jaxclear.simulation.wear import Worn
-from jaxclear.studies.ledger.ledger import Ledger
 from jaxclear.studies.life.cycle import (
     Cycle,
     asked_of,
@@ -33,6 +32,7 @@ from jaxclear.studies.life.cycle import (
 from jaxclear.studies.life.settling import Patience, Settling, settle
 from jaxclear.studies.life.steps import Cells, CycleFailed, Losses, Rate
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.store.store import Ledger
 
 # What a narrow contact makes of depths.
 NARROW = (Check.WEAR_BY_CELLS,)

@@ -20,7 +20,6 @@ from jaxclear.multibody.system import wearing_in
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
-from jaxclear.studies.ledger.ledger import Ledger
 from jaxclear.studies.life.cycle import as_problem, check_cycles, check_period
 from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import DEPTH, VOLUME, Stage, WearLife
@@ -37,7 +36,8 @@ from jaxclear.studies.life.steps import (
 )
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import draw
-from jaxclear.studies.texts import in_texts
+from jaxclear.studies.store.digest import in_texts
+from jaxclear.studies.store.store import Ledger
 
 # Ends of a cycle this far apart are the same, as in `settled`.
 SETTLED = 1e-3

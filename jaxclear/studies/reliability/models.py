@@ -18,10 +18,10 @@ from jaxclear.ground.printing import shown_in_words
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import answered
-from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState
 from jaxclear.studies.sampling import all_values, value_slopes
 from jaxclear.studies.statistics.scrambled import student
+from jaxclear.studies.store.batch import chunk_size, evaluate_all
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.surface.surface import run
 from jaxclear.studies.warned import codes_of, sentences

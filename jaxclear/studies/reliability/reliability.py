@@ -30,10 +30,10 @@ from jaxclear.studies.reliability.models import (
 from jaxclear.studies.reliability.result import Reliability
 from jaxclear.studies.reliability.subset import PILOT, Reach, repetitions, subset
 from jaxclear.studies.scrambling import scrambled_normal
+from jaxclear.studies.store.digest import difference
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import powers
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.texts import difference
 
 # The first surface is fitted over parts this many times as wide as they are.
 WIDE = 1.5

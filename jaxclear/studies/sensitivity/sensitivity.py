@@ -14,7 +14,6 @@ import numpy as np
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_methods, expect
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.campaign.result import GivenSample, given_sample
 from jaxclear.studies.monte_carlo import MonteCarlo, monte_carlo
 from jaxclear.studies.sampling import draw, groups, usual_scramblings
 from jaxclear.studies.scrambling import seed_of
@@ -47,6 +46,7 @@ from jaxclear.studies.sensitivity.regression import (
     runs_outside,
 )
 from jaxclear.studies.sensitivity.steps import error_by_steps
+from jaxclear.studies.store.result import GivenSample, given_sample
 
 METHODS = ("regression", "differences", "pathwise")
 # Independent parts of a sample of differences: as many as of the Monte Carlo sample.

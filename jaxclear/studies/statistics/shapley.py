@@ -27,7 +27,6 @@ from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, 
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.inputs import Inputs
-from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, student
@@ -37,6 +36,7 @@ from jaxclear.studies.statistics.sobol_indices import (
     open_shares,
     refuse_part_of_spread,
 )
+from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
 

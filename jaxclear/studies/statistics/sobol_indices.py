@@ -31,7 +31,6 @@ from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, 
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless, undrawn_levels
 from jaxclear.studies.inputs import Inputs
-from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import (
@@ -41,6 +40,7 @@ from jaxclear.studies.statistics.scrambled import (
     Statistic,
     jackknifed,
 )
+from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.surface.fitting import HIGHEST
 from jaxclear.studies.surface.polynomials import Expansion, levels, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface

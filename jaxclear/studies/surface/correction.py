@@ -22,10 +22,10 @@ from jaxclear.ground.printing import shown_in_words, with_error
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, AbstractAnswer, Column, Stated, means_and_deviations
 from jaxclear.studies.endless import refuse_endless
-from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
 from jaxclear.studies.sampling import all_values
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
+from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.surface.control_variate import Known, normal_blocks, regressed
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told

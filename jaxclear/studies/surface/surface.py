@@ -19,12 +19,12 @@ from jaxtyping import Array, Float
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_known, check_number, expect
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.campaign.result import GivenSample, given_sample
 from jaxclear.studies.endless import refuse_endless
-from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.sampling import all_values
 from jaxclear.studies.scrambling import scrambled_normal
+from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.result import GivenSample, given_sample
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import powers
 from jaxclear.studies.surface.response_surface import ResponseSurface

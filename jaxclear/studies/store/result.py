@@ -13,13 +13,13 @@ from jaxclear.ground.arguments import check_known
 from jaxclear.ground.printing import shown_in_words
 from jaxclear.integrators.checks import Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.campaign.dataset import dataset_of
-from jaxclear.studies.campaign.samples import VALUES, Samples
 from jaxclear.studies.endless import answered
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.limits import Limits, check_limits
 from jaxclear.studies.statistics.summary import summary_of, summary_row
-from jaxclear.studies.texts import difference, first_difference, in_texts
+from jaxclear.studies.store.dataset import dataset_of
+from jaxclear.studies.store.digest import difference, first_difference, in_texts
+from jaxclear.studies.store.samples import VALUES, Samples
 
 
 def _of_all(method: Callable) -> Any:

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.studies.campaign.samples import (
+from jaxclear.studies.monte_carlo import FINER, finer_name
+from jaxclear.studies.store.samples import (
     ENDED,
     OUTCOME,
     RESPONSES,
@@ -15,7 +16,6 @@ from jaxclear.studies.campaign.samples import (
     WORST,
     Samples,
 )
-from jaxclear.studies.monte_carlo import FINER, finer_name
 
 # An outcome that no sample has, and how outcomes are kept.
 UNKNOWN = (np.dtype(np.int8), -1)

@@ -18,9 +18,10 @@ from jaxclear.ground.datasets import told_versions
 from jaxclear.ground.warning import warn
 from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.ledger.batch import LEAST_CHUNK, devices, usual_batch
-from jaxclear.studies.ledger.ledger import STUDY, DamagedFolder, refuse_foreign, tell, told_of
-from jaxclear.studies.ledger.pieces import (
+from jaxclear.studies.replicas import Replicas, together_with
+from jaxclear.studies.sampling import groups
+from jaxclear.studies.store.batch import LEAST_CHUNK, devices, usual_batch
+from jaxclear.studies.store.files import (
     MENDED,
     Piece,
     Pieces,
@@ -28,8 +29,7 @@ from jaxclear.studies.ledger.pieces import (
     checked_folder,
     refuse_unwritable,
 )
-from jaxclear.studies.replicas import Replicas, together_with
-from jaxclear.studies.sampling import groups
+from jaxclear.studies.store.store import STUDY, DamagedFolder, refuse_foreign, tell, told_of
 
 # A campaign has about this many chunks at the most. Samples that are cheap beside a file come in
 # fewer and larger ones.

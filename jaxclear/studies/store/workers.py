@@ -17,13 +17,13 @@ from typing import Any
 
 from jaxclear.ground.wording import described
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.campaign.threads import PATIENCE, AbstractWork, Evaluation, done
-from jaxclear.studies.ledger.batch import Program
-from jaxclear.studies.ledger.ledger import STUDY
-from jaxclear.studies.ledger.pieces import address_of
 from jaxclear.studies.replicas import finer_runs
-from jaxclear.studies.texts import in_texts
+from jaxclear.studies.store.batch import Program
+from jaxclear.studies.store.digest import in_texts
+from jaxclear.studies.store.files import address_of
+from jaxclear.studies.store.samples import Samples
+from jaxclear.studies.store.store import STUDY
+from jaxclear.studies.store.threads import PATIENCE, AbstractWork, Evaluation, done
 
 # Blocks of chunks asked of the scheduler at a time, for each thread of the workers.
 ASKED_A_THREAD = 2

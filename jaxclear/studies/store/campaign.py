@@ -12,15 +12,8 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.wording import described, listed, meant
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.campaign.dask_workers import Workers, check_client
 from jaxclear.studies.campaign.recorded import RecordedProblem
-from jaxclear.studies.campaign.result import Campaign
-from jaxclear.studies.campaign.run import Wanted, computed
-from jaxclear.studies.campaign.samples import KIND, Samples, planned
-from jaxclear.studies.campaign.threads import AbstractWork, Threads
 from jaxclear.studies.design.design import design
-from jaxclear.studies.ledger.ledger import Ledger, current, refuse_other
-from jaxclear.studies.ledger.pieces import checked_folder
 from jaxclear.studies.life.wear_life import wear_life, wear_lives
 from jaxclear.studies.reliability.reliability import reliability
 from jaxclear.studies.sampling import check_sampled, checked_scramblings
@@ -29,8 +22,15 @@ from jaxclear.studies.sequential import FIRST_SAMPLES, first_of
 from jaxclear.studies.statistics.accuracy import asked_of
 from jaxclear.studies.statistics.shapley import shapley_effects
 from jaxclear.studies.statistics.sobol_indices import sobol_indices
+from jaxclear.studies.store.digest import in_texts
+from jaxclear.studies.store.files import checked_folder
+from jaxclear.studies.store.result import Campaign
+from jaxclear.studies.store.run import Wanted, computed
+from jaxclear.studies.store.samples import KIND, Samples, planned
+from jaxclear.studies.store.store import Ledger, current, refuse_other
+from jaxclear.studies.store.threads import AbstractWork, Threads
+from jaxclear.studies.store.workers import Workers, check_client
 from jaxclear.studies.surface.surface import surface
-from jaxclear.studies.texts import in_texts
 from jaxclear.studies.worst_case import worst_case
 
 # What studies keep, in words. Some keep records of their own; of others all samples are kept.

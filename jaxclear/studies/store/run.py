@@ -16,15 +16,15 @@ from jaxclear.ground.warning import warn
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.campaign.recorded import in_json
-from jaxclear.studies.campaign.result import Campaign
-from jaxclear.studies.campaign.samples import KIND, RESPONSES, VALUES, Plan, Samples, batch_of, held
-from jaxclear.studies.campaign.threads import AbstractWork, Heard
-from jaxclear.studies.ledger.ledger import refuse_other
 from jaxclear.studies.replicas import MOST_REPLICAS
 from jaxclear.studies.sampling import groups
 from jaxclear.studies.sequential import until_accurate
 from jaxclear.studies.statistics.accuracy import Asked, Piece
-from jaxclear.studies.texts import in_texts
+from jaxclear.studies.store.digest import in_texts
+from jaxclear.studies.store.result import Campaign
+from jaxclear.studies.store.samples import KIND, RESPONSES, VALUES, Plan, Samples, batch_of, held
+from jaxclear.studies.store.store import refuse_other
+from jaxclear.studies.store.threads import AbstractWork, Heard
 
 # Samples that are read together, about.
 READ = 1 << 16

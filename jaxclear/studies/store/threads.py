@@ -18,11 +18,11 @@ import numpy as np
 from jaxclear.integrators import Outcome
 from jaxclear.native import stops
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.campaign.samples import OUTCOME, RESPONSES, Plan, Samples
 from jaxclear.studies.endless import answered
-from jaxclear.studies.ledger.batch import Program, devices, side_by_side
 from jaxclear.studies.replicas import finer_runs
 from jaxclear.studies.sampling import Drawing
+from jaxclear.studies.store.batch import Program, devices, side_by_side
+from jaxclear.studies.store.samples import OUTCOME, RESPONSES, Plan, Samples
 
 # [s] between looks at whether others have finished the chunks that they are at.
 PATIENCE = 0.2

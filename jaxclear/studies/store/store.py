@@ -19,7 +19,8 @@ import numpy as np
 
 from jaxclear.ground.warning import warn
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.ledger.pieces import (
+from jaxclear.studies.store.digest import first_difference, in_texts
+from jaxclear.studies.store.files import (
     MENDED,
     PIECES,
     Pieces,
@@ -28,7 +29,6 @@ from jaxclear.studies.ledger.pieces import (
     put,
     refuse_unwritable,
 )
-from jaxclear.studies.texts import first_difference, in_texts
 
 # What a folder tells of its study, with a checksum; and the result, for other programs.
 STUDY, CHECKSUM, RESULT = "study.json", "checksum", "result.zarr"

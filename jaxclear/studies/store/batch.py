@@ -26,7 +26,7 @@ from jaxclear.ground.precision import check_double_precision
 from jaxclear.native import calls_lapack, stop, stoppable, stops
 from jaxclear.native.compiled import Prepared, prepared
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.ledger.ledger import CURRENT, Question
+from jaxclear.studies.store.store import CURRENT, Question
 
 # Memory for one chunk [bytes] on machines with a few GiB a core.
 CHUNK_MEMORY = 1 << 30
