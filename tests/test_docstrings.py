@@ -86,7 +86,10 @@ def documented_things():
             if inspect.isclass(thing) and not issubclass(thing, enum.Enum):
                 things[identifier(thing)] = argument_names(thing), [*class_docstrings(thing)]
                 for name, member in inspect.getmembers(thing, inspect.isroutine):
-                    if not name.startswith("_") and owner(thing, name).startswith("jaxclear"):
+                    # A cached property counts as a routine, and has no name of its own.
+                    if name.startswith("_") or not hasattr(member, "__qualname__"):
+                        continue
+                    if owner(thing, name).startswith("jaxclear"):
                         docstrings = [*method_docstrings(thing, name)]
                         things[identifier(member)] = argument_names(member), docstrings
             elif inspect.isfunction(thing):

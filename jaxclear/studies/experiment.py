@@ -52,22 +52,46 @@ class AbstractVariable(AbstractQuantified):
 
     @abstractmethod
     def nominal_in(self, subject: Any) -> Any:
-        """Its nominal value."""
+        """Its nominal value.
+
+        Args:
+            subject: the mechanism, or a dictionary of numbers.
+        """
 
     @abstractmethod
     def unit_in(self, subject: Any) -> str:
-        """Its unit."""
+        """Its unit.
+
+        Args:
+            subject: the mechanism, or a dictionary of numbers.
+        """
 
     @abstractmethod
     def put(self, name: str, subject: Any, value: Any) -> Any:
-        """The subject with its numbers set."""
+        """The subject with its numbers set.
+
+        Args:
+            name: of the variable, a text.
+            subject: the mechanism, or a dictionary of numbers.
+            value: of the variable [its unit].
+        """
 
     @abstractmethod
     def told(self, name: str, subject: Any) -> dict[str, Any]:
-        """All that tells it from another, but for its distribution."""
+        """All that tells it from another, but for its distribution.
+
+        Args:
+            name: of the variable, a text.
+            subject: the mechanism, or a dictionary of numbers.
+        """
 
     def followed(self, subject: Any, value: Any) -> Any:
-        """The subject, all of whose variables are set, with what follows from this one."""
+        """The subject, all of whose variables are set, with what follows from this one.
+
+        Args:
+            subject: the mechanism, or a dictionary of numbers.
+            value: of the variable [its unit].
+        """
         return subject
 
 
@@ -90,11 +114,17 @@ class Setting(eqx.Module):
 
 
 class Cost(NamedTuple):
-    """What a sample costs: the `memory` [bytes] that it takes while it is computed, roughly; how
-    many are best computed together at the most (`batch`); whether it is one `compiled` program, else
-    each is computed by itself, with numbers; whether it is `cheap`, no more than what would be
-    fitted to stand in for it; and the same program on as little work as possible (`idle`; None: it
-    is so little)."""
+    """What a sample costs.
+
+    Args:
+        memory: that it takes while it is computed, roughly [bytes].
+        batch: the largest number of samples that are best computed together, a count.
+        compiled: an option, whether it is one compiled program; else each is computed by itself,
+            with numbers.
+        cheap: an option, whether it costs no more than what would be fitted to stand in for it.
+        idle: the experiment of the same program on as little work as possible; None where it is so
+            little.
+    """
 
     memory: int
     batch: int
@@ -104,11 +134,18 @@ class Cost(NamedTuple):
 
 
 class ResponseInfo(NamedTuple):
-    """What is known of a response: its unit; of which parts of a run warnings concern it; the
-    largest error of its mean that counts as right, in its unit and as a share of its root mean
-    square (the larger of the two; None: nothing is promised), and what brings that error down.
-    `infinite`: what it says of a sample that the response is infinite, where that is an answer, as
-    that "it is not reached within 1e6 cycles"; the largest value that is told is its `horizon`."""
+    """What is known of a response.
+
+    Args:
+        unit: a text.
+        depends_on: names of the parts of a run whose warnings concern it.
+        promise: the largest error of its mean that counts as right, in its unit and as a share of
+            its root mean square [1], of which the larger counts; None where nothing is promised.
+        remedy: a text, what brings that error down.
+        infinite: a text, what it says of a sample that the response is infinite, as that "it is not
+            reached within 1e6 cycles"; "" where such a sample has failed.
+        horizon: the largest value that is told [its unit]; what is more is infinite.
+    """
 
     unit: str = "1"
     depends_on: frozenset[str] = PARTS
@@ -119,7 +156,11 @@ class ResponseInfo(NamedTuple):
 
     def promised(self, size: float) -> float | None:
         """The largest error of its mean with which a response of this `size` (root mean square)
-        counts as right, in its unit; None where nothing is promised."""
+        counts as right, in its unit; None where nothing is promised.
+
+        Args:
+            size: in the unit of the response [its unit].
+        """
         return None if self.promise is None else max(self.promise[0], self.promise[1] * size)
 
 
@@ -130,12 +171,20 @@ def how_it_ended(outcome: Any) -> str:
 
 
 class Description(NamedTuple):
-    """What is known of an experiment before any sample is computed. `responses` in their order;
-    `endings`: how a sample of each outcome ended, as the rest of a sentence that begins with its
-    values, `{ended}` for when; `discretised`: whether its numbers are off by something that could be
-    refined; `warnings`: what is off in all samples alike; `remark`: what a user should know of how
-    samples are computed; `derivative`: why derivatives through a sample are refused, and what is in
-    doubt about them ("" for nothing)."""
+    """What is known of an experiment before any sample is computed.
+
+    Args:
+        title: a text, what is done with a sample.
+        responses: what is known of each response, by name, in their order.
+        endings: texts by `Outcome`, how such a sample ended, as the rest of a sentence that begins
+            with its values, `{ended}` for when; the sentence of the outcome where there is none.
+        discretised: an option, whether its numbers are off by something that could be refined, as
+            steps of a run.
+        warnings: a text for what is off in all samples alike.
+        remark: a text, what a user should know of how samples are computed.
+        derivative: two texts, why derivatives through a sample are refused, and what is in doubt
+            about them; "" for nothing.
+    """
 
     title: str
     responses: Mapping[str, ResponseInfo]
@@ -146,7 +195,12 @@ class Description(NamedTuple):
     derivative: tuple[str, str] = ("", "")
 
     def ending(self, outcome: Any, ended: Any) -> str:
-        """How a sample ended, as the rest of a sentence that begins with its values."""
+        """How a sample ended, as the rest of a sentence that begins with its values.
+
+        Args:
+            outcome: of the sample, an `Outcome` or its number.
+            ended: when it ended [s, or cycles].
+        """
         code = Outcome(int(outcome))
         return self.endings.get(code, how_it_ended(code)).format(ended=float(ended))
 
@@ -168,13 +222,23 @@ class AbstractExperiment(AbstractQuantified):
         each puts its own by name."""
         return {}
 
+    def with_values(self, setting: Setting) -> Any:
+        """The subject with its variables set.
+
+        Args:
+            setting: values of the variables.
+        """
+        return setting(self.subject)
+
     @abstractmethod
     def evaluate(self, setting: Setting, *, discrete_derivatives: bool = False) -> SampleResult:
-        """The responses for one setting of the variables; pure where `cost().compiled`. JAX may map,
-        compile and differentiate it.
+        """The responses for one setting; pure where `cost().compiled`: JAX may map, compile and
+        differentiate it. A derivative that is not that of the responses raises `ValueError`.
 
-        A derivative that is not that of the responses raises `ValueError`; `discrete_derivatives`
-        passes on what the steps of a run have for one.
+        Args:
+            setting: values of the variables; `setting(subject)` is the subject with them.
+            discrete_derivatives: an option, whether what the steps of a run have for a derivative
+                is passed on.
         """
 
     @abstractmethod
@@ -186,13 +250,23 @@ class AbstractExperiment(AbstractQuantified):
         """What is known before any sample is computed."""
 
     def refine(self, share: float = 0.5) -> "AbstractExperiment | None":
-        """The same with all that discretises it refined, steps to a `share` [1] of their length;
-        None where nothing is discretised, or it cannot be refined. Of the same structure wherever
-        that is enough: a study then runs it by its own compiled program."""
+        """The same with all that discretises it refined; None where nothing is discretised, or it
+        cannot be refined. Of the same structure wherever that is enough: a study then runs it by
+        its own compiled program.
+
+        Args:
+            share: of the length of steps [1], between 0 and 1.
+        """
         return None
 
     def detail(self, setting: Setting, index: int, chunk: int) -> Any:
-        """All there is to be seen of sample `index` of a study in chunks of this size."""
+        """All there is to be seen of one sample of a study.
+
+        Args:
+            setting: values of its variables.
+            index: of the sample in its study, an integer.
+            chunk: samples that are computed together there, a count.
+        """
         return self.evaluate(setting)
 
     def parts(self) -> dict[str, Any]:
@@ -230,9 +304,9 @@ def _mapped(function: Callable[[Any], Any], setting: Any, values: Any) -> Any:
 def sample_of_chunk(
     function: Callable[[Setting], Any], setting: Setting, index: int, chunk: int
 ) -> Any:
-    """What a function of one sample, a method of an experiment, gives for sample `index` of a study
-    in chunks of this size, bit for bit as it was there: in the same lane of the same kernel, between
-    copies of itself.
+    """What a function of one setting, a method of an experiment, gives for sample `index` of a
+    study in chunks of this size, bit for bit as it was there: in the same lane of the same kernel,
+    between copies of itself.
     """
     with stoppable():
         found = _mapped(function, setting, jnp.tile(setting.values, (chunk, 1)))

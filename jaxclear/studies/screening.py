@@ -21,8 +21,8 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Column, Stated
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import all_values, check_sampled
 from jaxclear.studies.scrambling import normal_scores
 from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed
@@ -39,7 +39,7 @@ class Screening(AbstractAnswer):
     whether its effect hangs on where it and the others stand. `effects` (trajectories,) are nan
     where a run failed, of which there are `failed` among `runs`."""
 
-    problem: AbstractProblem
+    problem: Problem
     mu_star: dict[tuple[str, str], Statistic]
     sigma: dict[tuple[str, str], Statistic]
     effects: dict[tuple[str, str], np.ndarray]
@@ -73,7 +73,7 @@ class Screening(AbstractAnswer):
 
 @answering
 def screening(
-    problem: AbstractProblem, trajectories: int = 16, *, seed: int = 0, progress_bar: bool = False
+    problem: Problem, trajectories: int = 16, *, seed: int = 0, progress_bar: bool = False
 ) -> Screening:
     """Which variables of a problem matter, by the method of Morris: `trajectories` times one run
     more than there are variables.

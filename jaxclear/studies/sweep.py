@@ -16,8 +16,8 @@ from jaxclear.ground.arguments import check_flags, check_known, expect
 from jaxclear.ground.wording import described
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import answered, why_unanswered
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.warned import told
 
@@ -27,7 +27,7 @@ class Sweep(AbstractAnswer):
     `responses` by name, one axis for each swept variable in their order, nan where a run failed;
     `reasons` why, by the place in the grid; `warnings` of what runs warn."""
 
-    problem: AbstractProblem
+    problem: Problem
     over: dict[str, np.ndarray]
     responses: dict[str, np.ndarray]
     reasons: dict[tuple[int, ...], str]
@@ -75,7 +75,7 @@ class Sweep(AbstractAnswer):
 
 @answering
 def sweep(
-    problem: AbstractProblem, over: Mapping[str, Sequence[float]], *, progress_bar: bool = False
+    problem: Problem, over: Mapping[str, Sequence[float]], *, progress_bar: bool = False
 ) -> Sweep:
     """Responses at every point of a grid, in one compiled program.
 
@@ -83,7 +83,7 @@ def sweep(
     their nominal values. A point that fails is kept and named, the others go on. Raises
     `ValueError` for names that there are not, and for values that are no finite numbers.
     """
-    expect(problem, AbstractProblem, "what is swept", "a jaxclear.Problem")
+    expect(problem, Problem, "what is swept", "a jaxclear.Problem")
     expect(over, Mapping, "over of sweep", "values by the names of variables")
     check_flags("sweep", progress_bar=progress_bar)
     axes = {name: _axis(name, own, problem) for name, own in over.items()}
@@ -110,7 +110,7 @@ def sweep(
     return Sweep(problem, axes, responses, reasons, told(problem, found.checks, good))
 
 
-def _axis(name: str, values: Any, problem: AbstractProblem) -> np.ndarray:
+def _axis(name: str, values: Any, problem: Problem) -> np.ndarray:
     """The values of a variable. Raises `ValueError` with a sentence."""
     check_known("variable", name, problem.names, " in this problem")
     try:

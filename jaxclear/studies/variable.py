@@ -17,8 +17,8 @@ from jaxclear.ground.wording import described, meant
 from jaxclear.multibody.heated import heated
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.topology import own_numbers
-from jaxclear.studies.experiment import AbstractVariable, one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
+from jaxclear.studies.experiment import AbstractVariable, one_distribution
 
 # The least quantile of a response that studies tell.
 TOLD_QUANTILE = 0.05

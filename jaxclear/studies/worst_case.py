@@ -26,9 +26,9 @@ from jaxclear.ground.printing import AbstractShown, shown_in_words
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import RESPONSE, TABLE, VARIABLE, AbstractAnswer, Column, Stated
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.endless import answered, finite_beside, why_unanswered
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.store.batch import evaluate_all
@@ -61,7 +61,7 @@ class WorstCase(AbstractAnswer):
     `nominal` values. Of the `points` asked over the box, its corners among them, `failed` (failed,
     variables) have no answer; `warnings` say so, and which extremes are those of runs that warn."""
 
-    problem: AbstractProblem
+    problem: Problem
     low: np.ndarray
     high: np.ndarray
     nominal: dict[str, float]
@@ -118,7 +118,7 @@ class WorstCase(AbstractAnswer):
 
 @answering
 def worst_case(
-    problem: AbstractProblem,
+    problem: Problem,
     *,
     samples: int = 256,
     sigmas: float = 3.0,
@@ -169,7 +169,7 @@ def corners_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.array(list(itertools.product(*ends)))
 
 
-def box(problem: AbstractProblem, sigmas: float) -> tuple[np.ndarray, np.ndarray]:
+def box(problem: Problem, sigmas: float) -> tuple[np.ndarray, np.ndarray]:
     """Least and largest value of each variable, (variables,) each."""
     nominal, ends = np.asarray(problem.nominal()), []
     for own in problem.inputs.distributions:
@@ -193,14 +193,14 @@ def _value_and_slopes(problem, name, values):
 class Search:
     """Runs a problem in search of extremes, and counts the runs."""
 
-    def __init__(self, problem: AbstractProblem, low, high, progress_bar: bool):
+    def __init__(self, problem: Problem, low, high, progress_bar: bool):
         self.problem, self.low, self.high, self.bar = problem, low, high, progress_bar
         self.runs = 0
         # Of the points asked last: whether one has no answer, and how and when [s] each ended.
         self.failed, self.ends = np.zeros(0, bool), (np.zeros(0, int), np.zeros(0))
         # Of what the runs warn, by their values.
         self.codes: dict[bytes, int] = {}
-        self.differentiable = not any(problem.pathwise_limits())
+        self.differentiable = not any(problem.description.derivative)
 
     def responses(self, points: np.ndarray) -> dict[str, np.ndarray]:
         """By name at points (points, variables); nan where one failed."""

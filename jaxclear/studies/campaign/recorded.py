@@ -1,130 +1,98 @@
-"""A problem as a folder remembers it: its names, units and sentences, without what computes."""
+"""A problem as a folder remembers it: its names, numbers and description, without what computes."""
 
-from typing import Any, NoReturn
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 
 from jaxclear.integrators import Outcome
-from jaxclear.integrators.checks import Check
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.experiment import (
+    AbstractExperiment,
+    AbstractVariable,
+    Cost,
+    Description,
+    ResponseInfo,
+    derived,
+    how_it_ended,
+)
+from jaxclear.studies.problem import Problem
 
-# The outcomes that a sentence tells of without what was computed.
-ENDED = "{ended:.6g}"
-# A size of responses beside which what is promised at least is nothing.
-LARGE = 1e100
-# A time [s] that no run ends at and no sentence holds otherwise.
-SOME_TIME = 987654.0
 
+class RecordedVariable(AbstractVariable):
+    """The nominal value and the unit of a variable, whose distribution is not known."""
 
-class RecordedProblem(AbstractProblem):
-    """What statistics and tables ask of a problem, from a store. It computes nothing."""
+    nominal: Any
+    unit: str = eqx.field(static=True)
+    distribution: Any = None
 
-    names: tuple[str, ...] = eqx.field(static=True)
-    response_names: tuple[str, ...] = eqx.field(static=True)
-    variable_units: tuple[str, ...] = eqx.field(static=True)
-    # As `in_json` wrote it; of folders of earlier versions some is not known.
-    told: dict[str, Any] = eqx.field(static=True)
-    variables: dict[str, Any] = eqx.field(default_factory=dict)
-    correlation: Any = None
+    def nominal_in(self, subject):
+        return self.nominal
 
-    @classmethod
-    def of_json(cls, told: dict[str, Any]) -> "RecordedProblem":
-        """As `in_json` wrote it."""
-        named = (tuple(told[own]) for own in ("names", "response_names", "variable_units"))
-        return cls(*named, told)
+    def unit_in(self, subject):
+        return self.unit
 
-    def _of(self, what: str, response: str, unknown: Any = None) -> Any:
-        """What is told of a response."""
-        known = dict(zip(self.response_names, self.told.get(what, ()), strict=False))
-        return known.get(response, unknown)
+    def put(self, name, subject, value):
+        return subject
 
-    def nominal(self):
-        return np.asarray(self.told["nominal_values"])
-
-    def units(self):
-        return dict(zip(self.response_names, self.told["response_units"], strict=True))
-
-    def evaluate(self, values, *, discrete_derivatives=False):
-        _refuse()
-
-    def endless(self, response):
-        return self._of("endless_words", response, "")
-
-    def told_up_to(self, response):
-        most = self._of("most_told", response)
-        return np.inf if most is None else most
-
-    def discretised(self):
-        return self.told.get("by_steps", False)
-
-    def promised(self, response, size):
-        own = self._of("promises", response)
-        return None if own is None else max(own[0], own[1] * size)
-
-    def doubts(self):
-        return tuple(self.told.get("known_doubts", ()))
-
-    def sample_memory(self):
-        return 0
-
-    def most_together(self):
-        return 1
-
-    def rerun(self, values, index, chunk):
-        _refuse()
-
-    def ending(self, outcome, ended):
-        return self.told["endings"][outcome].replace(ENDED, f"{ended:.6g}")
-
-    def remark(self):
-        return self.told["why"]
-
-    def remedy(self, response):
-        return self._of("remedies", response, "refine its steps")
-
-    def concerned(self, response, concerns):
-        return concerns in self._of("concerns", response)
-
-    def parts(self):
+    def told(self, name, subject):
         return {}
 
 
-def _refuse() -> NoReturn:
-    raise ValueError(
-        "this campaign was opened without its problem, and computes nothing; give the problem: "
-        "jaxclear.open_campaign(folder, problem)."
-    )
+class RecordedExperiment(AbstractExperiment):
+    """What statistics and tables ask of an experiment, from a store. It computes nothing."""
+
+    description: Any = derived()
+    response_names: tuple[str, ...] = derived(static=True)
+
+    def evaluate(self, setting, *, discrete_derivatives=False):
+        raise ValueError(
+            "this campaign was opened without its problem, and computes nothing; give the problem: "
+            "jaxclear.open_campaign(folder, problem)."
+        )
+
+    def cost(self):
+        return Cost(0, 1)
+
+    def describe(self):
+        return self.description
 
 
-def in_json(problem: AbstractProblem) -> dict[str, Any]:
+def of_json(told: dict[str, Any]) -> Problem:
+    """The problem of which `in_json` wrote."""
+    responses = {
+        name: ResponseInfo(**own)._replace(
+            depends_on=frozenset(own["depends_on"]),
+            horizon=np.inf if own["horizon"] is None else own["horizon"],
+        )
+        for name, own in zip(told["response_names"], told["responses"], strict=True)
+    }
+    endings = dict(zip(Outcome, told["endings"], strict=True))
+    description = Description(responses=responses, endings=endings, **told["description"])
+    numbers = zip(told["names"], told["nominal_values"], told["variable_units"], strict=True)
+    variables = {name: RecordedVariable(np.asarray(own), unit) for name, own, unit in numbers}
+    experiment = RecordedExperiment(description, tuple(told["response_names"]))
+    return Problem.of(experiment, variables)
+
+
+def in_json(problem: Problem) -> dict[str, Any]:
     """What a folder remembers of a problem."""
-    parts = sorted({check.concerns for check in Check})
-    some = f"{SOME_TIME:.6g}"
-    units = problem.units()
-    most = [float(problem.told_up_to(name)) for name in problem.response_names]
+    own = problem.description
+    responses = [own.responses[name] for name in problem.response_names]
+    whole = ("title", "discretised", "warnings", "remark")
     return {
         "names": problem.names,
-        "response_names": problem.response_names,
         "variable_units": problem.variable_units,
-        "response_units": [units[name] for name in problem.response_names],
         "nominal_values": [float(value) for value in problem.nominal()],
-        "endings": [problem.ending(code, SOME_TIME).replace(some, ENDED) for code in Outcome],
-        "concerns": [
-            [part for part in parts if problem.concerned(name, part)]
-            for name in problem.response_names
+        "response_names": problem.response_names,
+        "response_units": [known.unit for known in responses],
+        "endings": [own.endings.get(code, how_it_ended(code)) for code in Outcome],
+        "responses": [
+            known._asdict()
+            | {
+                "depends_on": sorted(known.depends_on),
+                "horizon": known.horizon if np.isfinite(known.horizon) else None,
+            }
+            for known in responses
         ],
-        "why": problem.remark(),
-        "endless_words": [problem.endless(name) for name in problem.response_names],
-        "most_told": [own if np.isfinite(own) else None for own in most],
-        "by_steps": problem.discretised(),
-        "known_doubts": problem.doubts(),
-        "promises": [_promise(problem, name) for name in problem.response_names],
-        "remedies": [problem.remedy(name) for name in problem.response_names],
+        "description": {name: getattr(own, name) for name in whole},
     }
-
-
-def _promise(problem: AbstractProblem, response: str) -> tuple[float, float] | None:
-    """What is promised of the mean of a response at least, and as a share of its size."""
-    least, large = (problem.promised(response, size) for size in (0.0, LARGE))
-    return None if least is None or large is None else (least, large / LARGE)

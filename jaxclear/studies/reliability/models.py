@@ -16,9 +16,10 @@ import numpy as np
 
 from jaxclear.ground.printing import shown_in_words
 from jaxclear.integrators import Outcome
-from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import answered
+from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.limit_state import AbstractLimitState
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import all_values, value_slopes
 from jaxclear.studies.statistics.scrambled import student
 from jaxclear.studies.store.batch import chunk_size, evaluate_all
@@ -48,7 +49,7 @@ class RunModel(AbstractModel):
     more; `failed` those that did not reach their end; `codes` (those that did,): of what they
     warn."""
 
-    problem: AbstractProblem
+    problem: Problem
     limit: AbstractLimitState
     progress_bar: bool = False
     label: str = "runs"
@@ -109,7 +110,7 @@ class SurfaceModel(AbstractModel):
     limit: AbstractLimitState
 
     @property
-    def problem(self) -> AbstractProblem:
+    def problem(self) -> Problem:
         return self.surface.problem
 
     def margins(self, normal):

@@ -25,7 +25,8 @@ from tqdm import tqdm
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.native import calls_lapack, stop, stoppable, stops
 from jaxclear.native.compiled import Prepared, prepared
-from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.store import CURRENT, Question
 
 # Memory for one chunk [bytes] on machines with a few GiB a core.
@@ -40,9 +41,7 @@ class Stopped(Exception):
 
 
 @eqx.filter_jit
-def evaluate_chunk(
-    problem: AbstractProblem, values: Float[Array, "samples variables"]
-) -> SampleResult:
+def evaluate_chunk(problem: Problem, values: Float[Array, "samples variables"]) -> SampleResult:
     """Outcomes of a chunk of samples."""
     return jax.vmap(problem.evaluate)(values)
 
@@ -69,20 +68,20 @@ def threads_of() -> int:
     return 1 if jax.default_backend() != "cpu" else cores()
 
 
-def usual_batch(problem: AbstractProblem) -> int:
+def usual_batch(problem: Problem) -> int:
     """Samples of a problem that are best computed together."""
-    fits = max(CHUNK_MEMORY // max(problem.sample_memory(), 1), 1)
-    return int(min(problem.most_together(), fits))
+    cost = problem.cost()
+    return int(min(cost.batch, max(CHUNK_MEMORY // max(cost.memory, 1), 1)))
 
 
-def chunk_size(problem: AbstractProblem, samples: int, chunk: int | None = None) -> int:
+def chunk_size(problem: Problem, samples: int, chunk: int | None = None) -> int:
     """Samples a chunk: those wanted, or else all threads busy and no chunk above the memory set
     aside for it.
     """
     if chunk is not None:
         return min(chunk, samples)
     whole = min(usual_batch(problem), -(-samples // threads_of()))
-    if jax.default_backend() == "cpu" and not problem.at_once():
+    if jax.default_backend() == "cpu" and not problem.cost().cheap:
         whole = min(whole, max(LEAST_CHUNK, -(-samples // (CHUNKS_A_THREAD * threads_of()))))
     return max(1, whole)
 
@@ -104,7 +103,7 @@ def sample_of_chunk(
         return jax.tree.map(lambda leaf: leaf[index % chunk], jax.block_until_ready(found))
 
 
-def _of_chunk(function: Callable, problem: AbstractProblem, values: Array) -> Any:
+def _of_chunk(function: Callable, problem: Problem, values: Array) -> Any:
     return function(problem, values)
 
 
@@ -112,9 +111,7 @@ class Program:
     """A function of chunks of a problem, compiled in this process and shared by its threads. `wide`
     ones lie in equal parts on all devices."""
 
-    def __init__(
-        self, problem: AbstractProblem, function: Callable = evaluate_chunk, wide: bool = False
-    ):
+    def __init__(self, problem: Problem, function: Callable = evaluate_chunk, wide: bool = False):
         self.problem = problem
         many = wide and devices() > 1
         self._function = _on_each if many else function
@@ -157,7 +154,9 @@ class Program:
             return asked(self._function, problem, self._laid_out(values))
 
         # Compiled by a run of no length.
-        lapack = not once and bool(evaluated(self.problem.idle(), values)[1])
+        idle = self.problem.cost().idle
+        little = self.problem if idle is None else self.problem.with_experiment(idle)
+        lapack = not once and bool(evaluated(little, values)[1])
         return Prepared(lambda values: evaluated(self.problem, values)[0], lapack)
 
 
@@ -170,7 +169,7 @@ def _on_all_devices(values: np.ndarray) -> Array:
     return jax.device_put(values, NamedSharding(_mesh(), PartitionSpec("samples")))
 
 
-def _on_each(problem: AbstractProblem, values: Float[Array, "samples variables"]) -> SampleResult:
+def _on_each(problem: Problem, values: Float[Array, "samples variables"]) -> SampleResult:
     """A chunk of samples, an equal part of it on each device."""
     numbers, rest = eqx.partition(problem, eqx.is_array)
 
@@ -205,7 +204,7 @@ def side_by_side(
 
 
 def evaluate_all(
-    problem: AbstractProblem,
+    problem: Problem,
     values: Any,
     *,
     chunk: int | None = None,
@@ -219,7 +218,7 @@ def evaluate_all(
     check_double_precision()
     samples, values, ledger = len(values), np.asarray(values), CURRENT.get()
     # Any other function of a chunk is a compiled program, which a problem that is none refuses.
-    if not problem.compiled() and function is evaluate_chunk:
+    if not problem.cost().compiled and function is evaluate_chunk:
         return _each_alone(problem, values, progress_bar, label)
     chunk = chunk_size(problem, samples, chunk)
     count = -(-samples // chunk)
@@ -254,7 +253,7 @@ def evaluate_all(
 
 
 def _each_alone(
-    problem: AbstractProblem, values: np.ndarray, progress_bar: bool, label: str
+    problem: Problem, values: np.ndarray, progress_bar: bool, label: str
 ) -> SampleResult:
     """Outcomes of samples that are no compiled program, one after the other: what they run may call
     LAPACK (see `calls_lapack`), which is not known before. In the caller's thread, so that each

@@ -11,10 +11,10 @@ from typing import Any
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.wording import described, listed, meant
-from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.campaign.recorded import RecordedProblem
+from jaxclear.studies.campaign.recorded import of_json
 from jaxclear.studies.design.design import design
 from jaxclear.studies.life.wear_life import wear_life, wear_lives
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.reliability.reliability import reliability
 from jaxclear.studies.sampling import check_sampled, checked_scramblings
 from jaxclear.studies.sensitivity.sensitivity import sensitivity
@@ -56,7 +56,7 @@ SAMPLED = ("sampling", "scramblings", "accuracy", "chunk")
 
 @answering
 def campaign(
-    problem: AbstractProblem,
+    problem: Problem,
     samples: int | None = None,
     *,
     folder: str | Path,
@@ -111,21 +111,21 @@ def campaign(
 
 
 @answering
-def open_campaign(folder: str | Path, problem: AbstractProblem | None = None) -> Campaign:
+def open_campaign(folder: str | Path, problem: Problem | None = None) -> Campaign:
     """The campaign in a folder, finished or not. `problem`: that which it is of, to run single
     samples again; without it everything else can be read. Raises `ValueError` with a sentence where
     the folder holds none, or one of another problem."""
     kept = Samples.opened(folder)
     if problem is None:
-        return Campaign(kept, RecordedProblem.of_json(kept.told["recorded"]))
-    expect(problem, AbstractProblem, "problem of open_campaign", "a jaxclear.Problem")
+        return Campaign(kept, of_json(kept.told["recorded"]))
+    expect(problem, Problem, "problem of open_campaign", "a jaxclear.Problem")
     refuse_other(kept.folder, kept.told, KIND, in_texts(problem))
     return Campaign(kept, problem)
 
 
 def _kept_study(
     study: Any,
-    problem: AbstractProblem,
+    problem: Problem,
     folder: Any,
     given: dict[str, Any],
     settings: dict[str, Any],
@@ -146,7 +146,7 @@ def _kept_study(
     try:
         if study in OWN_RECORDS:
             return study(problem, store=path, **settings)
-        expect(problem, AbstractProblem, "problem of campaign", "a jaxclear.Problem")
+        expect(problem, Problem, "problem of campaign", "a jaxclear.Problem")
         with current(Ledger.opened(path, BY_SAMPLES[study], in_texts(problem))):
             return study(problem, **settings)
     except KeyboardInterrupt:
@@ -159,8 +159,8 @@ def _kept_study(
 def _refuse_uncompiled(problem: Any) -> None:
     """Raises `ValueError` with a sentence for a problem whose samples are no compiled program. What
     is no problem at all is for its study to refuse."""
-    if isinstance(problem, AbstractProblem) and not problem.compiled():
-        raise ValueError(f"problem of campaign ({type(problem).__name__}) {OTHERWISE}")
+    if isinstance(problem, Problem) and not problem.cost().compiled:
+        raise ValueError(f"problem of campaign ({type(problem.experiment).__name__}) {OTHERWISE}")
 
 
 def _named(study: Callable, given: dict[str, Any]) -> dict[str, Any]:
@@ -178,7 +178,7 @@ def _named(study: Callable, given: dict[str, Any]) -> dict[str, Any]:
 
 
 @contextmanager
-def _by(problem: AbstractProblem, client: Any) -> Iterator[AbstractWork]:
+def _by(problem: Problem, client: Any) -> Iterator[AbstractWork]:
     """Who computes: the threads here, or the workers of a client."""
     if client is None:
         yield Threads(problem)

@@ -24,7 +24,7 @@ import numpy as np
 
 from jaxclear.ground.quantity import IF_ANY
 from jaxclear.ground.wording import listed
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.problem import Problem
 
 # Longest text of one piece, in characters; what is longer ends in a digest.
 LONGEST = 60
@@ -71,7 +71,7 @@ LIBRARIES = tuple(
 )
 
 
-def in_texts(problem: AbstractProblem) -> dict[str, str]:
+def in_texts(problem: Problem) -> dict[str, str]:
     """A text for each part of a problem, by its path. Numbers with all their digits, large arrays
     and functions by a digest."""
     found: dict[str, str] = {}
@@ -84,7 +84,7 @@ def in_texts(problem: AbstractProblem) -> dict[str, str]:
     return found
 
 
-def difference(one: AbstractProblem, other: AbstractProblem) -> str:
+def difference(one: Problem, other: Problem) -> str:
     """The first thing in which `one` differs from `other`, in words; "" where they are the same. A
     problem built anew by the same lines is the same."""
     if one.names != other.names:
@@ -92,8 +92,10 @@ def difference(one: AbstractProblem, other: AbstractProblem) -> str:
     if one.response_names != other.response_names:
         named = _named(one.response_names)
         return f"its responses are {named}, not {_named(other.response_names)}"
-    if type(one) is not type(other):
-        return f"it is a {type(one).__name__}, not a {type(other).__name__}"
+    if type(one.experiment) is not type(other.experiment):
+        return (
+            f"it is of a {type(one.experiment).__name__}, not a {type(other.experiment).__name__}"
+        )
     return first_difference(in_texts(one), in_texts(other))
 
 

@@ -14,8 +14,8 @@ from tqdm import tqdm
 
 from jaxclear.ground.warning import warn
 from jaxclear.integrators.checks import Checks
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.campaign.recorded import in_json
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import MOST_REPLICAS
 from jaxclear.studies.sampling import groups
 from jaxclear.studies.sequential import until_accurate
@@ -87,7 +87,7 @@ def _begun(by: AbstractWork, wanted: Wanted, folder: Any) -> Samples:
     return found
 
 
-def _with_room(kept: Samples, samples: int, most: int, problem: AbstractProblem) -> Samples:
+def _with_room(kept: Samples, samples: int, most: int, problem: Problem) -> Samples:
     """The same with room for so many samples; for more, up to the `most`, where other processes
     have planned these."""
     if kept.plan.samples >= samples:
@@ -130,7 +130,7 @@ def _verify(samples: Samples, by: AbstractWork) -> None:
     """Adds the replicas that the finished samples in a folder lack, if their problem has any:
     finer runs of the first ones, written once all samples are there. A campaign that becomes larger
     keeps them, and adds what it lacks."""
-    if not len(_lacking(samples)) or by.problem.replica() is None:
+    if not len(_lacking(samples)) or by.problem.refine() is None:
         return
     with held(samples.folder / VERIFYING):
         known, lacking = samples.finer(), _lacking(samples)

@@ -18,7 +18,7 @@ import jax
 import numpy as np
 
 from jaxclear.ground.warning import warn
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.digest import first_difference, in_texts
 from jaxclear.studies.store.files import (
     MENDED,
@@ -50,7 +50,7 @@ class Question(NamedTuple):
     digest: str
 
     @classmethod
-    def of(cls, problem: AbstractProblem, function: Any) -> "Question":
+    def of(cls, problem: Problem, function: Any) -> "Question":
         """A function of this package of a problem."""
         own, texts = getattr(function, "__wrapped__", function), in_texts(problem)
         return cls(texts, address_of(texts, f"{own.__module__}.{own.__qualname__}"))

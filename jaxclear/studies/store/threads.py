@@ -17,8 +17,9 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.native import stops
-from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import answered
+from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import finer_runs
 from jaxclear.studies.sampling import Drawing
 from jaxclear.studies.store.batch import Program, devices, side_by_side
@@ -70,7 +71,7 @@ class Evaluation:
         return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *found)
 
 
-def failures(problem: AbstractProblem, outcome: Any, responses: dict[str, Any]) -> int:
+def failures(problem: Problem, outcome: Any, responses: dict[str, Any]) -> int:
     """How many of these samples failed."""
     return int(np.sum((outcome != Outcome.REACHED) | ~answered(problem, responses)))
 
@@ -95,7 +96,7 @@ def done(samples: Samples, evaluation: Evaluation, number: int) -> int | None:
 class AbstractWork(ABC):
     """Who computes the chunks of a campaign of a `problem`."""
 
-    problem: AbstractProblem
+    problem: Problem
 
     @abstractmethod
     def compute(self, samples: Samples, numbers: Sequence[int], heard: Heard) -> None:
@@ -111,7 +112,7 @@ class AbstractWork(ABC):
 class Threads(AbstractWork):
     """The threads of this process, side by side. Interrupted, it loses the chunks in work."""
 
-    def __init__(self, problem: AbstractProblem):
+    def __init__(self, problem: Problem):
         self.problem, self._program = problem, Program(problem, wide=True)
 
     def compute(self, samples, numbers, heard):

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxclear.ground.wording import described
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import finer_runs
 from jaxclear.studies.store.batch import Program
 from jaxclear.studies.store.digest import in_texts
@@ -50,7 +50,7 @@ class Workers(AbstractWork):
     """All workers of a client. Interrupted, it asks for no more; blocks in work are finished.
     Where none has joined, it waits for the first, for a minute."""
 
-    def __init__(self, problem: AbstractProblem, client: Any):
+    def __init__(self, problem: Problem, client: Any):
         self.problem, self.client = problem, client
         # The texts that a problem is known by tell a worker whether it has compiled it before.
         self.token = address_of(in_texts(problem))
@@ -124,13 +124,13 @@ def _answer(future: Any, block: list[int]) -> list[int | None]:
         ) from reason
 
 
-def _itself(problem: AbstractProblem) -> AbstractProblem:
+def _itself(problem: Problem) -> Problem:
     """The problem, as something that Dask holds for all workers."""
     return problem
 
 
 def _on_worker(
-    problem: AbstractProblem, token: str, folder: str, most: int, campaign: str, block: list[int]
+    problem: Problem, token: str, folder: str, most: int, campaign: str, block: list[int]
 ) -> list[int | None]:
     """Computes and keeps chunks of a block, on a worker, for as long as a task is to take: what
     `done` says of each."""
@@ -148,7 +148,7 @@ class _Once:
     """A problem that counts as the one that came first with the same token: its program is compiled
     once, however often Dask sends it."""
 
-    def __init__(self, token: str, problem: AbstractProblem):
+    def __init__(self, token: str, problem: Problem):
         self.token, self.problem = token, problem
 
     def __eq__(self, other: object) -> bool:

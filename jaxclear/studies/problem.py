@@ -1,0 +1,283 @@
+"""A question: which numbers vary and how, and what is done with a sample of them.
+
+Studies see a `Problem`, never a joint. The path from varied numbers to responses is one function,
+`evaluate`, which maps over samples and differentiates where its experiment is compiled.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxclear.ground.arguments import expect
+from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.printing import in_a_line, number_in_words
+from jaxclear.ground.quantity import AbstractQuantified, with_quantities
+from jaxclear.ground.wording import described, listed
+from jaxclear.integrators import AbstractIntegrator
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.results.state_history import State
+from jaxclear.studies.experiment import (
+    AbstractExperiment,
+    AbstractVariable,
+    Cost,
+    Description,
+    SampleResult,
+    Setting,
+    check_names_differ,
+)
+from jaxclear.studies.inputs import Inputs, correlation_matrix, joint
+from jaxclear.studies.responses import by_name, checked_question
+from jaxclear.studies.run_experiment import RunExperiment
+
+
+class Problem(AbstractQuantified):
+    """Numbers that vary, and an experiment that gives responses of them: by default a mechanism
+    that runs in time. `PositionProblem`, `FunctionProblem` and `LifeProblem` make problems of other
+    experiments, `Problem.of` one of your own. What an experiment has (`mechanism`, `integrator`,
+    `duration`, ...) is read through its problem.
+
+    Args:
+        mechanism: the mechanism that runs.
+        response: a function of a trajectory that returns a number, or several by name. Those of
+            `jaxclear.response` have units; `FromFunction` gives one to a plain function.
+        variables: the numbers that vary, `Variable` or `Condition` by name.
+        duration: length of a run [s], > 0.
+        integrator: an integrator; by default steps of a fixed length, because equal work for every
+            sample is what batches and derivatives want: `FixedStep()`, or an `ImplicitStep` where
+            friction would answer faster than such steps resolve, or `Adaptive` where ideal joints
+            rub, and where contacts want more than 200 000 steps what `accuracy=0.02` chooses;
+            `why_integrator` says so.
+        accuracy: in place of an integrator, which is then chosen by runs of the nominal sample for
+            the least work: share of each response there [1], or {"response": number in its unit}.
+        save: saving times or a `Saving`, as in `simulate`; `shares` [1] are the times, as shares of
+            the duration.
+        state: the `State` at which runs begin, as in `simulate`.
+        correlation: of the variables' normal scores [1]: {("first", "second"): 0.5}, or a matrix.
+
+    Raises:
+        ValueError: with a sentence for what cannot be asked.
+    """
+
+    experiment: AbstractExperiment
+    # JAX sorts the keys of a dictionary; `names` keeps the order in which things were given.
+    variables: dict[str, AbstractVariable]
+    correlation: Float[Array, "variables variables"] | None
+    names: tuple[str, ...] = eqx.field(static=True)
+    variable_units: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        response: Callable | Mapping[str, Callable],
+        variables: Mapping[str, AbstractVariable],
+        *,
+        duration: float,
+        integrator: AbstractIntegrator | None = None,
+        accuracy: Any = None,
+        save: Any = 201,
+        state: State | None = None,
+        correlation: Any = None,
+    ):
+        check_double_precision()
+        mechanism = with_quantities(mechanism)
+        wanted, varied = checked_question(mechanism, response, variables, "Problem", "a trajectory")
+        correlation = correlation_matrix(correlation, tuple(varied))
+        run = RunExperiment(mechanism, wanted, duration, integrator, accuracy, save, state)
+        for name, value in _fields(run, varied, correlation).items():
+            setattr(self, name, value)
+
+    @staticmethod
+    def of(
+        experiment: AbstractExperiment,
+        variables: Mapping[str, AbstractVariable],
+        correlation: Any = None,
+    ) -> "Problem":
+        """A problem of any experiment.
+
+        Args:
+            experiment: the `AbstractExperiment` that gives the responses.
+            variables: the numbers that vary, by name.
+            correlation: of the variables' normal scores [1], as in `Problem`.
+
+        Raises:
+            ValueError: with a sentence for what cannot be asked.
+        """
+        expect(experiment, AbstractExperiment, "experiment of a Problem", "an AbstractExperiment")
+        varied = by_name("variables", variables)
+        for name, variable in varied.items():
+            expect(variable, AbstractVariable, f'variable "{name}"', "an AbstractVariable")
+        check_names_differ(experiment.response_names, varied)
+        matrix = correlation_matrix(correlation, tuple(varied))
+        return _made(_fields(experiment, varied, matrix))
+
+    def __hash__(self) -> int:
+        # By identity, not by its arrays: `jax.jit(problem.evaluate)` looks up its programs by it.
+        return id(self)
+
+    def __getattr__(self, name: str) -> Any:
+        # Called for what the problem itself does not have.
+        if name.startswith("_") or name in Problem.__annotations__:
+            raise AttributeError(f"a Problem has no {name}")
+        return getattr(self.experiment, name)
+
+    def _shown(self):
+        """How it is asked, the responses and the variables with their units."""
+        description = self.description
+        lines = [description.title, "responses"]
+        lines += [f"  {name} [{own.unit}]" for name, own in description.responses.items()]
+        lines += ["variables"] if self.names else []
+        for name, unit, value in zip(self.names, self.variable_units, self.nominal(), strict=True):
+            spread = in_a_line(self.variables[name].distribution)
+            own = "" if unit == "1" else f" {unit}"
+            lines.append(f"  {name} {number_in_words(value)}{own}, {spread}")
+        return "\n".join(lines if self.correlation is None else [*lines, "correlated"])
+
+    @property
+    def inputs(self) -> Inputs:
+        """The joint distribution of the variables: `values(normal)` from independent standard
+        normal numbers, and `normal(values)`."""
+        own = [self.variables[name].distribution for name in self.names]
+        return joint(self.names, own, self.nominal(), self.correlation)
+
+    @functools.cached_property
+    def description(self) -> Description:
+        """What is known before any sample is computed."""
+        return self.experiment.describe()
+
+    def units(self) -> dict[str, str]:
+        """Unit of each response."""
+        return {name: own.unit for name, own in self.description.responses.items()}
+
+    def cost(self) -> Cost:
+        """What a sample costs."""
+        return self.experiment.cost()
+
+    def nominal(self) -> Float[Array, " variables"]:
+        """Nominal value of each variable."""
+        subject = self.experiment.subject
+        numbers = [self.variables[name].nominal_in(subject) for name in self.names]
+        return jnp.stack(numbers) if numbers else jnp.zeros(0)
+
+    def setting(self, values: Any) -> Setting:
+        """The variables at these values.
+
+        Args:
+            values: one number for each variable, in their order, (variables,) [their units].
+        """
+        own = tuple(self.variables[name] for name in self.names)
+        return Setting(self.names, own, jnp.asarray(values))
+
+    def with_values(self, values: Any) -> Any:
+        """The mechanism, or the dictionary of numbers, with the variables at these values.
+
+        Args:
+            values: one number for each variable, in their order, (variables,) [their units].
+        """
+        return self.experiment.with_values(self.setting(values))
+
+    def evaluate(
+        self, values: Float[Array, " variables"], *, discrete_derivatives: bool = False
+    ) -> SampleResult:
+        """The responses for one set of values; pure where `cost().compiled`.
+
+        JAX may map, compile and differentiate it. A derivative through contacts that open and close
+        is not that of the motion, and raises `ValueError`. Other derivatives of runs are compared
+        with those in steps of other lengths or at a tighter tolerance, and nan where these tell an
+        error beyond a hundredth; `jaxclear.why_unknown` says why.
+
+        Args:
+            values: one number for each variable, in their order, (variables,) [their units].
+            discrete_derivatives: whether the derivative of the steps of a run is passed on, as an
+                option.
+        """
+        check_double_precision()
+        self.check_values(values)
+        setting = self.setting(values)
+        return self.experiment.evaluate(setting, discrete_derivatives=discrete_derivatives)
+
+    def refine(self, share: float = 0.5) -> "Problem | None":
+        """The same question with all that discretises it refined; None where that cannot be.
+
+        Args:
+            share: of the length of steps [1], between 0 and 1.
+        """
+        finer = self.experiment.refine(share)
+        return None if finer is None else self.with_experiment(finer)
+
+    def detail(self, values: Any, index: int = 0, chunk: int = 1) -> Any:
+        """All there is to be seen of a sample: its run, positions, life, or what a function gives,
+        bit for bit as it was in a study.
+
+        Args:
+            values: one number for each variable, in their order, (variables,) [their units].
+            index: of the sample in its study, an integer.
+            chunk: samples that are computed together there, a count.
+        """
+        return self.experiment.detail(self.setting(values), index, chunk)
+
+    def with_experiment(self, experiment: AbstractExperiment) -> "Problem":
+        """The same variables in another experiment.
+
+        Args:
+            experiment: an `AbstractExperiment` of the same subject.
+        """
+        own = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return _made(own | {"experiment": experiment})
+
+    def with_integrator(self, integrator: AbstractIntegrator) -> "Problem":
+        """The same question of runs by another integrator.
+
+        Args:
+            integrator: an integrator.
+        """
+        run: Any = self.experiment
+        return self.with_experiment(run.with_integrator(integrator))
+
+    def parts(self) -> dict[str, Any]:
+        """All that tells this problem from another, by name, but for the distributions."""
+        own, subject = self.experiment.parts(), self.experiment.subject
+        for name in self.names:
+            own |= self.variables[name].told(name, subject)
+        return own
+
+    def check_values(self, values: Any) -> None:
+        """Raises `ValueError` where these are not one number for each variable.
+
+        Args:
+            values: what may be values of the variables.
+        """
+        shape = getattr(values, "shape", None)
+        if shape is None and isinstance(values, (list, tuple)):
+            shape = (len(values),)
+        if shape != (len(self.names),):
+            names = f", {listed(self.names)}" if self.names else ""
+            raise ValueError(
+                f"evaluate takes an array of {len(self.names)} values, one for each variable in "
+                f"order{names}; it is given {described(values)}."
+            )
+
+
+def _fields(
+    experiment: AbstractExperiment, variables: dict[str, Any], correlation: Any
+) -> dict[str, Any]:
+    """The fields of a problem by name."""
+    return {
+        "experiment": experiment,
+        "variables": variables,
+        "correlation": correlation,
+        "names": tuple(variables),
+        "variable_units": tuple(own.unit_in(experiment.subject) for own in variables.values()),
+    }
+
+
+def _made(fields: dict[str, Any]) -> Problem:
+    """A problem of checked fields."""
+    problem = object.__new__(Problem)
+    for name, value in fields.items():
+        object.__setattr__(problem, name, value)
+    return problem
