@@ -29,7 +29,7 @@ from jaxclear.formulations.midpoint_step import ImplicitSettings, WarmStart
 from jaxclear.formulations.model import Instant, Model, State
 from jaxclear.formulations.permanent_reactions import REACTION, Reaction, slips_of, touching
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import map_alike
+from jaxclear.ground.compiling import map_grouped
 from jaxclear.ground.grouping import unstacked
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.damped_stops import forces_at, with_damping_ratios
@@ -192,7 +192,7 @@ class CompliantContact(AbstractFormulation):
             (bearing.joint, own, model.worn.get(name, {}))
             for (name, bearing), own in zip(bearings.items(), relative, strict=True)
         ]
-        found = map_alike(contact_point.indentation_rates, calls)
+        found = map_grouped(contact_point.indentation_rates, calls)
         points = [point for joint in found for point in joint]
         if not model.layout.plays:
             return _stacked(points)

@@ -16,7 +16,7 @@ from jaxclear.components.clearance import ContactLaws
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import map_alike
+from jaxclear.ground.compiling import map_grouped
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.pose import Pose
 from jaxclear.laws.contact import Rigid
@@ -164,7 +164,7 @@ def indentations(model: Model, time: Any, q: tuple, v: tuple) -> list:
         (bearing.joint, own.pose, model.worn.get(name, {}))
         for (name, bearing), own in zip(model.system.bearings.items(), relative, strict=True)
     ]
-    found = map_alike(contact_point.depths, calls)
+    found = map_grouped(contact_point.depths, calls)
     return [indentation for joint in found for indentation in joint]
 
 
@@ -186,7 +186,7 @@ def contact_points(
         )
 
     with jax.named_scope("gap_function"):
-        found = map_alike(geometry, calls)
+        found = map_grouped(geometry, calls)
     points = []
     jacobians = kinematics.relative_jacobians(
         model.system,

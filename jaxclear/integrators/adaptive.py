@@ -23,7 +23,7 @@ from jaxclear.ground.quantity import (
     on_host,
     quantity,
 )
-from jaxclear.ground.tangents import derived_once
+from jaxclear.ground.tangents import allow_first_derivative
 from jaxclear.integrators.base import LOOSE, REFERENCE, AbstractIntegrator, Advance
 from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.derivative_error import NO_SECOND, trusted
@@ -295,7 +295,7 @@ class Adaptive(AbstractIntegrator):
             instants = () if events is None else events[:2]
             most = _most_growth(model, controller)
             moving = trusted((state, peaks, instants), growth, most)
-            state, peaks, instants = derived_once(NO_SECOND, moving)
+            state, peaks, instants = allow_first_derivative(NO_SECOND, moving)
             if events is not None:
                 events = events._replace(times=instants[0], rates=instants[1])
         return Advance(state, *steps, (usual, growth), outcome, peaks, events)

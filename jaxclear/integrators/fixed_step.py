@@ -20,7 +20,7 @@ from jaxclear.formulations.impact_speed import has_bristles, put_right
 from jaxclear.formulations.model import Model
 from jaxclear.ground.grouping import packed, unpacked
 from jaxclear.ground.quantity import Scalar, concrete, constant, count, quantity
-from jaxclear.ground.tangents import derived_once
+from jaxclear.ground.tangents import allow_first_derivative
 from jaxclear.ground.wording import unknown
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import (
@@ -380,7 +380,7 @@ class FixedStep(AbstractIntegrator):
         if watch is not None:
             rates = unknown_way(watch.events.rates)
             watch = watch._replace(events=watch.events._replace(rates=rates))
-        return derived_once(NO_SECOND, (end, met, watch))
+        return allow_first_derivative(NO_SECOND, (end, met, watch))
 
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)

@@ -44,7 +44,14 @@ from jaxclear.ground.grouping import packed, unpacked
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.ground.tangents import derived, derived_once, moved, moving_with, pushed, where_wanted
+from jaxclear.ground.tangents import (
+    allow_first_derivative,
+    apply_if,
+    derived,
+    moved,
+    moving_with,
+    pushed,
+)
 from jaxclear.integrators.base import RIGID, AbstractIntegrator, Interval, divide, searching_steps
 from jaxclear.integrators.derivative_error import IMPACT_FIGURES, NO_SECOND, trusted_impacts
 from jaxclear.integrators.saltation import FIRST
@@ -158,7 +165,7 @@ def _moved(steps: _Steps, here: tuple, tangents: Any) -> tuple[tuple, tuple, Mov
 
     none = jnp.zeros(())
     carry = (moved(ways[0].state), off), (none, none), figures
-    states, shifts, figures = where_wanted(wanted, before, carry)
+    states, shifts, figures = apply_if(wanted, before, carry)
     striking = lambda *numbers: steps.step({"striking": wanted}, *numbers)
     pairs = []
     for way, state, shift in zip(ways, states, shifts, strict=True):
@@ -173,7 +180,7 @@ def _moved(steps: _Steps, here: tuple, tangents: Any) -> tuple[tuple, tuple, Mov
         off = off - shifts[1] * flow
         return (state - shifts[0] * flow, off), _placed(figures, steps.model(arrays), off)
 
-    (state, ends), figures = where_wanted(wanted, behind, ((gone[0], off[0]), figures))
+    (state, ends), figures = apply_if(wanted, behind, ((gone[0], off[0]), figures))
     return (end, left), (state, gone[1]), Moves(figures, ends, off[1])
 
 
@@ -406,4 +413,4 @@ class MoreauJean(AbstractIntegrator):
         if not may_strike(model.system):
             return found
         state = trusted_impacts(found.state, found.warm_start[1].figures)
-        return found._replace(state=derived_once(NO_SECOND, state))
+        return found._replace(state=allow_first_derivative(NO_SECOND, state))

@@ -44,6 +44,25 @@ class Gear(AbstractBodyCoupling):
     With a `Motor` as an end it acts on the coordinate of the other alone, as a `Ratio` does, and a
     turns `ratio` times for one turn of b, the same way.
 
+    Args:
+        a, b: names of the joints that carry the wheels; one of them may be a `Motor`.
+        ratio: turns of a for one of b: teeth of b over teeth of a [1], > 0.
+        pressure_angle: pressure angle; its sign picks the flank [rad], > -1 and < 1; none by
+            default.
+        internal: whether one wheel lies within the other, a flag; both then turn the same way.
+        transmission_error: function of the turn of b from home [rad], the same after each turn (or
+            a `TimeTable` that is repeated, its times the angles), whose value [rad] is added to
+            `ratio` times that turn; none by default.
+        efficiency: an `Efficiency`, or the share of the power that comes out forwards [1], > 0 and
+            <= 1; no losses by default.
+        play: play, a `clearance.Backlash`, or its width alone [rad; m for a sliding joint]; none by
+            default.
+        stiffness: stiffness [N m/rad; N/m for a sliding joint], > 0; none by default.
+        damping: viscous damping [N m s/rad; N s/m for a sliding joint], >= 0; none by default.
+
+    Raises:
+        ValueError: if the transmission error is no such function.
+
     Source: Litvin & Fuentes 2004, Gear Geometry and Applied Theory, chapter 10,
     doi:10.1017/CBO9780511547126.
     """
@@ -143,6 +162,20 @@ class Belt(AbstractBodyCoupling):
     pulls and does not push: beyond a torque of :math:`2 r_a F_0` at a the slack one gives up its
     share, and half the stiffness is left. Without pretension, as of a chain that is taut both ways,
     both go on. With a `Motor` as an end it acts on the coordinate of the other alone.
+
+    Args:
+        a, b: names of the joints that carry the pulleys; one of them may be a `Motor`.
+        radius_a: radius of pulley a [m], > 0.
+        radius_b: radius of pulley b [m], > 0.
+        crossed: whether the belt is crossed, a flag; the pulleys then turn opposite ways.
+        pretension: pull F_0 of each strand at rest [N], >= 0; none by default.
+        play: play, a `clearance.Backlash`, or its width alone [rad; m for a sliding joint]; none by
+            default.
+        stiffness: stiffness [N m/rad; N/m for a sliding joint], > 0; none by default.
+        damping: viscous damping [N m s/rad; N s/m for a sliding joint], >= 0; none by default.
+
+    Raises:
+        ValueError: for a pretension without stiffness, or with play.
     """
 
     a: str | Motor = end()
@@ -211,6 +244,19 @@ class Rack(AbstractBodyCoupling):
     by it against the rack's direction; where `transmitted` is positive (it pushes the rack along
     its z axis) a positive angle presses both apart. A `Motor` as pinion pushes the rack's
     coordinate alone, forwards as it turns forwards.
+
+    Args:
+        pinion: name of the joint that carries the pinion, or a `Motor`.
+        rack: name of the joint that carries the rack.
+        radius: pitch radius of the pinion [m], > 0.
+        pressure_angle: pressure angle; its sign picks the flank [rad], > -1 and < 1; none by
+            default.
+        efficiency: an `Efficiency`, or the share of the power that comes out forwards [1], > 0 and
+            <= 1; no losses by default.
+        play: play, a `clearance.Backlash`, or its width alone [rad; m for a sliding joint]; none by
+            default.
+        stiffness: stiffness [N m/rad; N/m for a sliding joint], > 0; none by default.
+        damping: viscous damping [N m s/rad; N s/m for a sliding joint], >= 0; none by default.
     """
 
     pinion: str | Motor = end()
@@ -294,6 +340,23 @@ class Screw(AbstractBodyCoupling):
     and with it, and stays where it is where :math:`\pi\mu d \sec\alpha > l`; :math:`\alpha`, the
     `flank_angle`, is that of the section across the thread. It needs `stiffness`. A collar's
     friction is a `load.JointFriction`.
+
+    Args:
+        joint: name of the joint whose two parts are on the thread.
+        lead: advance along z for one turn [m], not 0; negative for a left-hand thread.
+        friction: friction coefficient of the flanks [1], >= 0; none by default. Needs diameter and
+            stiffness.
+        diameter: mean diameter of the thread [m], > 0; needed with friction.
+        flank_angle: angle alpha of the flank in the section across the thread [rad], >= 0 and <
+            1.2: half the thread's angle.
+        presliding: deflection along the helix at which friction is full [m], > 0.
+        settling_time: damping time of friction that holds [s], >= 0.
+        play: play, a `clearance.Backlash`, or its width alone [m]; none by default.
+        stiffness: stiffness along the axis [N/m], > 0; none by default.
+        damping: viscous damping along the axis [N s/m], >= 0; none by default.
+
+    Raises:
+        ValueError: if the lead is 0, or one of friction and diameter is given without the other.
 
     Source: Budynas & Nisbett 2020, Shigley's Mechanical Engineering Design, 11th ed., equations 8-1
     to 8-5; Prandtl 1928, Z. angew. Math. Mech. 8, 85 (friction that holds).
