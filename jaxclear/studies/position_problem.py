@@ -56,6 +56,8 @@ class PositionExperiment(AbstractExperiment):
     both_ways: bool = eqx.field(static=True)
     scene: Posed = derived()
     starts: Spot | Rest = derived()
+    # The same under reversed loads, where energy says where it rests.
+    others: Rest | None = derived()
     way: Way | ByEnergy = derived()
     response_names: tuple[str, ...] = derived(static=True)
 
@@ -71,6 +73,10 @@ class PositionExperiment(AbstractExperiment):
         self.held, places = checked_positions(positions)
         self.position = jnp.asarray(places)
         self.scene, self.way, self.starts = sought(mechanism, self.held, places)
+        self.others = None
+        if both_ways and isinstance(self.starts, Rest):
+            others = self.way.reversed.each(self.scene, self.position, self.starts)
+            self.others = others if bool(jnp.all(jnp.isfinite(others.change))) else None
         check_answers(response, lambda: self._at(mechanism))
 
     @property
@@ -79,7 +85,7 @@ class PositionExperiment(AbstractExperiment):
 
     def _at(self, mechanism: Mechanism) -> Positions:
         scene = self.scene.of(mechanism)
-        return both(scene, self.position, self.starts, self.way, self.both_ways)
+        return both(scene, self.position, self.starts, self.way, self.both_ways, self.others)
 
     def positions(self, setting: Setting) -> Positions:
         """The mechanism of one setting at all positions; pure."""
