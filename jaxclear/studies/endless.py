@@ -29,6 +29,15 @@ def answered(problem: Problem, responses: Mapping[str, Any]) -> np.ndarray:
     return np.all(parts, axis=0)
 
 
+def successes(
+    problem: Problem, outcome: Any, responses: Mapping[str, Any]
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Whether each sample (samples,) reached its end with an answer in each of these responses; and
+    the responses, nan in samples that did not: what failed has no number at all."""
+    good = (np.asarray(outcome) == Outcome.REACHED) & answered(problem, responses)
+    return good, {name: np.where(good, own, np.nan) for name, own in responses.items()}
+
+
 def why_unanswered(problem: Problem, outcome: Any, ended: Any) -> str:
     """Why a sample has no answer: how it ended, or that a response of it is none."""
     if outcome == Outcome.REACHED:

@@ -11,7 +11,6 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number
-from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import (
     DATASET,
@@ -22,7 +21,7 @@ from jaxclear.studies.answer import (
     Column,
     Stated,
 )
-from jaxclear.studies.endless import answered, check_told, endless_sentences, refuse_endless
+from jaxclear.studies.endless import check_told, endless_sentences, refuse_endless, successes
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
 from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
@@ -93,8 +92,7 @@ class MonteCarlo(AbstractAnswer):
     @property
     def failed(self) -> np.ndarray:
         """Indices of the samples that failed."""
-        told = answered(self.problem, self.responses)
-        return np.flatnonzero((self.outcome != Outcome.REACHED) | ~told)
+        return np.flatnonzero(~successes(self.problem, self.outcome, self.responses)[0])
 
     def failures(self) -> dict[int, str]:
         """Why each failed sample failed, by its index."""

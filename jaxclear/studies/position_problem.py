@@ -74,8 +74,9 @@ class PositionExperiment(AbstractExperiment):
         self.position = jnp.asarray(places)
         self.scene, self.way, self.starts = sought(mechanism, self.held, places)
         self.others = None
-        if both_ways and isinstance(self.starts, Rest):
-            others = self.way.reversed.each(self.scene, self.position, self.starts)
+        if both_ways and isinstance(self.way, ByEnergy):
+            starts: Any = self.starts
+            others = self.way.reversed.each(self.scene, self.position, starts)
             self.others = others if bool(jnp.all(jnp.isfinite(others.change))) else None
         check_answers(response, lambda: self._at(mechanism))
 

@@ -19,9 +19,8 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags
-from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Column, Stated
-from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.endless import refuse_endless, successes
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import all_values, check_sampled
 from jaxclear.studies.scrambling import normal_scores
@@ -90,12 +89,11 @@ def screening(
     found = evaluate_all(problem, values, progress_bar=progress_bar, label="screening")
     refuse_endless(problem, found.responses, "elementary effect")
     own = {name: np.asarray(found.responses[name], float) for name in problem.response_names}
-    finite = np.all([np.isfinite(responses) for responses in own.values()], axis=0)
-    good = (np.asarray(found.outcome) == Outcome.REACHED) & finite
+    good, own = successes(problem, found.outcome, own)
     moves = np.diff(shares.reshape(trajectories, -1, shares.shape[1]), axis=1)
     effects, mu_star, sigma = {}, {}, {}
     for name, responses in own.items():
-        kept = np.where(good, responses, np.nan).reshape(trajectories, -1)
+        kept = responses.reshape(trajectories, -1)
         for i, variable in enumerate(problem.names):
             # Each trajectory moves each variable once.
             moved = np.argmax(np.abs(moves[:, :, i]), axis=1)[:, None]

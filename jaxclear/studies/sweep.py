@@ -14,9 +14,8 @@ import numpy as np
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_name, expect
 from jaxclear.ground.wording import described
-from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
-from jaxclear.studies.endless import answered, why_unanswered
+from jaxclear.studies.endless import successes, why_unanswered
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.warned import told
@@ -95,12 +94,9 @@ def sweep(
         values[:, problem.names.index(name)] = own.ravel()
     found = evaluate_all(problem, jnp.asarray(values), progress_bar=progress_bar, label="sweep")
     outcome, ended = np.asarray(found.outcome), np.asarray(found.ended)
-    good = (outcome == Outcome.REACHED) & answered(problem, found.responses)
+    good, numbers = successes(problem, outcome, found.responses)
     shape = grid[0].shape
-    responses = {
-        name: np.where(good, np.asarray(found.responses[name]), np.nan).reshape(shape)
-        for name in problem.response_names
-    }
+    responses = {name: numbers[name].reshape(shape) for name in problem.response_names}
     reasons = {
         tuple(int(k) for k in np.unravel_index(i, shape)): why_unanswered(
             problem, outcome[i], ended[i]

@@ -27,7 +27,7 @@ from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import RESPONSE, TABLE, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.distribution.base import END_SCORE
-from jaxclear.studies.endless import answered, finite_beside, why_unanswered
+from jaxclear.studies.endless import finite_beside, successes, why_unanswered
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
@@ -209,11 +209,9 @@ class Search:
             self.problem, jnp.asarray(points), progress_bar=self.bar, label="worst case"
         )
         self._keep(points, found.checks)
-        good = np.asarray(found.outcome) == Outcome.REACHED
-        told = lambda name, own: good & answered(self.problem, {name: own})
-        self.failed = ~(good & answered(self.problem, found.responses))
-        self.ends = np.asarray(found.outcome), np.asarray(found.ended)
-        return {n: np.where(told(n, own), own, np.nan) for n, own in found.responses.items()}
+        good, responses = successes(self.problem, found.outcome, found.responses)
+        self.failed, self.ends = ~good, (np.asarray(found.outcome), np.asarray(found.ended))
+        return responses
 
     def unanswered(self, points: np.ndarray, corners: int) -> tuple[str, ...]:
         """How many of the points asked last have no answer, the first of which is the nominal one

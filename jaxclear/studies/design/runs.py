@@ -12,8 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.integrators import Outcome
-from jaxclear.studies.endless import answered, bounded
+from jaxclear.studies.endless import bounded, successes
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.digest import in_texts
 from jaxclear.studies.store.store import Ledger
@@ -94,8 +93,8 @@ class Runs:
         found = evaluate_all(
             self.problem, flat, chunk=self.batch, progress_bar=self.show, label=f"design, {label}"
         )
-        good = (found.outcome == Outcome.REACHED) & answered(self.problem, found.responses)
-        columns = [np.where(good, found.responses[n], np.nan) for n in self.problem.response_names]
+        good, responses = successes(self.problem, found.outcome, found.responses)
+        columns = [responses[name] for name in self.problem.response_names]
         # A failed run is none that warns.
         columns.append(np.where(good, codes_of(found.checks, len(flat)), 0))
         answers = np.stack(columns, axis=1).reshape(len(pieces), self.batch, -1)

@@ -15,9 +15,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxclear.integrators import Outcome
 from jaxclear.native import stops
-from jaxclear.studies.endless import answered
+from jaxclear.studies.endless import successes
 from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import finer_runs
@@ -73,7 +72,7 @@ class Evaluation:
 
 def failures(problem: Problem, outcome: Any, responses: dict[str, Any]) -> int:
     """How many of these samples failed."""
-    return int(np.sum((outcome != Outcome.REACHED) | ~answered(problem, responses)))
+    return int(np.sum(~successes(problem, outcome, responses)[0]))
 
 
 def done(samples: Samples, evaluation: Evaluation, number: int) -> int | None:
