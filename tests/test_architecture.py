@@ -42,14 +42,13 @@ STUDIES = (
     "run_experiment problem",
     "function_problem position_problem sensor",
     "limit_state store.digest answer endless warned",
-    "store.store store.files store.batch",
+    "store.store store.batch",
     "sampling scrambling sequential replicas statistics",
     "monte_carlo sweep screening worst_case advice",
-    "store.result store.samples store.dataset campaign",
+    "store",
     "surface",
     "statistics.shapley statistics.sobol_indices sensitivity fidelity reliability design life "
     "identification",
-    "store",
 )
 LONGEST_FILE, LONGEST_FUNCTION, LONGEST_LINE = 800, 80, 100
 # Libraries that a run does without: loaded when a table, a data set or a kernel is asked for.

@@ -81,6 +81,12 @@ def identifier(thing):
     return name
 
 
+def is_described_elsewhere(kind, name):
+    """Whether another library describes a method, such as diffrax those of its solvers."""
+    others = (base for base in kind.__mro__ if not base.__module__.startswith("jaxclear"))
+    return any(name in vars(base) for base in others)
+
+
 def documented_things():
     """{name: (its arguments, docstrings that may list them)} of the public surface."""
     things = {}
@@ -92,9 +98,9 @@ def documented_things():
                 things[identifier(thing)] = argument_names(thing), [*class_docstrings(thing)]
                 for name, member in inspect.getmembers(thing, inspect.isroutine):
                     # A cached property counts as a routine, and has no name of its own.
-                    if name.startswith("_") or not hasattr(member, "__qualname__"):
-                        continue
-                    if owner(thing, name).startswith("jaxclear"):
+                    own = not name.startswith("_") and hasattr(member, "__qualname__")
+                    own = own and owner(thing, name).startswith("jaxclear")
+                    if own and not is_described_elsewhere(thing, name):
                         docstrings = [*method_docstrings(thing, name)]
                         things[identifier(member)] = argument_names(member), docstrings
             elif inspect.isfunction(thing):

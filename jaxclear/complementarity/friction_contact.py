@@ -30,7 +30,9 @@ def _as_rows(matrix: Any) -> tuple[Array, ...]:
 
 
 class FrictionContact(AbstractLinearProblem):
-    """Contacts with Coulomb's law: z = r, w = v. Without spatial contacts the problem is an LCP.
+    """Contacts with Coulomb's law: z = r, w = v.
+
+    Without spatial contacts the problem is an LCP.
 
     Args:
         delassus: matrix W [m/s per N s], an array (m, m) or its rows.

@@ -207,6 +207,7 @@ class JointFriction(AbstractProblem):
 
 class BoxedGaussSeidel(AbstractSolver):
     """Sweeps over the joints, each put into its bounds with the newest friction of the others.
+
     Joints of a loop that stick share what holds it, in no unique way. Their slips agree as well as
     the loop is closed, and sweeps pass that difference on from joint to joint without end: where
     friction within its bounds changes as much as in the sweep before, and moves nothing, they end.

@@ -91,8 +91,9 @@ def size_of(z: Float[Array, "..."]) -> Float[Array, ""]:
 
 
 class Solution(AbstractShown):
-    """What a solver returns. Where the outcome is not `SOLVED`, z is the last finite iterate and
-    its derivative is zero.
+    """What a solver returns.
+
+    Where the outcome is not `SOLVED`, z is the last finite iterate and its derivative is zero.
 
     Args:
         z: unknowns, an array (n,) [as the problem's z].
@@ -169,8 +170,10 @@ class AbstractSolver(AbstractQuantified):
 
     @abstractmethod
     def solve(self, problem: Any) -> Solution:
-        """Solve one problem. The function is pure, so it maps, compiles and differentiates. Values
-        that cannot be solved end in an outcome.
+        """Solve one problem.
+
+        The function is pure, so it maps, compiles and differentiates. Values that cannot be solved
+        end in an outcome.
 
         Args:
             problem: a problem of the solver's kind.

@@ -95,9 +95,10 @@ class ProjectedGaussSeidel(AbstractSolver):
     def iterate(
         self, problem: FrictionContact, start: Array | None = None, sweep: bool = False
     ) -> Iterate:
-        """The iteration itself, which a time step calls. Its derivatives (forward) are those of the
-        sweeps; where `start` is a solution there are none, unless one `sweep` is taken all the
-        same.
+        """The iteration itself, which a time step calls.
+
+        Its derivatives (forward) are those of the sweeps; where `start` is a solution there are
+        none, unless one `sweep` is taken all the same.
 
         Args:
             problem: a `FrictionContact`.

@@ -52,8 +52,9 @@ class CoordinateEffect(NamedTuple):
 
 
 class Side(NamedTuple):
-    """One side of a stop of a coordinate. The coordinate is stopped where `sign` times it is below
-    `sign` times `place`.
+    """One side of a stop of a coordinate.
+
+    The coordinate is stopped where `sign` times it is below `sign` times `place`.
 
     Args:
         sign: 1 for a lower stop, -1 for an upper one [1].
@@ -78,8 +79,10 @@ class Side(NamedTuple):
 
 
 class MotorEnd(AbstractQuantified):
-    """The motor behind a joint. Where nothing lies between them, the motor's coordinate is `ratio`
-    times that of the joint plus `offset`.
+    """The motor behind a joint.
+
+    Where nothing lies between them, the motor's coordinate is `ratio` times that of the joint plus
+    `offset`.
 
     Args:
         coordinate: name of the motor's coordinate.
@@ -147,8 +150,9 @@ class AbstractStateLoad(AbstractLoad):
         return None
 
     def sampled(self, time: Scalar, positions: tuple, speeds: tuple, states: tuple) -> tuple:
-        """States from a sampling instant on; their rates are 0 between sampling instants. Unless
-        overridden, states are left as they are.
+        """States from a sampling instant on; their rates are 0 between sampling instants.
+
+        Unless overridden, states are left as they are.
 
         Args:
             time: time [s].
@@ -233,8 +237,9 @@ class AbstractStateLoad(AbstractLoad):
 
 class AbstractCoordinateLoad(AbstractStateLoad):
     """Acts on the single coordinate of a joint or of a motor by its position and speed alone: the
-    simple case of `AbstractStateLoad`. The coordinate is an angle or a displacement, child against
-    parent.
+    simple case of `AbstractStateLoad`.
+
+    The coordinate is an angle or a displacement, child against parent.
     """
 
     connection: eqx.AbstractVar[str]

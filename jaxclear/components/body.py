@@ -210,9 +210,10 @@ def _(marker: Marker, unit: Any = None) -> str:
 
 
 class Connection(AbstractQuantified):
-    """A joint between a marker on the parent and a marker on the child. Coordinates measure the
-    child relative to the parent. A body's name stands for a marker with the axis of the other
-    side's marker, or with `axis` where both sides are names.
+    """A joint between a marker on the parent and a marker on the child.
+
+    Coordinates measure the child relative to the parent. A body's name stands for a marker with the
+    axis of the other side's marker, or with `axis` where both sides are names.
 
     Args:
         joint: ideal joint, one of `jaxclear.joint`, or joint with clearance, one of

@@ -146,10 +146,11 @@ class Position(AbstractDrive):
 
 
 class Speed(AbstractDrive):
-    """A speed as a function of time; the position is its integral from time zero. The integral is
-    taken by Gauss-Legendre quadrature over [0, t], so that the drive stays a pure function of time;
-    error below 1e-12 relative where the speed is smooth on the scale t / pieces. That of a
-    `TimeTable` is exact.
+    """A speed as a function of time; the position is its integral from time zero.
+
+    The integral is taken by Gauss-Legendre quadrature over [0, t], so that the drive stays a pure
+    function of time; error below 1e-12 relative where the speed is smooth on the scale t / pieces.
+    That of a `TimeTable` is exact.
 
     Args:
         function: JAX function of a time [s] that returns the speed [rad/s; m/s for a sliding

@@ -271,8 +271,10 @@ class Torque(AbstractBodyLoad):
 
 class MotorTorque(AbstractBodyLoad):
     """A torque between two bodies, about the z axis of one of them: a motor between bodies that no
-    joint need join. Equal and opposite however the journal leans; for a joint prefer `JointTorque`,
-    which takes its name.
+    joint need join.
+
+    Equal and opposite however the journal leans; for a joint prefer `JointTorque`, which takes its
+    name.
 
     Args:
         bearing: marker on the body that takes the reaction, a `Marker`; the torque is about its z
@@ -354,6 +356,7 @@ class Spring(AbstractBodyLoad):
 
 class JointSpring(AbstractCoordinateLoad):
     """Spring and damper on the coordinate of a joint that turns or slides, ideal or with clearance.
+
     Angles count over whole turns, as `AbstractStateLoad` says.
 
     Args:

@@ -92,9 +92,8 @@ def answering(function: Callable[P, R]) -> Callable[P, R]:
             raise
 
     signature = inspect.signature(function)
-    parameters = [
-        p.replace(annotation=_as_offered(p.annotation)) for p in signature.parameters.values()
-    ]
+    declared = signature.parameters.values()
+    parameters = [p.replace(annotation=_as_offered(p.annotation)) for p in declared]
     returned = _as_offered(signature.return_annotation)
     called.__signature__ = signature.replace(  # type: ignore[attr-defined]
         parameters=parameters, return_annotation=returned

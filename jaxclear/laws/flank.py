@@ -20,10 +20,12 @@ __all__ = ["AbstractFlankLaw", "ElastoBacklash", "Nordin", "Stop"]
 
 
 class AbstractFlankLaw(AbstractLaw):
-    """How a flank presses. Class attributes of a member: `has_twist`, whether the position of the
-    shaft's far end in the gap is a state; `left_by_torque`, whether the flank is left where the
-    torque would pull (else where the parts are no longer beyond the touch); `needs_damping`,
-    whether the law has no meaning without damping.
+    """How a flank presses.
+
+    Class attributes of a member: `has_twist`, whether the position of the shaft's far end in the
+    gap is a state; `left_by_torque`, whether the flank is left where the torque would pull (else
+    where the parts are no longer beyond the touch); `needs_damping`, whether the law has no meaning
+    without damping.
     """
 
     has_twist: eqx.AbstractClassVar[bool]

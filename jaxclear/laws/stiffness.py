@@ -168,8 +168,9 @@ class LengthOf(AbstractFit):
 
 
 def fitted(law, shape: Shape):
-    """Replace every fit of a law, at any depth, by its number for a shape. The result is
-    differentiable in the shape.
+    """Replace every fit of a law, at any depth, by its number for a shape.
+
+    The result is differentiable in the shape.
 
     Args:
         law: any law (or other tree) whose fields may hold fits.

@@ -26,10 +26,11 @@ def solid(
     thickness: float,
     cells: tuple[int, int, int] | None = None,
 ) -> Solid:
-    """Mesh the part of a joint that carries a worn surface, as hexahedra in blocks. `.new` is its
-    mesh, `.worn(run.worn_depth(joint, surface))` the worn one, with the same cells, in the frame of
-    the bearing, journal or socket, z along its axis. The inside follows the depth linearly, so
-    derivatives to it are exact.
+    """Mesh the part of a joint that carries a worn surface, as hexahedra in blocks.
+
+    `.new` is its mesh, `.worn(run.worn_depth(joint, surface))` the worn one, with the same cells,
+    in the frame of the bearing, journal or socket, z along its axis. The inside follows the depth
+    linearly, so derivatives to it are exact.
 
     Args:
         mechanism: the mechanism.
@@ -108,7 +109,9 @@ def _checked(cells: Any, part: str) -> tuple[int, int, int]:
 @answering
 def write(path: Any, worn: BlockMesh, new: BlockMesh | None = None) -> Path:
     """Write a mesh to a file through meshio, in the format of the file's ending (.vtu, .vtk, .xdmf,
-    .inp, .msh ...). Cells carry their scaled Jacobian.
+    .inp, .msh ...).
+
+    Cells carry their scaled Jacobian.
 
     Args:
         path: path of the file.

@@ -101,8 +101,10 @@ def assemblies(
     mechanism: Mechanism, samples: int = assembly_modes.SEARCHES, *, concentric: bool = True
 ) -> Assemblies:
     """List the ways in which a mechanism can be assembled, as far as searches from random starts
-    find them. What `start` gives is fixed. It is sampling: a mode to which few random starts lead
-    may be missed; `found` counts how often each was reached. Where freedoms are left, a mode is all
+    find them.
+
+    What `start` gives is fixed. It is sampling: a mode to which few random starts lead may be
+    missed; `found` counts how often each was reached. Where freedoms are left, a mode is all
     positions that can be reached from one another; the one nearest to the guess is listed, or
     nearest to the joints' homes where nothing is guessed. Takes seconds.
 

@@ -263,6 +263,7 @@ def _carried_on(mechanism: Mechanism, *rest: Any) -> tuple[Start, Array]:
 @answering
 def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     """Assemble a mechanism: coordinates that close every loop, and speeds that keep it closed.
+
     Warns where the guess has led to a way to assemble that is not the nearest.
 
     Args:

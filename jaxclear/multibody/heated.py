@@ -20,10 +20,11 @@ from jaxclear.multibody.mechanism import Mechanism
 
 @answering
 def heated(mechanism: Mechanism, rise: Any, expansion: Any) -> Mechanism:
-    """Change the dimensions of a mechanism by thermal expansion. Places of markers and centres of
-    mass grow with their body; a bearing with the body of the connection's parent, its journal, ball
-    or slider with that of the child. Masses, inertias and stiffnesses stay. Pure, so that the rise
-    may be a `jaxclear.Condition`.
+    """Change the dimensions of a mechanism by thermal expansion.
+
+    Places of markers and centres of mass grow with their body; a bearing with the body of the
+    connection's parent, its journal, ball or slider with that of the child. Masses, inertias and
+    stiffnesses stay. Pure, so that the rise may be a `jaxclear.Condition`.
 
     Args:
         mechanism: the mechanism as drawn.

@@ -39,8 +39,10 @@ class Baumgarte(AbstractQuantified):
 
 class Projection(AbstractQuantified):
     """Moves coordinates and speeds back onto the closed loops after every step, by the least change
-    in the metric of the masses. One Newton step each, which leaves the square of a step's drift.
-    For integrators with fixed steps; error control would take the jumps for errors.
+    in the metric of the masses.
+
+    One Newton step each, which leaves the square of a step's drift. For integrators with fixed
+    steps; error control would take the jumps for errors.
 
     Source: Eich 1993, SIAM J. Numer. Anal. 30, 1467, doi:10.1137/0730076.
     """

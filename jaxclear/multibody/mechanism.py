@@ -193,13 +193,16 @@ def _by_name(what: str, given: Any, needed: bool = False) -> dict[str, Any]:
 
 
 class Mechanism(AbstractQuantified):
-    """Bodies that connections hold together, under loads. What is given in `start` and `speeds` is
-    fixed; the rest is solved, nearest to the joints' homes and to rest, so that every loop closes
-    and journals lie in the middle of their bearings as far as what is given lets them. More than
-    the loops leave free is refused where it does not close them already (to 1e-6 of a radian or of
-    the longest arm). In what is traced the first search counts: guess the whole tree there, as
-    `jaxclear.assemblies(...).guess(i)` does. Parts are read-only: `with_joint`, `with_body`,
-    `with_load` and `with_coupling` give another mechanism.
+    """Bodies that connections hold together, under loads.
+
+    What is given in `start` and `speeds` is fixed; the rest is solved, nearest to the joints' homes
+    and to rest, so that every loop closes and journals lie in the middle of their bearings as far
+    as what is given lets them. More than the loops leave free is refused where it does not close
+    them already (to 1e-6 of a radian or of the longest arm). In what is traced the first search
+    counts: guess the whole tree there, as `jaxclear.assemblies(...).guess(i)` does.
+
+    Parts are read-only: `with_joint`, `with_body`, `with_load` and `with_coupling` give another
+    mechanism.
 
     Args:
         bodies: a `Body` by name, a dict.
@@ -315,9 +318,11 @@ class Mechanism(AbstractQuantified):
 
     def with_joint(self, name: str, joint: AbstractJoint | AbstractClearance) -> "Mechanism":
         """The mechanism with another joint in place of one, such as one with clearance in place of
-        an ideal one. Name and markers, start, drive and loads on its coordinate stay. Of a joint
-        that had no drive and gets one, start and loads on the coordinate are left out: the drive
-        decides where it stands.
+        an ideal one.
+
+        Name and markers, start, drive and loads on its coordinate stay. Of a joint that had no
+        drive and gets one, start and loads on the coordinate are left out: the drive decides where
+        it stands.
 
         Args:
             name: name of the connection.

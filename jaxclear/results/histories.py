@@ -31,8 +31,8 @@ from jaxclear.ground.wording import public_name
 from jaxclear.multibody import constraints, dynamics, kinematics, transmissions, tree
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.rows import forces_on_drives, wrench_in_joint
 from jaxclear.multibody.system import System
-from jaxclear.multibody.tree import NOTHING
 from jaxclear.results.state_history import StateHistory, check_name, columns, over_time
 
 # Vectors of a clearance joint and numbers of each of its contacts.
@@ -413,18 +413,16 @@ def _closure_reaction(now, forces, solution, name):
         force, torque = report.force, report.torque
     elif name in system.transmissions:
         own = system.transmissions[name]
-        (acting,) = transmissions.on_closures(now.motions, own, forces.pressing[name].torque)
-        closure, (force, torque) = acting.closure, acting.wrench
+        (mesh,) = transmissions.twist_direction(now.motions, own).places
+        size = -forces.pressing[name].torque / own.scale
+        closure, (force, torque) = mesh.closure, (sp.scale(size, x) for x in mesh.wrench)
     else:
         wanted = system.closures[topology.loops.index(name)]
         found = constraints.constraint_wrenches(system, now.motions, solution.multipliers)
         closure, force, torque, _ = next(entry for entry in found if entry[0] is wanted)
-    loads = forces.on_joints.get(name, NOTHING)
-    force, torque = sp.plus(force, loads.force), sp.plus(torque, loads.torque)
-    every = constraints.coupled(system, now.motions, solution.multipliers)
-    for term, _, wrench in constraints.coupled_wrenches(now.motions, every):
-        if term.joint == name:
-            force, torque = sp.plus(force, wrench.force), sp.plus(torque, wrench.torque)
+    rows = (*forces.rows, *constraints.coupling_rows(system, now.motions, solution.multipliers))
+    acting = wrench_in_joint(rows, name)
+    force, torque = sp.plus(force, acting.force), sp.plus(torque, acting.torque)
     rotation = kinematics.relative_motion(closure, now.motions)[0].parent_pose.rotation
     return sp.apply(rotation, force), sp.apply(rotation, torque)
 
@@ -441,8 +439,9 @@ def driving(history: StateHistory, name: str) -> Float[Array, " time"]:
         (column,) = joint.columns((joint.drive.motion(now.time)[0],))
         given = tree.power(column, wrench)
         # What couplings do along its coordinate comes through no body.
-        for link, force in dynamics.coupled_on_drives(system, forces, solution):
-            given = sp.sub(given, force) if link == index else given
+        rows = constraints.coupling_rows(system, now.motions, solution.multipliers)
+        on_drives = forces_on_drives(now.motions, (*forces.rows, *rows))
+        given = sp.sub(given, on_drives.get(index, 0))
         return jnp.asarray(given, float)
 
     return over_time(history, one)

@@ -167,6 +167,7 @@ def antenna(
     offset: float = OFFSET,
 ) -> Mechanism:
     """The antenna pointing mechanism on its satellite: links 1 and 2, joints "J1" and "J2".
+
     Everything starts at rest, link 2 level.
 
     Args:

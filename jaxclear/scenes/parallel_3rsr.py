@@ -129,9 +129,10 @@ def parallel_3rsr(
     cells: tuple[int, int] = (12, 12),
     worn_radius: bool = False,
 ) -> Mechanism:
-    """The 3RSR parallel mechanism of the paper. Legs are numbered: drive rods "drive 1" ... stand
-    on the ground at A1 ..., transmission rods "rod 1" ... hang from the "platform" at B1 ..., balls
-    "S1" ... join them.
+    """The 3RSR parallel mechanism of the paper.
+
+    Legs are numbered: drive rods "drive 1" ... stand on the ground at A1 ..., transmission rods
+    "rod 1" ... hang from the "platform" at B1 ..., balls "S1" ... join them.
 
     Args:
         kind: "one", ball joint S1 with clearance; "all", each of S1 to S3; "ideal", none; or a list

@@ -18,8 +18,10 @@ from jaxclear.integrators.base import MOST_STEPS, AbstractIntegrator
 
 @dataclass(frozen=True)
 class Saving:
-    """What a run keeps. Steps that know how touches move (`integrator.Adaptive`, `FixedStep` by
-    "rk4") give the instants of events derivatives.
+    """What a run keeps.
+
+    Steps that know how touches move (`integrator.Adaptive`, `FixedStep` by "rk4") give the instants
+    of events derivatives.
 
     Args:
         at: number of equally spaced saving times, >= 2, or the times [s].

@@ -183,8 +183,10 @@ def simulate(
     throw: bool = True,
     verify: bool | None = None,
 ) -> Trajectory:
-    """Simulate a mechanism from its own start or from a given state. Changing numbers, duration or
-    tolerances does not compile again; changing the number of saving times does.
+    """Simulate a mechanism from its own start or from a given state.
+
+    Changing numbers, duration or tolerances does not compile again; changing the number of saving
+    times does.
 
     Args:
         mechanism: the mechanism.

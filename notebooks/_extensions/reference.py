@@ -217,9 +217,14 @@ def signature(value: object) -> str:
     return str(shown)
 
 
+def lists_arguments(value: object) -> bool:
+    """Whether the docstring of a class or function lists its arguments."""
+    return re.search(r"^\s*Args:$", value.__doc__ or "", re.MULTILINE) is not None
+
+
 def number_table(kind: type) -> list[str]:
     """Numbers of a class: default, unit, range and meaning; none if its docstring lists them."""
-    if any("\nArgs:\n" in (base.__doc__ or "") for base in kind.__mro__):
+    if any(lists_arguments(base) for base in kind.__mro__):
         return []
     found = [field for field in fields_of(kind) if field.metadata.get("meaning")]
     if not found:
@@ -238,7 +243,7 @@ def number_table(kind: type) -> list[str]:
 def built_table(function: Callable) -> list[str]:
     """Numbers of the law that a function builds, where it needs no arguments."""
     needed = [p for p in inspect.signature(function).parameters.values() if p.default is p.empty]
-    if not function.__module__.startswith("jaxclear.laws") or needed:
+    if not function.__module__.startswith("jaxclear.laws") or needed or lists_arguments(function):
         return []
     lines = ["", "| number | default | unit | meaning |", "| --- | --- | --- | --- |"]
     for path, leaf, metadata in numbers(function()):

@@ -19,13 +19,14 @@ def _as_wearing(given: Any) -> Any:
 
 
 class Backlash(AbstractQuantified):
-    """Play of a coupling: its parts move freely from one flank to the other. Stiffness and damping
-    of the flanks are those of the coupling. With a `wear` each flank loses volume while it presses,
-    by the normal force (torque over `pitch_radius` r) at a sliding speed of `slide` times r times
-    the speed of the coordinate along which play is seen, with a friction of 0 (an energy law wears
-    nothing). The volume over `area` is the worn depth h, and the flank's side of the play grows by
-    h / r at the saving times. The worn surfaces are "upper" and "lower" of the coupling's name
-    (`Trajectory.worn_depth`).
+    """Play of a coupling: its parts move freely from one flank to the other.
+
+    Stiffness and damping of the flanks are those of the coupling. With a `wear` each flank loses
+    volume while it presses, by the normal force (torque over `pitch_radius` r) at a sliding speed
+    of `slide` times r times the speed of the coordinate along which play is seen, with a friction
+    of 0 (an energy law wears nothing). The volume over `area` is the worn depth h, and the flank's
+    side of the play grows by h / r at the saving times. The worn surfaces are "upper" and "lower"
+    of the coupling's name (`Trajectory.worn_depth`).
 
     Args:
         play: travel from flank to flank [rad; m for a sliding joint], >= 0, half on each side of

@@ -94,9 +94,11 @@ class ContactLaws(NamedTuple):
 
 
 class AbstractClearance(AbstractQuantified):
-    """A joint with clearance. A joint that can wear adds `maps` and `features`, one that can stay
-    in contact `permanent_form`. Class attribute of a member: `ideal_rows`, the constraint rows of
-    the joint that it becomes as the clearance vanishes.
+    """A joint with clearance.
+
+    A joint that can wear adds `maps` and `features`, one that can stay in contact `permanent_form`.
+    Class attribute of a member: `ideal_rows`, the constraint rows of the joint that it becomes as
+    the clearance vanishes.
     """
 
     ideal_rows: eqx.AbstractClassVar[tuple[str, ...]]

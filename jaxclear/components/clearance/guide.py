@@ -35,11 +35,12 @@ ACROSS = 1e-6
 
 
 class SliderGuide(AbstractClearance):
-    r"""Slider in a straight guide along z, gaps along x: each of the slider's four corners may
-    touch a wall. :math:`\delta = \pm x - (w/2 + c)` with x of the corner and w the slider's width;
-    corners (-, +) x (back, front). A run in which the slider leaves walls that wear ends and says
-    so. A face loses where it overlaps the worn wall on the line between its corners: all along
-    where it lies flat, at a corner where it is tilted.
+    r"""Slider in a straight guide along z, gaps along x: each of its four corners may touch a wall.
+
+    :math:`\delta = \pm x - (w/2 + c)` with x of the corner and w the slider's width; corners (-, +)
+    x (back, front). A run in which the slider leaves walls that wear ends and says so. A face loses
+    where it overlaps the worn wall on the line between its corners: all along where it lies flat,
+    at a corner where it is tilted.
 
     Args:
         contact: contact law, one of `jaxclear.contact`.

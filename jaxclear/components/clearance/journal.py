@@ -112,6 +112,7 @@ REACH = 3.0
 
 class PlanarJournalBearing(AbstractJournalBearing):
     r"""Journal in a bearing, both axes parallel: one contact, in the plane of the bearing.
+
     :math:`\delta = |e| - c`. Prefer `JournalBearing` where the journal's axis can tilt or slide
     along the bearing.
 

@@ -33,8 +33,9 @@ TURNS = 5
 
 
 class Lobes(AbstractQuantified):
-    """One harmonic of a bore's radius: `cosine` cos(k phi) + `sine` sin(k phi), k = `number`. Two
-    lobes are an oval, three a trefoil. Peak to valley the bore is out of round by twice the
+    """One harmonic of a bore's radius: `cosine` cos(k phi) + `sine` sin(k phi), k = `number`.
+
+    Two lobes are an oval, three a trefoil. Peak to valley the bore is out of round by twice the
     amplitude.
 
     Args:

@@ -27,11 +27,12 @@ from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, quan
 
 
 class Motor(AbstractQuantified):
-    """The rotor of a motor, as an end of a coupling: it has an inertia and no body. Its angle is
-    that against its housing, one more coordinate of the mechanism, which goes by the coupling's
-    name and ".motor"; loads act on it by that name. It does not turn with the arm that carries it:
-    gyroscopic torques are left out, as is its mass. Without play and stiffness its inertia times
-    the ratio squared is the joint's own (`load.RotorInertia`).
+    """The rotor of a motor, as an end of a coupling: it has an inertia and no body.
+
+    Its angle is that against its housing, one more coordinate of the mechanism, which goes by the
+    coupling's name and ".motor"; loads act on it by that name. It does not turn with the arm that
+    carries it: gyroscopic torques are left out, as is its mass. Without play and stiffness its
+    inertia times the ratio squared is the joint's own (`load.RotorInertia`).
 
     Args:
         inertia: inertia of the rotor and of what turns with it [kg m^2], > 0.

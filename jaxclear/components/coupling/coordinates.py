@@ -91,7 +91,9 @@ class Differential(AbstractCoordinateCoupling):
 
 class Hold(AbstractCoordinateCoupling):
     """A joint whose coordinate is tied to a place with play or by a spring: a worn key, a latch, an
-    elastic stop on both sides. `load.JointStop` has a stop on one side, or two apart.
+    elastic stop on both sides.
+
+    `load.JointStop` has a stop on one side, or two apart.
 
     Args:
         joint: name of the joint.

@@ -9,12 +9,13 @@ from jaxclear.laws.transmission import Helix, loss
 
 
 class Efficiency(AbstractQuantified):
-    """The share of the power passed that comes out of a transmission. The rest is friction on the
-    first end, in proportion to the force of the flank. At rest friction holds: it is a spring with
-    a damper, so that nothing creeps; a motor holds a load with less than it needs to lift it. It
-    needs `stiffness` or play of its coupling, by which the force of the flank is known, and acts on
-    the coordinate of the first end. Steps resolve that spring; `integrator.ImplicitStep`, which
-    takes it as a step finds it, creeps.
+    """The share of the power passed that comes out of a transmission.
+
+    The rest is friction on the first end, in proportion to the force of the flank. At rest friction
+    holds: it is a spring with a damper, so that nothing creeps; a motor holds a load with less than
+    it needs to lift it. It needs `stiffness` or play of its coupling, by which the force of the
+    flank is known, and acts on the coordinate of the first end. Steps resolve that spring;
+    `integrator.ImplicitStep`, which takes it as a step finds it, creeps.
 
     Args:
         forwards: share of the power that comes out from the first end to the second [1], > 0 and <=

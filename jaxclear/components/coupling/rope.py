@@ -20,10 +20,12 @@ def _as_names(given: Iterable[str]) -> tuple[str, ...]:
 
 
 class Rope(AbstractForceCoupling):
-    r"""A rope over pulleys on several joints, which pulls and never pushes. Its length between its
-    ends is :math:`l_0 + \sum_i r_i q_i`, and it pulls by :math:`F = \max(0, F_0 + k \sum_i r_i
-    q_i)` and a damper that is bounded by the spring. It acts on the coordinates alone: pulleys load
-    their bearings by what you put there. `load.Spring` is a straight one that pushes, too.
+    r"""A rope over pulleys on several joints, which pulls and never pushes.
+
+    Its length between its ends is :math:`l_0 + \sum_i r_i q_i`, and it pulls by :math:`F = \max(0,
+    F_0 + k \sum_i r_i q_i)` and a damper that is bounded by the spring. It acts on the coordinates
+    alone: pulleys load their bearings by what you put there. `load.Spring` is a straight one that
+    pushes, too.
 
     Args:
         over: names of the joints, a tuple.

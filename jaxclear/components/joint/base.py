@@ -35,11 +35,12 @@ ANGULAR = tuple(Twist(sp.ZERO, axis) for axis in sp.IDENTITY)
 
 
 class AbstractJoint(AbstractQuantified):
-    """An ideal joint. Class attributes of a member: `home`, its coordinates in the drawing;
-    `units`, their units; `rows`, its constraint rows where it closes a loop (None: rows follow from
-    what departs from its `motion`, in ways that its home tells apart); `reversal`, turn of both
-    markers (columns: new axes in the old) with which the joint, read from child to parent, is one
-    of its kind again.
+    """An ideal joint.
+
+    Class attributes of a member: `home`, its coordinates in the drawing; `units`, their units;
+    `rows`, its constraint rows where it closes a loop (None: rows follow from what departs from its
+    `motion`, in ways that its home tells apart); `reversal`, turn of both markers (columns: new
+    axes in the old) with which the joint, read from child to parent, is one of its kind again.
     """
 
     home: eqx.AbstractClassVar[tuple[float, ...]]
@@ -141,9 +142,10 @@ class AbstractJoint(AbstractQuantified):
 
     @abstractmethod
     def speeds_at(self, pose: Pose, velocity: sp.Vec, spin: sp.Vec) -> tuple:
-        """Speeds at which the child's marker has a relative velocity and spin. For a pose that the
-        joint does not allow (a journal that leans) it is the rate of the coordinate that
-        `coordinates_at` gives, so that loads on it do its work.
+        """Speeds at which the child's marker has a relative velocity and spin.
+
+        For a pose that the joint does not allow (a journal that leans) it is the rate of the
+        coordinate that `coordinates_at` gives, so that loads on it do its work.
 
         Args:
             pose: pose of the child's marker in the parent's.
@@ -209,8 +211,10 @@ class AbstractDrivenJoint(AbstractVectorJoint):
 
 class AbstractGroupJoint(AbstractJoint):
     """A joint whose coordinates are no vector but a group, such as a quaternion or a position with
-    a quaternion. Integrators on groups (`jaxclear.integrator.MuntheKaas`) move it by increments,
-    constant speeds for some time.
+    a quaternion.
+
+    Integrators on groups (`jaxclear.integrator.MuntheKaas`) move it by increments, constant speeds
+    for some time.
     """
 
 

@@ -39,10 +39,12 @@ from jaxclear.laws.friction import AbstractFrictionLaw
 
 class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
     r"""A plain bearing: turns about z as `Revolute` does, and rubs with a friction torque of radius
-    times friction. A reaction R across the axis rubs with :math:`\sin(\arctan\mu)\,|R|` (the
-    friction circle). Force along the axis rubs without a torque. Set-valued friction sticks, for
-    `NonColliding` and `MoreauJean`; laws that are functions of the sliding speed serve `Adaptive`,
-    `FixedStep` and `ImplicitStep` too.
+    times friction.
+
+    A reaction R across the axis rubs with :math:`\sin(\arctan\mu)\,|R|` (the friction circle).
+    Force along the axis rubs without a torque. Set-valued friction sticks, for `NonColliding` and
+    `MoreauJean`; laws that are functions of the sliding speed serve `Adaptive`, `FixedStep` and
+    `ImplicitStep` too.
 
     Args:
         friction: friction law, one of `jaxclear.friction`; none by default.
@@ -130,8 +132,10 @@ class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
 
 class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
     r"""A slideway: slides along z as `Prismatic` does, and rubs with :math:`\mu` times what it
-    carries across. Set-valued friction sticks, for `NonColliding` and `MoreauJean`; laws that are
-    functions of the sliding speed serve `Adaptive`, `FixedStep` and `ImplicitStep` too.
+    carries across.
+
+    Set-valued friction sticks, for `NonColliding` and `MoreauJean`; laws that are functions of the
+    sliding speed serve `Adaptive`, `FixedStep` and `ImplicitStep` too.
 
     Args:
         friction: friction law, one of `jaxclear.friction`; none by default.
@@ -296,9 +300,10 @@ class AbstractRubbingBall(AbstractRubbingJoint, AbstractGroupJoint):
 
 
 class BallJoint(AbstractRubbingBall):
-    """A ball joint: turns about a point as `Spherical` does, and rubs by its reaction. Set-valued
-    friction sticks, for `NonColliding` and `MoreauJean`; laws that are functions of the sliding
-    speed serve `Adaptive`, `FixedStep` and `ImplicitStep` too.
+    """A ball joint: turns about a point as `Spherical` does, and rubs by its reaction.
+
+    Set-valued friction sticks, for `NonColliding` and `MoreauJean`; laws that are functions of the
+    sliding speed serve `Adaptive`, `FixedStep` and `ImplicitStep` too.
 
     Args:
         friction: friction law, one of `jaxclear.friction`; none by default.

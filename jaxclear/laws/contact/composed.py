@@ -28,8 +28,9 @@ from jaxclear.laws.stiffness import Fitted
 
 
 class ImpactMemory(AbstractQuantified):
-    """Least impact speed of a law whose dissipation factor depends on the speed of first touch. The
-    integrators supply that speed at the touch itself.
+    """Least impact speed of a law whose dissipation factor depends on the speed of first touch.
+
+    The integrators supply that speed at the touch itself.
 
     Args:
         slowest_impact: slower impacts are damped as if at this speed [m/s], > 0, so that rest is no
@@ -46,8 +47,9 @@ class ImpactMemory(AbstractQuantified):
 
 class ContactForce(AbstractContactLaw):
     r""":math:`F = F_{el}(\delta)\,\max(0, 1 + \lambda\dot\delta)`: an elastic force and the loss
-    that goes with it. The numbers of the parts are numbers of the law: `law.stiffness` is
-    `law.elastic.stiffness`.
+    that goes with it.
+
+    The numbers of the parts are numbers of the law: `law.stiffness` is `law.elastic.stiffness`.
 
     Args:
         elastic: elastic force, of `contact.elastic` or `contact.cylinder`, or another

@@ -87,9 +87,10 @@ class Unhindered(NamedTuple):
 
 
 class AbstractForceFriction(AbstractFrictionLaw):
-    """Friction that is a force given by the motion. Forces act along the sliding directions of a
-    point, one or two of them. Components that are known to be zero before tracing are structural
-    zeros and stay so.
+    """Friction that is a force given by the motion.
+
+    Forces act along the sliding directions of a point, one or two of them. Components that are
+    known to be zero before tracing are structural zeros and stay so.
     """
 
     def coulomb(self):

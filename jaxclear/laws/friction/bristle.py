@@ -34,8 +34,10 @@ SERIES = 1e-3
 
 
 class AbstractBristleFriction(AbstractForceFriction):
-    """Friction with one deflection per sliding direction as state. A law says how the deflection
-    moves and which coefficient goes with it; both must be linear in the deflection.
+    """Friction with one deflection per sliding direction as state.
+
+    A law says how the deflection moves and which coefficient goes with it; both must be linear in
+    the deflection.
     """
 
     set_valued = False
