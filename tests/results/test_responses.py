@@ -94,8 +94,8 @@ def test_a_function_has_the_unit_and_the_needs_that_it_is_given(run):
     assert problem.units() == {"lift": "m", "plain": "1"}
     assert float(lift(run)) == 2 * float(run.body("journal").com[-1, 1])
     known = problem.description.responses
-    assert "motion" in known["lift"].depends_on and "peak forces" not in known["lift"].depends_on
-    assert "peak forces" in known["plain"].depends_on
+    assert "motion" in known["lift"].depends_on and "forces" not in known["lift"].depends_on
+    assert "forces" in known["plain"].depends_on
     with pytest.raises(ValueError, match='no part of a run "force" to draw from; there are "any'):
         jc.response.FromFunction(lambda run: run.time[-1], "s", needs="force")
 

@@ -155,7 +155,7 @@ def test_warnings_of_shapes_are_none_of_the_volume(asked):
     parts = {name: own.depends_on for name, own in lives.description.responses.items()}
     assert "worn depth" in parts["deep"] and "worn depth" not in parts["lost"]
     for name in wanted:
-        assert "motion" in parts[name] and "peak forces" not in parts[name]
+        assert "motion" in parts[name] and "forces" not in parts[name]
 
 
 def test_a_life_whose_error_is_unknown_is_told_and_nothing_of_it_is_sure():
