@@ -38,11 +38,9 @@ def chosen_integrator(
     def apart(run: Trajectory, one: dict, other: dict) -> dict[str, float]:
         wanted = {name: allowed(asked, name) for name in response}
         return {
-<<<<<<< HEAD
-            name: beside(abs(one[name] - other[name]), max(most[0], most[1] * abs(one[name])))
-=======
-            name: ratio_to_allowed(abs(one[name] - other[name]), most)
->>>>>>> main
+            name: ratio_to_allowed(
+                abs(one[name] - other[name]), max(most[0], most[1] * abs(one[name]))
+            )
             for name, most in wanted.items()
             if most is not None
         }

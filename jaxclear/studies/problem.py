@@ -13,12 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-<<<<<<< HEAD
 from jaxclear.ground.arguments import expect
-=======
-from jaxclear.errors.observables import GAPS
-from jaxclear.errors.verification import refine_times, replica
->>>>>>> main
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import in_a_line, number_in_words
 from jaxclear.ground.quantity import AbstractQuantified, with_quantities
@@ -237,31 +232,11 @@ class Problem(AbstractQuantified):
     def with_integrator(self, integrator: AbstractIntegrator) -> "Problem":
         """The same question of runs by another integrator.
 
-<<<<<<< HEAD
         Args:
             integrator: an integrator.
         """
         run: Any = self.experiment
         return self.with_experiment(run.with_integrator(integrator))
-=======
-    def replica(self, share=0.5):
-        """Runs in finer steps, whose surfaces wear more often; where steps between saving times are
-        counted there are more of these, and responses see runs at those that were asked for."""
-        times = self.state.begins + self.shares * self.duration
-        seen, counting = prepare(self.seen(self.nominal())), self.integrator
-        if seen.bearings:
-            counting = counting.counting_in(narrowest_gap(seen), longest_arm(seen))
-        how = replica(counting, times, share)
-        if how is None:
-            return None
-        places = lambda own: (own.integrator, own.updates)
-        found = eqx.tree_at(places, self, (how.integrator, jnp.asarray(how.updates)))
-        if how.every == 1:
-            return found
-        responses = {name: Thinned(own, how.every) for name, own in self.response.items()}
-        shares = jnp.asarray(refine_times(self.shares, how.every))
-        return eqx.tree_at(lambda own: (own.response, own.shares), found, (responses, shares))
->>>>>>> main
 
     def parts(self) -> dict[str, Any]:
         """All that tells this problem from another, by name, but for the distributions."""

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.errors.observables import GAPS
-from jaxclear.errors.verification import between, replica
+from jaxclear.errors.verification import refine_times, replica
 from jaxclear.ground.printing import part_in_words
 from jaxclear.ground.quantity import on_device
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
@@ -256,7 +256,7 @@ class RunExperiment(AbstractExperiment):
         if how.every == 1:
             return found
         responses = {name: Thinned(own, how.every) for name, own in self.response.items()}
-        shares = jnp.asarray(between(self.shares, how.every))
+        shares = jnp.asarray(refine_times(self.shares, how.every))
         return eqx.tree_at(lambda own: (own.response, own.shares), found, (responses, shares))
 
     def cost(self):

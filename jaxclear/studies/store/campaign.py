@@ -127,12 +127,6 @@ def campaign(
 
 
 @answering
-<<<<<<< HEAD
-def open_campaign(folder: str | Path, problem: Problem | None = None) -> Campaign:
-    """The campaign in a folder, finished or not. `problem`: that which it is of, to run single
-    samples again; without it everything else can be read. Raises `ValueError` with a sentence where
-    the folder holds none, or one of another problem."""
-=======
 def open_campaign(folder: str | Path, problem: Problem | None = None) -> Campaign:
     """Open the campaign in a folder, finished or not.
 
@@ -146,7 +140,6 @@ def open_campaign(folder: str | Path, problem: Problem | None = None) -> Campaig
     Raises:
         ValueError: if the folder holds none, or one of another problem.
     """
->>>>>>> main
     kept = Samples.open(folder)
     if problem is None:
         return Campaign(kept, of_json(kept.description["recorded"]))
