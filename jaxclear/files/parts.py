@@ -40,6 +40,7 @@ from jaxclear.files.forms import (
     refuse,
 )
 from jaxclear.files.text import Misread, Node, misread, plain_text
+from jaxclear.ground.argument_errors import RENAMED, warn_of_renaming
 from jaxclear.ground.quantity import members_of_union
 from jaxclear.ground.wording import described, listed, public_name, unknown
 from jaxclear.integrators.adaptive import Adaptive
@@ -471,6 +472,8 @@ def _inner(path: str, word: str) -> str:
 def _known(word: str, node: Node, known: dict, made: dict, path: str) -> Any:
     """The class, or the name of the function, that a word names."""
     place, _, last = word.removeprefix("jaxclear.").rpartition(".")
+    old = next((p for p in RENAMED if p.endswith(f"{place}.{last}")), None)
+    last = last if old is None else warn_of_renaming(old)
     fits = lambda thing: not place or public_name(thing) == f"{place}.{last}"
     if last in made and fits(made[last][0]):
         return last

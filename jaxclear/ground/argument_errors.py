@@ -9,12 +9,14 @@ import functools
 import importlib.util
 import inspect
 import re
+import sys
 from collections.abc import Callable
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import equinox as eqx
 
+from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import as_typed, described, final_members, listed, meant, public_name
 
 if TYPE_CHECKING:
@@ -45,6 +47,19 @@ REMOVED = {
     f"jaxclear.cost.{name}": "give the cost as a function of (nominal, tolerance)"
     for name in ("Exponential", "ReciprocalExponential", "ReciprocalPower", "ReciprocalSquared")
 }
+# Names that have changed, by the old ones; these work for one version and warn.
+RENAMED = {
+    "jaxclear.coupling.Hold": "Latch",
+    "jaxclear.drive.Held": "ConstantPosition",
+    "jaxclear.heated": "apply_thermal_expansion",
+}
+
+
+def warn_of_renaming(path: str) -> str:
+    """The new name for an old one, such as "jaxclear.drive.Held"."""
+    new = f"{path.rpartition('.')[0]}.{RENAMED[path]}"
+    warn(f"{path} is called {new} now; the old name goes in the next version.", FutureWarning)
+    return RENAMED[path]
 
 
 class AnsweringMeta(ModuleMeta):
@@ -174,12 +189,14 @@ def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
 
 def nothing_else(
     module: str, offered: list[str]
-) -> tuple[Callable[[str], NoReturn], Callable[[], list[str]]]:
-    """The `__getattr__` and `__dir__` of a module: for any name beyond those offered, a sentence;
-    what completes a name that is being typed shows these alone."""
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """The `__getattr__` and `__dir__` of a module: for any name beyond those offered, a sentence,
+    for an old one what has the new; what completes a name that is being typed shows these alone."""
 
-    def refuse(name: str) -> NoReturn:
+    def refuse(name: str) -> Any:
         path = f"{module} has no {name!r}"
+        if f"{module}.{name}" in RENAMED:
+            return getattr(sys.modules[module], warn_of_renaming(f"{module}.{name}"))
         if name.startswith("__"):
             raise AttributeError(f"{path}.")
         if f"{module}.{name}" in REMOVED:
