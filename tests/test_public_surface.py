@@ -187,6 +187,15 @@ def test_an_old_name_works_and_warns_of_the_new_one(path):
     assert renamed is getattr(importlib.import_module(place), RENAMED[path])
 
 
+def test_an_old_argument_works_and_warns_of_the_new_one():
+    with pytest.warns(
+        FutureWarning, match=r"most_steps of integrator.Adaptive is called max_steps"
+    ):
+        assert jaxclear.integrator.Adaptive(most_steps=7).max_steps == 7
+    with pytest.raises(TypeError, match="Adaptive has no argument"):
+        jaxclear.integrator.Adaptive(most_sweeps=7)
+
+
 def test_completion_shows_public_names_alone_and_families_are_imported_by_name():
     for path, place in public_modules().items():
         assert dir(place) == sorted(place.__all__), path

@@ -40,7 +40,11 @@ from jaxclear.files.forms import (
     refuse,
 )
 from jaxclear.files.text import Misread, Node, misread, plain_text
-from jaxclear.ground.argument_errors import RENAMED, warn_of_renaming
+from jaxclear.ground.argument_errors import (
+    RENAMED,
+    warn_of_renaming,
+    with_new_arguments,
+)
 from jaxclear.ground.quantity import members_of_union
 from jaxclear.ground.wording import described, listed, public_name, unknown
 from jaxclear.integrators.adaptive import Adaptive
@@ -429,6 +433,7 @@ class Called(NamedTuple):
 def _built(called: Called, given: dict, node: Node, path: str, folder: Path) -> Any:
     """What a class or function, told by its name and arguments, makes of what is given."""
     name, build, known = called
+    given = with_new_arguments(name, known, given)
     code = [word for word, own in known.items() if own.needed and own.form is None]
     if code:
         raise misread(

@@ -10,7 +10,7 @@ import importlib.util
 import inspect
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
@@ -54,6 +54,20 @@ RENAMED = {
     "jaxclear.heated": "apply_thermal_expansion",
 }
 
+RENAMED_ARGUMENTS = {"most_steps": "max_steps", "most_sweeps": "max_sweeps"}
+
+
+def with_new_arguments(owner: str, known: Container[str], given: dict) -> dict:
+    """Arguments with their new names; warns of old ones, of which the `owner` is known."""
+    for old, new in RENAMED_ARGUMENTS.items():
+        if old in given and old not in known and new in known:
+            sentence = (
+                f"{old} of {owner} is called {new} now; the old name goes in the next version."
+            )
+            warn(sentence, FutureWarning)
+            given = {new if name == old else name: value for name, value in given.items()}
+    return given
+
 
 def warn_of_renaming(path: str) -> str:
     """The new name for an old one, such as "jaxclear.drive.Held"."""
@@ -80,6 +94,8 @@ class AnsweringMeta(ModuleMeta):
                 f"{public_name(cls)} is what a family has in common and cannot be built; it needs "
                 f"a class of its own{''.join(f', such as {one}' for one in members)}."
             )
+        if not kwargs.keys().isdisjoint(RENAMED_ARGUMENTS):
+            kwargs = with_new_arguments(public_name(cls), cls.__dataclass_fields__, kwargs)
         try:
             return ModuleMeta.__call__(cls, *args, **kwargs)
         except TypeError:

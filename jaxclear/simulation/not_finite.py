@@ -86,7 +86,7 @@ def _of_springs(mechanism: Mechanism) -> str:
     return (
         f"Steps under error control are as short as the springs of {listed(couplings + frictions)} "
         "vibrate, whatever the motion; integrator.ImplicitStep takes steps of the length that you "
-        f"give it.{holds} Or raise most_steps."
+        f"give it.{holds} Or raise max_steps."
     )
 
 

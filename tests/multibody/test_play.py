@@ -470,7 +470,7 @@ def test_a_stiff_drive_that_uses_up_its_steps_says_what_takes_them():
     rig = driven_by_a_motor(6e-4, friction=0.5)
     says = 'as the springs of "G", "friction" vibrate.*integrator.ImplicitStep'
     with pytest.raises(jc.SimulationError, match=says):
-        jc.simulate(rig, 0.2, save=2, integrator=jc.integrator.Adaptive(most_steps=50))
+        jc.simulate(rig, 0.2, save=2, integrator=jc.integrator.Adaptive(max_steps=50))
 
 
 def driven_by_a_motor(play, friction=None):
