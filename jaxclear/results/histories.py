@@ -57,9 +57,9 @@ class AbstractHistory(AbstractShown):
 
 def units_of(kind: Any) -> dict[str, str]:
     """Unit of each field that has one."""
-    own = dataclasses.fields(kind)
+    fields = dataclasses.fields(kind)
     key = "measured in"
-    return {field.name: field.metadata[key] for field in own if key in field.metadata}
+    return {field.name: field.metadata[key] for field in fields if key in field.metadata}
 
 
 def _range(name: str, values: np.ndarray, unit: str) -> dict[str, Any]:
@@ -297,20 +297,20 @@ def _accelerations(history):
 
     def one(now):
         system, _, solution = solved(history, now)
-        found = {}
+        results = {}
         every = kinematics.link_accelerations(system, now.motions, solution.accelerations)
-        for name, own in history.mechanism.bodies.items():
+        for name, body in history.mechanism.bodies.items():
             index = system.topology.index(name)
             motion, change = now.motions[index], every[index]
-            arm, turned = system.links[index].frame.point(sp.vec3(own.com)), motion.twist.angular
-            velocity = sp.plus(motion.twist.linear, sp.cross(turned, arm))
-            felt = (change.linear, sp.cross(change.angular, arm), sp.cross(turned, velocity))
+            arm, spin = system.links[index].frame.point(sp.vec3(body.com)), motion.twist.angular
+            velocity = sp.plus(motion.twist.linear, sp.cross(spin, arm))
+            felt = (change.linear, sp.cross(change.angular, arm), sp.cross(spin, velocity))
             fallen = sp.apply(motion.pose.rotation, sp.plus(*felt))
             angular = sp.apply(motion.pose.rotation, change.angular)
-            found[name] = sp.minus(fallen, kinematics.upward(system)), angular
-        return found
+            results[name] = sp.minus(fallen, kinematics.upward(system)), angular
+        return results
 
-    return {name: tuple(map(columns, own)) for name, own in over_time(history, one).items()}
+    return {name: tuple(map(columns, pair)) for name, pair in over_time(history, one).items()}
 
 
 def contact(history: StateHistory, name: str) -> ContactHistory:
@@ -354,8 +354,8 @@ def reaction(history: StateHistory, name: str) -> ReactionHistory:
     couplings = history.mechanism.couplings
     meshing = [
         n
-        for n, own in couplings.items()
-        if isinstance(own, AbstractBodyCoupling) and own.motor is None
+        for n, coupling in couplings.items()
+        if isinstance(coupling, AbstractBodyCoupling) and coupling.motor is None
     ]
     check_name(name, [*history.mechanism.connections, *meshing], "joint")
     kind = "coupling" if name in couplings else "joint"
@@ -437,12 +437,12 @@ def driving(history: StateHistory, name: str) -> Float[Array, " time"]:
         wrench = dynamics.joint_wrenches(system, forces, solution)[index]
         joint = system.links[index].joint
         (column,) = joint.columns((joint.drive.motion(now.time)[0],))
-        given = tree.power(column, wrench)
+        along = tree.power(column, wrench)
         # What couplings do along its coordinate comes through no body.
         rows = constraints.coupling_rows(system, now.motions, solution.multipliers)
         on_drives = forces_on_drives(now.motions, (*forces.rows, *rows))
-        given = sp.sub(given, on_drives.get(index, 0))
-        return jnp.asarray(given, float)
+        along = sp.sub(along, on_drives.get(index, 0))
+        return jnp.asarray(along, float)
 
     return over_time(history, one)
 
@@ -547,8 +547,8 @@ def switchings(history: StateHistory, name: str) -> Any:
     middles = np.concatenate([time[:1], 0.5 * (time[1:] + time[:-1])])
     rows = []
     for i in range(2, len(codes)):
-        turned = sums[i] @ sums[i - 1]
-        if codes[i] == codes[i - 1] and (codes[i] != LINE or turned >= 0):
+        product = sums[i] @ sums[i - 1]
+        if codes[i] == codes[i - 1] and (codes[i] != LINE or product >= 0):
             continue
         instant = 0.5 * (middles[i] + middles[i - 1])
         if products[i] * products[i - 1] < 0:
@@ -557,7 +557,7 @@ def switchings(history: StateHistory, name: str) -> Any:
             )
         elif codes[i] == codes[i - 1]:
             before = sums[i - 1] @ sums[i - 1]
-            instant = middles[i - 1] + (middles[i] - middles[i - 1]) * before / (before - turned)
+            instant = middles[i - 1] + (middles[i] - middles[i - 1]) * before / (before - product)
         other = ", on the other side" if codes[i] == codes[i - 1] else ""
         rows.append((instant, SITUATIONS[codes[i - 1]], SITUATIONS[codes[i]] + other))
     return as_table(rows, columns=["time [s]", "from", "to"])

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.errors.verification import thinned
+from jaxclear.errors.verification import thin_run
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import inside, is_one_number, numbers
 from jaxclear.ground.warning import call_user, shape_of
@@ -98,7 +98,7 @@ class Thinned(eqx.Module):
 
     def __call__(self, run: Any) -> Any:
         """The response of such a run."""
-        return self.function(thinned(run, self.parts))
+        return self.function(thin_run(run, self.parts))
 
 
 def by_name(what: str, given: Any) -> dict[str, Any]:
