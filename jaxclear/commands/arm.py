@@ -115,7 +115,7 @@ def to_and_fro() -> JointPath:
     """All joints turn slowly by a little about the lifted arm, forwards and back."""
     times = TABLE_STEP * np.arange(len(pick_and_place().times))
     swing = np.arcsin(ROUND * -np.cos(2 * np.pi * times / PERIOD)) / np.arcsin(ROUND)
-    return JointPath(times, np.array(LIFTED) + HALF_WAY * swing[:, None])
+    return JointPath(times, np.array(LIFTED) + HALF_SWING * swing[:, None])
 
 
 def lost_motion(run: Any, play: float) -> pandas.DataFrame:
