@@ -11,7 +11,7 @@ for rad.
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -147,6 +147,7 @@ USUAL_GRAVITY = (-1e3, 1e3, "is it in mm/s^2? Accelerations are in m/s^2.")
 class Gravity(AbstractLoad):
     """Uniform gravity on all bodies, as an acceleration in the ground frame."""
 
+    switches: ClassVar = False
     acceleration: tuple = vector(
         (0.0, -9.81), "m/s^2", "free fall, ground frame", counts=(2, 3), usual=USUAL_GRAVITY
     )
@@ -160,6 +161,7 @@ class Force(AbstractBodyLoad):
     marker's if `follows`.
     """
 
+    switches: ClassVar = False
     marker: Marker
     value: tuple | Callable = vector(
         unit="N",
@@ -192,6 +194,7 @@ class Torque(AbstractBodyLoad):
     `Force`.
     """
 
+    switches: ClassVar = False
     marker: Marker
     value: tuple | Callable = vector(
         unit="N m",
@@ -255,6 +258,7 @@ class Spring(AbstractBodyLoad):
     positive in tension.
     """
 
+    switches: ClassVar = False
     start: Marker
     end: Marker
     stiffness: Scalar | None = quantity(None, "N/m", "stiffness", at_least=0)
@@ -296,6 +300,7 @@ class JointSpring(AbstractCoordinateLoad):
     `AbstractCoordinateLoad` says.
     """
 
+    switches: ClassVar = False
     connection: str = eqx.field(static=True)
     stiffness: Scalar | None = quantity(
         None, "N m/rad", "stiffness (N/m for a sliding joint)", at_least=0
@@ -326,6 +331,7 @@ class JointTorque(AbstractCoordinateLoad):
     child against parent: a number or function of time.
     """
 
+    switches: ClassVar = False
     connection: str = eqx.field(static=True)
     value: Scalar | Callable = quantity(
         unit="N m",
@@ -356,6 +362,7 @@ class RotorInertia(AbstractCoordinateLoad):
     doi:10.1007/978-1-4899-7560-7.
     """
 
+    switches: ClassVar = False
     connection: str = eqx.field(static=True)
     reflected_inertia: Scalar = quantity(
         unit="kg m^2",

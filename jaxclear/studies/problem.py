@@ -379,7 +379,7 @@ def _answers(problem: Problem, values: Float[Array, " variables"], discrete: boo
     own = discrete and integrator.pathwise
     seen = integrator.formulation.seen(problem.mechanism)
     if not own and is_compared(seen, integrator):
-        known = compared(_answered, _finer, _alike, _steps, order_of(integrator))
+        known = compared(_answered, _finer, _alike, _steps, order_of(seen, integrator))
         return backwards(integrator)(known, problem, values)
     started = lambda problem, values: problem.started(values, own)
     mechanism, start, run = backwards(integrator)(started, problem, values)
