@@ -10,7 +10,6 @@ from jaxclear.statics.seated import seated
 from jaxclear.studies import distribution, limit_state, sensor
 from jaxclear.studies.advice import PilotSettings, advise
 from jaxclear.studies.base import AbstractProblem, AbstractVariable
-from jaxclear.studies.campaign.campaign import campaign, open_campaign
 from jaxclear.studies.design import catalogue, cost, limit
 from jaxclear.studies.design.design import design, design_front
 from jaxclear.studies.design.search import DesignSettings
@@ -31,6 +30,7 @@ from jaxclear.studies.screening import screening
 from jaxclear.studies.sensitivity.sensitivity import sensitivity
 from jaxclear.studies.statistics.shapley import shapley_effects
 from jaxclear.studies.statistics.sobol_indices import sobol_indices
+from jaxclear.studies.store.campaign import campaign, open_campaign
 from jaxclear.studies.surface.correction import corrected
 from jaxclear.studies.surface.surface import surface
 from jaxclear.studies.sweep import sweep

@@ -36,7 +36,7 @@ from benchmarks.claims.slopes import bouncing
 from benchmarks.measure import arguments, report, sign
 from jaxclear.native import gpu, gpu_ptx, gpu_threads
 from jaxclear.native import kernel as kernels
-from jaxclear.studies.ledger import batch
+from jaxclear.studies.store import batch
 
 SIZES = (4096, 16384, 65536, 262_144, 1_000_000)
 QUICK_SIZES = (4096, 32768, 131_072)

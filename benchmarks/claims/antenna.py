@@ -20,7 +20,7 @@ from benchmarks.measure import alone, arguments, report, sign
 from jaxclear.commands.antenna import friction_runs, friction_table
 from jaxclear.integrators import Outcome
 from jaxclear.scenes.antenna import BASE, HOLD, JOINTS, TIP, antenna
-from jaxclear.studies.ledger.batch import cores, evaluate_all
+from jaxclear.studies.store.batch import cores, evaluate_all
 
 SAVES_PER_SECOND = 20
 STEPS = (1e-3, 2e-3, 5e-3, 1e-2, 2.5e-2)

@@ -27,7 +27,7 @@ from scipy import stats
 
 import jaxclear as jc
 from benchmarks.measure import report, sign
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.statistics.scrambled import standard_error
 
 GRAVITY, CLEARANCE = 9.81, 1e-3

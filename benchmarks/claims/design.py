@@ -23,7 +23,7 @@ from scipy.optimize import NonlinearConstraint, differential_evolution, minimize
 import jaxclear as jc
 from benchmarks.measure import report, sign
 from jaxclear.commands.design import QUESTIONS, Asked
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.design.question import TOLERANCE
 from jaxclear.studies.design.population import points
 from tests.rigs import positioned_four_bar

@@ -23,7 +23,7 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.measure import arguments, report, sign
-from jaxclear.studies.ledger import batch
+from jaxclear.studies.store import batch
 
 # Samples of a study, and chunks of them.
 SAMPLES, CHUNKS = 2048, (64, 128, 256, 512, 1024)

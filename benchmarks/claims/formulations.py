@@ -22,7 +22,7 @@ from benchmarks.measure import alone, arguments, report, sign
 from jaxclear.integrators import Outcome
 from jaxclear.scenes.antenna import BASE, JOINTS, TIP, antenna
 from jaxclear.scenes.four_bar import four_bar
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 
 ACCURACY = 0.02
 STEPS, CHEAPEST = "steps", "sample of a batch, CPU [ms]"

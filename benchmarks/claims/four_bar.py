@@ -17,7 +17,7 @@ import jaxclear as jc
 from benchmarks.measure import alone, arguments, report, sign
 from jaxclear.integrators import Outcome
 from jaxclear.scenes.four_bar import four_bar
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 
 SAVES_PER_SECOND = 400
 # Clearances of the ensemble differ by this share: far below what moves a mean, far above rounding.

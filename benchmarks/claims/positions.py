@@ -12,7 +12,7 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.measure import arguments, report, seconds_to_compile, side_by_side
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.sampling import draw
 
 POSITIONS = 36

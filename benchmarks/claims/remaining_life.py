@@ -28,7 +28,7 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.identification.identify import answered, fit
 from jaxclear.studies.identification.laws import ensemble
 from jaxclear.studies.identification.sample import sampled, watched
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.sampling import Drawing
 
 CYCLES, LIMIT, NAME = (0.0, 1e6, 2e6), 0.5e-3, "clearance B"

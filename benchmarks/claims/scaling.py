@@ -26,7 +26,7 @@ import jaxclear as jc
 from benchmarks.claims.chain import chain
 from benchmarks.measure import arguments, report, seconds_to_compile, side_by_side, sign
 from jaxclear.simulation.simulate import run
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 
 PLAIN_LOOPS = "JAXCLEAR_PLAIN_LOOPS"
 # Chain: step [s] of the fixed ones, simulated time [s], and how long a process may take [s].

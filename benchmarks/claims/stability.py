@@ -21,7 +21,7 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.measure import arguments, report, sign
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 
 MASS, INERTIA, GRAVITY = 1.0, 1e-2, 9.81
 LOAD = 10 * MASS * GRAVITY

@@ -12,7 +12,7 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.measure import arguments, report, sign
-from jaxclear.studies.ledger import batch
+from jaxclear.studies.store import batch
 
 # Chunks for each of two threads, and samples in each.
 CHUNKS, CHUNK = 8, 64

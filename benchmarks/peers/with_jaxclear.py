@@ -16,7 +16,7 @@ from benchmarks.peers import rig
 from benchmarks.peers.rig import Answer, Batch, Program
 from jaxclear.integrators import Outcome
 from jaxclear.simulation.simulate import run
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 
 # Samples a chunk of adaptive runs, which wait for the slowest of their chunk.
 FEW = 16

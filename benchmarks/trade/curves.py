@@ -19,7 +19,7 @@ import numpy as np
 import jaxclear as jc
 from benchmarks.trade.questions import Question
 from jaxclear.ground.printing import as_typed
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.sampling import draw
 
 COPIES, BATCH = 3, 16

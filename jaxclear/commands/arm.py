@@ -37,7 +37,7 @@ from jaxclear.scenes.arm import (
     arm,
     pick_and_place,
 )
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 
 # Plays from flank to flank [rad] of reducers in stock: standard and reduced, of the planetary
 # reducers TP010 of Beckhoff's AG2400 (documentation, "maximum torsional backlash").

@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.ground.table import as_table
-from jaxclear.studies.campaign.samples import holds_campaign
+from jaxclear.studies.store.samples import holds_campaign
 
 DOTS_PER_INCH = 130
 

@@ -23,7 +23,15 @@ from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.numerics import smooth_step
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
 
-__all__ = ["AbstractDrive", "ConstantSpeed", "Harmonic", "Held", "Position", "RampUp", "Speed"]
+__all__ = [
+    "AbstractDrive",
+    "ConstantPosition",
+    "ConstantSpeed",
+    "Harmonic",
+    "Position",
+    "RampUp",
+    "Speed",
+]
 __getattr__, __dir__ = nothing_else("jaxclear.drive", __all__)
 
 
@@ -32,35 +40,58 @@ class AbstractDrive(AbstractQuantified):
 
     @abstractmethod
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
-        """(position, speed, acceleration) at `time` [s]."""
+        """The prescribed motion at an instant.
+
+        Args:
+            time: time [s].
+
+        Returns:
+            position [rad; m for a sliding joint], speed and acceleration [per s, per s^2], a tuple.
+        """
 
 
 class ConstantSpeed(AbstractDrive):
-    """q = start + speed t."""
+    """A constant speed from time zero on: q = start + speed t.
 
-    speed: Scalar = quantity(unit="rad/s", meaning="constant speed (m/s for a sliding joint)")
-    start: Scalar = quantity(0.0, "rad", "position at time zero (m for a sliding joint)")
+    Args:
+        speed: constant speed [rad/s; m/s for a sliding joint].
+        start: position at time zero [rad; m for a sliding joint].
+    """
+
+    speed: Scalar = quantity(unit="rad/s", sliding="m/s")
+    start: Scalar = quantity(0.0, "rad", sliding="m")
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         return self.start + self.speed * time, self.speed, 0
 
 
-class Held(AbstractDrive):
-    """q = position, at rest."""
+class ConstantPosition(AbstractDrive):
+    """A coordinate that does not move: q = position.
 
-    position: Scalar = quantity(unit="rad", meaning="position (m for a sliding joint)")
+    Args:
+        position: the coordinate [rad; m for a sliding joint].
+    """
+
+    position: Scalar = quantity(unit="rad", sliding="m")
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         return self.position, 0, 0
 
 
 class Harmonic(AbstractDrive):
-    """q = offset + amplitude sin(2 pi frequency t + phase)."""
+    """q = offset + amplitude sin(2 pi frequency t + phase).
 
-    amplitude: Scalar = quantity(unit="rad", meaning="amplitude (m for a sliding joint)")
-    frequency: Scalar = quantity(unit="Hz", meaning="frequency", at_least=0)
-    phase: Scalar = quantity(0.0, "rad", "phase at time zero")
-    offset: Scalar = quantity(0.0, "rad", "mean position (m for a sliding joint)")
+    Args:
+        amplitude: amplitude [rad; m for a sliding joint].
+        frequency: frequency [Hz], >= 0.
+        phase: phase at time zero [rad].
+        offset: mean position [rad; m for a sliding joint].
+    """
+
+    amplitude: Scalar = quantity(unit="rad", sliding="m")
+    frequency: Scalar = quantity(unit="Hz", at_least=0)
+    phase: Scalar = quantity(0.0, "rad")
+    offset: Scalar = quantity(0.0, "rad", sliding="m")
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         omega = 2 * jnp.pi * self.frequency
@@ -70,13 +101,18 @@ class Harmonic(AbstractDrive):
 
 
 class RampUp(AbstractDrive):
-    """Starts at rest and reaches a constant speed after `duration`, the speed following a cubic
-    step; ConstantSpeed has no ramp.
+    """A speed that grows from 0 to a constant along a cubic step in time; `ConstantSpeed` has no
+    ramp.
+
+    Args:
+        speed: final speed [rad/s; m/s for a sliding joint].
+        duration: time until the final speed is reached [s], > 0.
+        start: position at time zero [rad; m for a sliding joint].
     """
 
-    speed: Scalar = quantity(unit="rad/s", meaning="final speed (m/s for a sliding joint)")
-    duration: Scalar = quantity(unit="s", meaning="time until the final speed is reached", above=0)
-    start: Scalar = quantity(0.0, "rad", "position at time zero (m for a sliding joint)")
+    speed: Scalar = quantity(unit="rad/s", sliding="m/s")
+    duration: Scalar = quantity(unit="s", above=0)
+    start: Scalar = quantity(0.0, "rad", sliding="m")
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         s = jnp.clip(time / self.duration, 0.0, 1.0)
@@ -89,8 +125,16 @@ class RampUp(AbstractDrive):
 
 
 class Position(AbstractDrive):
-    """Any twice differentiable function of time, a JAX function or a module with numbers of its
-    own: q = function(t).
+    """A position as a function of time: q = function(t).
+
+    Args:
+        function: JAX function (or module with numbers of its own) of a time [s], twice
+            differentiable, that returns the position [rad; m for a sliding joint]; or a
+            `TimeTable`.
+
+    Raises:
+        ValueError: if the function fails at a time, returns something else, or is a table whose
+            speed jumps.
     """
 
     function: Callable = eqx.field(converter=opened)
@@ -110,16 +154,22 @@ class Position(AbstractDrive):
 
 
 class Speed(AbstractDrive):
-    """A speed given as a function of time; the position is its integral from time zero.
+    """A speed as a function of time; the position is its integral from time zero.
 
-    The integral is taken by Gauss-Legendre quadrature over [0, t] in `pieces` pieces, so that the
-    drive stays a pure function of time; error below 1e-12 relative where the speed is smooth on the
-    scale t / pieces. That of a `TimeTable` is exact.
+    The integral is taken by Gauss-Legendre quadrature over [0, t], so that the drive stays a pure
+    function of time; error below 1e-12 relative where the speed is smooth on the scale t / pieces.
+    That of a `TimeTable` is exact.
+
+    Args:
+        function: JAX function of a time [s] that returns the speed [rad/s; m/s for a sliding
+            joint]; or a `TimeTable`.
+        start: position at time zero [rad; m for a sliding joint].
+        pieces: pieces of the quadrature, a count, >= 1.
     """
 
     function: Callable = eqx.field(converter=opened)
-    start: Scalar = quantity(0.0, "rad", "position at time zero (m for a sliding joint)")
-    pieces: int = count(16, "pieces of the quadrature")
+    start: Scalar = quantity(0.0, "rad", sliding="m")
+    pieces: int = count(16)
 
     def __check_init__(self):
         check_function_of_time(self, "function")

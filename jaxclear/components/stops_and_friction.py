@@ -52,28 +52,30 @@ class JointStop(AbstractCoordinateLoad):
     less deep damps less. A stiff stop needs short steps; `MoreauJean` and `NonColliding` take one
     as rigid that their steps do not resolve.
 
+    Args:
+        connection: name of the joint.
+        lower: least coordinate [rad; m for a sliding joint]; none by default.
+        upper: largest coordinate [rad; m for a sliding joint]; none by default.
+        stiffness: stiffness k [N m/rad; N/m for a sliding joint], > 0; none by default.
+        damping: damping d [N m s/rad; N s/m for a sliding joint], >= 0; none by default.
+        restitution: share of the speed that comes back [1], >= 0 and <= 1; none by default.
+        depth: way over which damping sets in [rad; m for a sliding joint], > 0; None: by the
+            spring's own force.
+
+    Raises:
+        ValueError: if neither lower nor upper is given, or lower is not below upper; if neither
+            stiffness nor restitution is given; for a depth without a damping.
+
     Source: the bounded damper of Modelica's ElastoBacklash2 (Modelica Standard Library 4.0).
     """
 
     connection: str = eqx.field(static=True)
-    lower: Scalar | None = quantity(None, "rad", "least coordinate (m for a sliding joint)")
-    upper: Scalar | None = quantity(None, "rad", "largest coordinate (m for a sliding joint)")
-    stiffness: Scalar | None = quantity(
-        None, "N m/rad", "stiffness k (N/m for a sliding joint)", above=0, kw_only=True
-    )
-    damping: Scalar | None = quantity(
-        None, "N m s/rad", "damping d (N s/m for a sliding joint)", at_least=0, kw_only=True
-    )
-    restitution: Scalar | None = quantity(
-        None, "1", "share of the speed that comes back", at_least=0, at_most=1, kw_only=True
-    )
-    depth: Scalar | None = quantity(
-        None,
-        "rad",
-        "way over which damping sets in (m for a sliding joint; None: by the spring's own force)",
-        above=0,
-        kw_only=True,
-    )
+    lower: Scalar | None = quantity(None, "rad", sliding="m")
+    upper: Scalar | None = quantity(None, "rad", sliding="m")
+    stiffness: Scalar | None = quantity(None, "N m/rad", sliding="N/m", above=0, kw_only=True)
+    damping: Scalar | None = quantity(None, "N m s/rad", sliding="N s/m", at_least=0, kw_only=True)
+    restitution: Scalar | None = quantity(None, "1", at_least=0, at_most=1, kw_only=True)
+    depth: Scalar | None = quantity(None, "rad", sliding="m", above=0, kw_only=True)
 
     def __check_init__(self):
         if self.lower is None and self.upper is None:
@@ -107,8 +109,18 @@ class JointStop(AbstractCoordinateLoad):
         return force, stored, dissipated, 0
 
     def push(self, beyond: Any, rate: Any) -> tuple[Any, Any, Any]:
-        """Force of one side that the coordinate is so far `beyond` [rad, m] at this rate, its
-        stored energy and dissipated power."""
+        """Force of one side of the stop.
+
+        Args:
+            beyond: how far the coordinate is beyond the stop [rad; m for a sliding joint].
+            rate: its rate [rad/s; m/s for a sliding joint].
+
+        Returns:
+            force [N m; N for a sliding joint], stored energy [J], dissipated power [W].
+
+        Raises:
+            ValueError: if the stop has no stiffness.
+        """
         if self.stiffness is None:
             raise ValueError(
                 f'load.JointStop on joint "{self.connection}" has no stiffness: it is rigid, for '
@@ -146,7 +158,7 @@ class Pressed(AbstractQuantified):
     """
 
     by: str = eqx.field(static=True)
-    factor: Scalar = quantity(unit="m", meaning="friction for a unit of force", at_least=0)
+    factor: Scalar = quantity(unit="m", at_least=0)
 
 
 class JointFriction(AbstractStateLoad):
@@ -177,6 +189,16 @@ class JointFriction(AbstractStateLoad):
     (Wojtyra 2017, Multibody Syst. Dyn. 39, 337, doi:10.1007/s11044-016-9535-6): one of the many
     answers is told.
 
+    Args:
+        connection: name of the joint.
+        torque: friction when it slides, or a function of time [N m; N for a sliding joint], >= 0.
+        transition_speed: speed v_0 at which three quarters of the friction act [rad/s; m/s for a
+            sliding joint], > 0; None: it holds.
+        presliding: deflection z_0 at which the bristle yields [rad; m for a sliding joint], > 0;
+            None: from the inertia.
+        settling_time: damping time t_0 of the bristle [s], > 0; None: 0.01 beside a presliding,
+            else from the inertia.
+
     Source: Prandtl 1928, Z. angew. Math. Mech. 8, 85, doi:10.1002/zamm.19280080202 (elastic, then
     perfectly plastic: it does not drift as Dahl's and LuGre's bristles do, Dupont et al. 2002, IEEE
     Trans. Autom. Control 47, 787, doi:10.1109/TAC.2002.1000274); tanh: Andersson, Söderberg &
@@ -185,32 +207,11 @@ class JointFriction(AbstractStateLoad):
 
     connection: str = eqx.field(static=True)
     torque: Scalar | Callable | Pressed = quantity(
-        unit="N m",
-        meaning="friction when it slides (N for a sliding joint), or a function of time",
-        converter=_number_function_or_pressed,
-        at_least=0,
+        unit="N m", sliding="N", converter=_number_function_or_pressed, at_least=0
     )
-    transition_speed: Scalar | None = quantity(
-        None,
-        "rad/s",
-        "speed v_0 at which three quarters of the friction act (m/s for a sliding joint; None: it "
-        "holds)",
-        above=0,
-    )
-    presliding: Scalar | None = quantity(
-        None,
-        "rad",
-        "deflection z_0 at which the bristle yields (m if sliding; None: from the inertia)",
-        above=0,
-        kw_only=True,
-    )
-    settling_time: Scalar | None = quantity(
-        None,
-        "s",
-        "damping time t_0 of the bristle (None: 0.01 beside a presliding, else from the inertia)",
-        above=0,
-        kw_only=True,
-    )
+    transition_speed: Scalar | None = quantity(None, "rad/s", sliding="m/s", above=0)
+    presliding: Scalar | None = quantity(None, "rad", sliding="m", above=0, kw_only=True)
+    settling_time: Scalar | None = quantity(None, "s", above=0, kw_only=True)
 
     def coordinates(self):
         return (self.connection,)

@@ -9,11 +9,14 @@ import functools
 import importlib.util
 import inspect
 import re
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
+import sys
+from collections.abc import Callable, Container
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import equinox as eqx
 
+from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import as_typed, described, final_members, listed, meant, public_name
 
 if TYPE_CHECKING:
@@ -22,7 +25,12 @@ else:
     ModuleMeta = type(eqx.Module)
 
 P, R = ParamSpec("P"), TypeVar("R")
-OWN_PATH = re.compile(r"\bjaxclear(\.\w+)+")
+PACKAGE_PATH = re.compile(r"\bjaxclear(\.\w+)+")
+# An entry of `Args:`: names, and the description up to the unit, the range or the default.
+ARGUMENT = re.compile(
+    r"^ {4}((?:\w+, )*\w+): (.*?)(?: \[|, [<>]=? |, a count|; |\.(?:\s|\Z))",
+    re.MULTILINE | re.DOTALL,
+)
 KEYWORDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 ORDERED = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
@@ -35,16 +43,45 @@ REMOVED = {
     f"jaxclear.cost.{name}": "give the cost as a function of (nominal, tolerance)"
     for name in ("Exponential", "ReciprocalExponential", "ReciprocalPower", "ReciprocalSquared")
 }
+# Names that have changed, by the old ones; these work for one version and warn.
+RENAMED = {
+    "jaxclear.coupling.Hold": "Latch",
+    "jaxclear.drive.Held": "ConstantPosition",
+    "jaxclear.heated": "apply_thermal_expansion",
+}
+
+RENAMED_ARGUMENTS = {"most_steps": "max_steps", "most_sweeps": "max_sweeps"}
+
+
+def with_new_arguments(owner: str, known: Container[str], given: dict) -> dict:
+    """Arguments with their new names; warns of old ones, of which the `owner` is known."""
+    for old, new in RENAMED_ARGUMENTS.items():
+        if old in given and old not in known and new in known:
+            sentence = (
+                f"{old} of {owner} is called {new} now; the old name goes in the next version."
+            )
+            warn(sentence, FutureWarning)
+            given = {new if name == old else name: value for name, value in given.items()}
+    return given
+
+
+def warn_of_renaming(path: str) -> str:
+    """The new name for an old one, such as "jaxclear.drive.Held"."""
+    new = f"{path.rpartition('.')[0]}.{RENAMED[path]}"
+    warn(f"{path} is called {new} now; the old name goes in the next version.", FutureWarning)
+    return RENAMED[path]
 
 
 class AnsweringMeta(ModuleMeta):
     """Of classes that refuse wrong arguments with a sentence."""
 
     def __new__(mcs, name: str, bases: tuple, namespace: dict, **kwargs: Any):
-        own = namespace.get("__check_init__")
-        if own is not None and any(isinstance(base, AnsweringMeta) for base in bases):
-            namespace = namespace | {"__check_init__": _after_fields(own)}
-        return ModuleMeta.__new__(mcs, name, bases, namespace, **kwargs)
+        check = namespace.get("__check_init__")
+        if check is not None and any(isinstance(base, AnsweringMeta) for base in bases):
+            namespace = namespace | {"__check_init__": _after_fields(check)}
+        kind = ModuleMeta.__new__(mcs, name, bases, namespace, **kwargs)
+        _describe_fields(kind)
+        return kind
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
         if cls.__name__.startswith("Abstract"):
@@ -53,6 +90,8 @@ class AnsweringMeta(ModuleMeta):
                 f"{public_name(cls)} is what a family has in common and cannot be built; it needs "
                 f"a class of its own{''.join(f', such as {one}' for one in members)}."
             )
+        if not kwargs.keys().isdisjoint(RENAMED_ARGUMENTS):
+            kwargs = with_new_arguments(public_name(cls), cls.__dataclass_fields__, kwargs)
         try:
             return ModuleMeta.__call__(cls, *args, **kwargs)
         except TypeError:
@@ -62,14 +101,25 @@ class AnsweringMeta(ModuleMeta):
             raise
 
 
-def _after_fields(own: Callable[[Any], None]) -> Callable[[Any], None]:
+def _describe_fields(kind: Any) -> None:
+    """Takes the meaning of a class's numbers from `Args:` of its docstring, up to the unit."""
+    section = inspect.cleandoc(vars(kind).get("__doc__") or "").partition("\n\nArgs:\n")[2]
+    for names, meaning in ARGUMENT.findall(section.partition("\n\n")[0]):
+        for name in names.split(", "):
+            field = kind.__dataclass_fields__.get(name)
+            if field is not None and field.metadata.get("meaning") == "":
+                words = {"meaning": " ".join(meaning.split())}
+                field.metadata = MappingProxyType({**field.metadata, **words})
+
+
+def _after_fields(class_check: Callable[[Any], None]) -> Callable[[Any], None]:
     """A class's own check, which may take for granted that every field holds what it may."""
 
-    @functools.wraps(own)
+    @functools.wraps(class_check)
     def check(self: Any) -> None:
         # Of the class: binding a method to a module costs more than the check.
         type(self)._check_fields(self)
-        own(self)
+        class_check(self)
 
     return check
 
@@ -88,10 +138,11 @@ def answering(function: Callable[P, R]) -> Callable[P, R]:
             raise
 
     signature = inspect.signature(function)
-    shown = [p.replace(annotation=_as_offered(p.annotation)) for p in signature.parameters.values()]
+    declared = signature.parameters.values()
+    parameters = [p.replace(annotation=_as_offered(p.annotation)) for p in declared]
     returned = _as_offered(signature.return_annotation)
     called.__signature__ = signature.replace(  # type: ignore[attr-defined]
-        parameters=shown, return_annotation=returned
+        parameters=parameters, return_annotation=returned
     )
     return called
 
@@ -103,12 +154,12 @@ class _Offered:
         self.kind = kind
 
     def __repr__(self) -> str:
-        told = inspect.formatannotation(self.kind)
-        return OWN_PATH.sub(lambda found: as_typed(found[0]), told)
+        annotation = inspect.formatannotation(self.kind)
+        return PACKAGE_PATH.sub(lambda match: as_typed(match[0]), annotation)
 
 
 def _as_offered(kind: Any) -> Any:
-    return _Offered(kind) if OWN_PATH.search(inspect.formatannotation(kind)) else kind
+    return _Offered(kind) if PACKAGE_PATH.search(inspect.formatannotation(kind)) else kind
 
 
 def refuse_misfit(called: Callable, args: tuple, kwargs: dict) -> None:
@@ -128,18 +179,18 @@ def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
     else:
         return ""
     name, parameters = public_name(called), signature.parameters
-    known = [p.name for p in parameters.values() if p.kind in KEYWORDS]
-    takes = f"{name} takes {listed(known)}" if known else f"{name} takes no arguments"
-    for given in kwargs:
-        if given not in known:
-            return f'{name} has no argument "{given}"; {takes}.{meant(given, known)}'
+    names = [p.name for p in parameters.values() if p.kind in KEYWORDS]
+    takes = f"{name} takes {listed(names)}" if names else f"{name} takes no arguments"
+    for keyword in kwargs:
+        if keyword not in names:
+            return f'{name} has no argument "{keyword}"; {takes}.{meant(keyword, names)}'
     ordered = [p.name for p in parameters.values() if p.kind in ORDERED]
     if len(args) > len(ordered):
         surplus = described(args[len(ordered)])
-        left = [one for one in known if one not in {*ordered, *kwargs}]
-        if not left:
+        available = [one for one in names if one not in {*ordered, *kwargs}]
+        if not available:
             return f"{name} is given {surplus} too; {takes} and nothing else."
-        return f"{name} is given {surplus} without a name; give it as one of {listed(left)}."
+        return f"{name} is given {surplus} without a name; give it as one of {listed(available)}."
     twice = set(ordered[: len(args)]) & set(kwargs)
     if twice:
         return f"{name} is given {listed(sorted(twice))} twice, by place and by name; give it once."
@@ -150,12 +201,14 @@ def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
 
 def nothing_else(
     module: str, offered: list[str]
-) -> tuple[Callable[[str], NoReturn], Callable[[], list[str]]]:
-    """The `__getattr__` and `__dir__` of a module: for any name beyond those offered, a sentence;
-    what completes a name that is being typed shows these alone."""
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """The `__getattr__` and `__dir__` of a module: for any name beyond those offered, a sentence,
+    for an old one what has the new; what completes a name that is being typed shows these alone."""
 
-    def refuse(name: str) -> NoReturn:
+    def refuse(name: str) -> Any:
         path = f"{module} has no {name!r}"
+        if f"{module}.{name}" in RENAMED:
+            return getattr(sys.modules[module], warn_of_renaming(f"{module}.{name}"))
         if name.startswith("__"):
             raise AttributeError(f"{path}.")
         if f"{module}.{name}" in REMOVED:
@@ -165,7 +218,7 @@ def nothing_else(
         members = [one for one in offered if not one.startswith("Abstract")]
         raise AttributeError(f"{path}; it offers {', '.join(members)}.{meant(name, offered)}")
 
-    def shown() -> list[str]:
+    def list_names() -> list[str]:
         return sorted(offered)
 
-    return refuse, shown
+    return refuse, list_names

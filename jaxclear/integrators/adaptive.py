@@ -23,7 +23,7 @@ from jaxclear.ground.quantity import (
     on_host,
     quantity,
 )
-from jaxclear.ground.tangents import derived_once
+from jaxclear.ground.tangents import allow_first_derivative
 from jaxclear.integrators.base import LOOSE, REFERENCE, AbstractIntegrator, Advance
 from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.derivative_error import NO_SECOND, trusted
@@ -59,7 +59,7 @@ LOOSEST_IN_GAP = 4e-4
 # landing makes errors: at most a share of the narrowest gap, at least rounding beside all arms.
 LANDING, LANDING_IN_GAP = 0.1, 1e-4
 ROUNDING = 1e-12
-# Tolerances that could be only so much tighter are as tight as they can be.
+# Bounds that could be only so much tighter are as tight as they can be.
 ROUNDED_OFF = 0.5
 # Derivatives have grown too much where a place within the tolerance, grown as they have, is more
 # than this beside the narrowest gap: beyond, they were off by a tenth and more, within by less than
@@ -99,6 +99,14 @@ class Adaptive(AbstractIntegrator):
     Stiff scenes (large friction over tiny transition speeds) may prefer
     diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)); of stiff couplings beside
     light motors, and friction that holds, each vibration is resolved: `ImplicitStep` need not.
+
+    Args:
+        solver: a solver of diffrax, such as `diffrax.Tsit5()` (default) or `MuntheKaas`.
+        rtol: relative local error of coordinates and speeds [1], >= 0 and < 1.
+        atol: absolute local error of coordinates [m, rad] and speeds [m/s, rad/s], > 0.
+        largest_step: largest step [s], > 0; no bound by default.
+        max_steps: largest number of steps between saving times or wear updates, >= 1.
+        breaks: further times at which steps end [s], an array; none by default.
     """
 
     pathwise: ClassVar = False
@@ -107,23 +115,10 @@ class Adaptive(AbstractIntegrator):
         default_factory=diffrax.Tsit5,
         metadata={"wanted": "a solver of diffrax, such as diffrax.Tsit5()"},
     )
-    rtol: Scalar = quantity(
-        1e-7,
-        "1",
-        "relative local error of coordinates and speeds",
-        at_least=0,
-        below=1,
-        kw_only=True,
-    )
-    atol: Scalar = quantity(
-        1e-9,
-        "1",
-        "absolute local error of coordinates [m, rad] and speeds [m/s, rad/s]",
-        above=0,
-        kw_only=True,
-    )
-    largest_step: Scalar | None = quantity(None, "s", "largest step", above=0, kw_only=True)
-    most_steps: int = count(200_000, "most steps between saves or wear updates", kw_only=True)
+    rtol: Scalar = quantity(1e-7, "1", at_least=0, below=1, kw_only=True)
+    atol: Scalar = quantity(1e-9, "1", above=0, kw_only=True)
+    largest_step: Scalar | None = quantity(None, "s", above=0, kw_only=True)
+    max_steps: int = count(200_000, kw_only=True)
     breaks: Any = eqx.field(default=None, kw_only=True, converter=_as_times)
 
     @property
@@ -295,7 +290,7 @@ class Adaptive(AbstractIntegrator):
             instants = () if events is None else events[:2]
             most = _most_growth(model, controller)
             moving = trusted((state, peaks, instants), growth, most)
-            state, peaks, instants = derived_once(NO_SECOND, moving)
+            state, peaks, instants = allow_first_derivative(NO_SECOND, moving)
             if events is not None:
                 events = events._replace(times=instants[0], rates=instants[1])
         return Advance(state, *steps, (usual, growth), outcome, peaks, events)
@@ -304,7 +299,7 @@ class Adaptive(AbstractIntegrator):
         """Where a solver ends, and why where that is before the end; of its own steps each is
         `ended(state, args)`. `ends`: of the coordinates and of the speeds in a state."""
         if stepped_by_hand(self.solver) is not None:
-            given = term, solver, controller, span, state, args, self.most_steps, ended, ends
+            given = term, solver, controller, span, state, args, self.max_steps, ended, ends
             found = solve(*given)
             short = jnp.where(found.time < span[1], Outcome.TOO_MANY_STEPS, Outcome.REACHED)
             return found, jnp.where(found.too_small, Outcome.STEP_TOO_SMALL, short)
@@ -319,7 +314,7 @@ class Adaptive(AbstractIntegrator):
             args=args,
             stepsize_controller=controller,
             saveat=diffrax.SaveAt(t1=True, solver_state=solver is not self.solver),
-            max_steps=self.most_steps,
+            max_steps=self.max_steps,
             adjoint=diffrax.ForwardMode(),
             throw=False,
         )

@@ -24,8 +24,15 @@ class AbstractWearLaw(AbstractLaw):
 
     @abstractmethod
     def volume_rate(self, normal_force: Scalar, slip_speed: Scalar, traction: Scalar) -> Scalar:
-        """m^3/s >= 0 from load [N] >= 0, sliding speed [m/s] >= 0 and friction force [N] >= 0 (0 if
-        frictionless).
+        """Volume that the surface loses per time.
+
+        Args:
+            normal_force: load [N], >= 0.
+            slip_speed: sliding speed [m/s], >= 0.
+            traction: friction force [N], >= 0; 0 without friction.
+
+        Returns:
+            worn volume per time [m^3/s], >= 0.
         """
 
 
@@ -35,16 +42,16 @@ class Archard(AbstractWearLaw):
     :math:`\dot V = k F_n v/H`. Use for mild dry wear at steady load; for impact-dominated or
     fretting joints prefer Fouvry.
 
+    Args:
+        wear_coefficient: share k of contact events that shed a particle [1], >= 0.
+        hardness: indentation hardness H of the softer body [Pa], > 0.
+
     Source: Archard 1953, J. Appl. Phys. 24, 981, eq. 4, doi:10.1063/1.1721448; for clearance joints
     Hou, Deng & Zeng 2021, J. Cent. South Univ. 28, 712, eq. 25, doi:10.1007/s11771-021-4640-y.
     """
 
-    wear_coefficient: Scalar = quantity(
-        1e-5, "1", "share k of contact events that shed a particle", at_least=0
-    )
-    hardness: Scalar = quantity(
-        2e9, "Pa", "indentation hardness H of the softer body", above=0, usual=USUAL_HARDNESS
-    )
+    wear_coefficient: Scalar = quantity(1e-5, "1", at_least=0)
+    hardness: Scalar = quantity(2e9, "Pa", above=0, usual=USUAL_HARDNESS)
 
     def volume_rate(self, normal_force: Scalar, slip_speed: Scalar, traction: Scalar) -> Scalar:
         return self.wear_coefficient * normal_force * slip_speed / self.hardness
@@ -57,13 +64,14 @@ class Fouvry(AbstractWearLaw):
     varies; without friction it gives no wear at all, there prefer Archard. Equal to Archard with
     :math:`k/H = \alpha\mu` at constant :math:`\mu`.
 
+    Args:
+        energy_wear_coefficient: worn volume alpha per dissipated energy [m^3/J], >= 0.
+
     Source: Fouvry, Liskiewicz, Kapsa, Hannel & Sauger 2003, Wear 255, 287,
     doi:10.1016/S0043-1648(03)00117-0; the default is of the order reported for steels.
     """
 
-    energy_wear_coefficient: Scalar = quantity(
-        2e-14, "m^3/J", "worn volume alpha per dissipated energy", at_least=0
-    )
+    energy_wear_coefficient: Scalar = quantity(2e-14, "m^3/J", at_least=0)
 
     def volume_rate(self, normal_force: Scalar, slip_speed: Scalar, traction: Scalar) -> Scalar:
         return self.energy_wear_coefficient * traction * slip_speed

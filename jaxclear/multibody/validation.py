@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.components.acting import acts_on_coordinates
 from jaxclear.components.body import GROUND, Body, Connection, Marker
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import (
@@ -29,18 +30,21 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import (
     AbstractBodyLoad,
     AbstractCoordinateLoad,
+    AbstractJointLoad,
     AbstractLoad,
     AbstractStateLoad,
     Action,
     CoordinateEffect,
     Effect,
     Gravity,
+    JointEffect,
+    JointMotion,
     MarkerMotion,
 )
-from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import check_kinds, check_range, is_one_number, is_traced, numbers
-from jaxclear.ground.warning import asked, shape_of, warn
+from jaxclear.ground.warning import call_user, shape_of, warn
 from jaxclear.ground.wording import listed, meant
 from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.contact_point import check_followed
@@ -51,6 +55,7 @@ from jaxclear.multibody.topology import MOTOR, Topology, coordinate_joint, motor
 NUMBER = jax.ShapeDtypeStruct((), jnp.float64)
 VECTOR = (NUMBER,) * 3
 SEEN = MarkerMotion(Pose((VECTOR,) * 3, VECTOR), VECTOR, VECTOR)
+IN_JOINT = JointMotion(Pose((VECTOR,) * 3, VECTOR), VECTOR, VECTOR)
 ON_COORDINATE = ("generalised force", "stored energy", "dissipated power", "external power")
 MOTION = ("position", "speed", "acceleration")
 # Instants [s] at which rates are looked at, which no period divides; and how near they are.
@@ -62,7 +67,7 @@ def check_own_drive(name: str, drive: AbstractDrive | None) -> None:
     its motion."""
     if drive is not None and is_own(drive):
         what = f'the drive of joint "{name}", its motion(time),'
-        shape_of(lambda time: _numbers(what, asked(what, drive.motion, time), MOTION), NUMBER)
+        shape_of(lambda time: _numbers(what, call_user(what, drive.motion, time), MOTION), NUMBER)
         if not is_traced(drive):
             _check_rates(name, drive)
 
@@ -87,20 +92,24 @@ def check_own_load(name: str, load: Any) -> None:
     """The same of a load and its effect, or force."""
     if not is_own(load):
         return
-    if isinstance(load, AbstractStateLoad) and not isinstance(load, AbstractCoordinateLoad):
+    if isinstance(load, AbstractJointLoad):
+        what, states = f'load "{name}", its act(time, motion, states),', load.states()
+        told = lambda *at: _in_joint(what, call_user(what, load.act, *at), states)
+        shape_of(told, NUMBER, IN_JOINT, (NUMBER,) * len(states))
+    elif isinstance(load, AbstractStateLoad) and not isinstance(load, AbstractCoordinateLoad):
         kind = "coupling" if isinstance(load, AbstractForceCoupling) else "load"
         what = f'{kind} "{name}", its effect(time, positions, speeds, states),'
         count, states = len(load.coordinates()), (NUMBER,) * len(load.states())
         seen = (NUMBER,) * count
-        told = lambda *at: _on_coordinates(what, asked(what, load.effect, *at), load)
+        told = lambda *at: _on_coordinates(what, call_user(what, load.effect, *at), load)
         shape_of(told, NUMBER, seen, seen, states)
     if isinstance(load, AbstractCoordinateLoad):
         what = f'load "{name}", its force(time, position, speed),'
-        told = lambda *at: _numbers(what, asked(what, load.force, *at), ON_COORDINATE)
+        told = lambda *at: _numbers(what, call_user(what, load.force, *at), ON_COORDINATE)
         shape_of(told, NUMBER, NUMBER, NUMBER)
     if isinstance(load, AbstractBodyLoad):
         what, markers = f'load "{name}", its effect(time, motions),', load.markers()
-        told = lambda *at: _effect(what, asked(what, load.effect, *at), markers)
+        told = lambda *at: _effect(what, call_user(what, load.effect, *at), markers)
         shape_of(told, NUMBER, (SEEN,) * len(markers))
 
 
@@ -110,6 +119,15 @@ def _on_coordinates(what: str, effect: Any, load: Any) -> None:
     for part, names in wanted:
         _numbers(f"{what} the {part}", tuple(getattr(effect, part)), tuple(names))
     _numbers(what, effect[2:], CoordinateEffect._fields[2:])
+
+
+def _in_joint(what: str, effect: Any, states: tuple) -> None:
+    expect(effect, JointEffect, f"{what} returns what", "a jaxclear.load.JointEffect")
+    _numbers(f"{what} the force,", tuple(effect.force), "xyz")
+    _numbers(f"{what} the torque,", tuple(effect.torque), "xyz")
+    _numbers(f"{what} the rates", tuple(effect.rates), tuple(x.name for x in states))
+    lost = 0 if effect.dissipated is None else effect.dissipated
+    _numbers(what, (effect.stored, lost, effect.external), JointEffect._fields[3:])
 
 
 def is_own(part: Any) -> bool:
@@ -238,6 +256,8 @@ def _check_load(name: str, load: Any, bodies: dict, connections: dict, known: li
                 f'load "{name}" acts on "{GROUND}" alone, which nothing moves; put a marker of it '
                 f"on one of the bodies {listed(bodies)}."
             )
+    if isinstance(load, AbstractJointLoad):
+        check_name("joint", load.connection, connections, f' for load "{name}" to act in')
     if isinstance(load, AbstractStateLoad):
         for place in load.coordinates():
             _check_acts(name, place, bodies, connections, known)
@@ -266,8 +286,8 @@ def _check_pressed(name: str, load: AbstractStateLoad, loads: dict, couplings: d
     by = load.pressed_by()
     if by is None:
         return
-    acting = {n: own for n, own in loads.items() if isinstance(own, AbstractStateLoad)}
-    check_known("load or coupling", by, [*acting, *couplings], f' to press load "{name}"')
+    acting = {n: own for n, own in loads.items() if acts_on_coordinates(own)}
+    check_name("load or coupling", by, [*acting, *couplings], f' to press load "{name}"')
     coupling, presser = couplings.get(by), acting.get(by)
     if coupling is not None and not (coupling.gives or isinstance(coupling, AbstractForceCoupling)):
         raise ValueError(
@@ -286,7 +306,7 @@ def _check_acts(name: str, place: str, bodies: dict, connections: dict, known: l
     if place in known:
         return
     own = f' for load "{name}" to act on'
-    check_known("joint", place, [*connections, *known] if known else connections, own)
+    check_name("joint", place, [*connections, *known] if known else connections, own)
     joint = one_coordinate(
         f'load "{name}" acts on',
         place,
@@ -455,7 +475,7 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
                 raise ValueError(
                     f'coupling "{name}" names joint "{joint}" twice; it couples different joints.'
                 )
-            check_known("joint", joint, connections, f' for coupling "{name}"')
+            check_name("joint", joint, connections, f' for coupling "{name}"')
         if isinstance(coupling, AbstractForceCoupling):
             _check_forces(name, coupling, couplings, bodies, connections)
             continue
@@ -496,7 +516,7 @@ def _check_flanks(name: str, coupling: Any, bodies: dict, connections: dict) -> 
     first = coupling.terms()[0].joint if summed else coupling.seen_at()
     turns = True
     if isinstance(first, str):
-        check_known("joint", first, connections, f' for coupling "{name}"')
+        check_name("joint", first, connections, f' for coupling "{name}"')
         what = f'coupling "{name}" has a play that wears along'
         turns = one_coordinate(what, first, bodies, connections).units == ("rad",)
     if turns != (coupling.play.pitch_radius is not None):
@@ -536,7 +556,7 @@ def _check_forces(
     known, driven = _motors(bodies, connections, couplings), []
     for place in coupling.coordinates():
         if place not in coupling.joints():
-            check_known("motor", place, known, f' for coupling "{name}"')
+            check_name("motor", place, known, f' for coupling "{name}"')
             continue
         joint = one_coordinate(f'coupling "{name}" speaks of', place, bodies, connections)
         driven += [place] if drive_of(joint) is not None else []

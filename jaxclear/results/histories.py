@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 from jaxclear.components.body import Marker
 from jaxclear.components.clearance import SITUATIONS, AbstractClearance, situation
 from jaxclear.components.coupling import AbstractBodyCoupling
+from jaxclear.components.load import AbstractJointLoad
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
@@ -31,9 +32,9 @@ from jaxclear.ground.wording import public_name
 from jaxclear.multibody import constraints, dynamics, kinematics, transmissions, tree
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.rows import forces_on_drives, wrench_in_joint
 from jaxclear.multibody.system import System
-from jaxclear.multibody.tree import NOTHING
-from jaxclear.results.state_history import StateHistory, check_known, columns, over_time
+from jaxclear.results.state_history import StateHistory, check_name, columns, over_time
 
 # Vectors of a clearance joint and numbers of each of its contacts.
 OF_JOINT = ("offset", "force", "torque")
@@ -57,9 +58,9 @@ class AbstractHistory(AbstractShown):
 
 def units_of(kind: Any) -> dict[str, str]:
     """Unit of each field that has one."""
-    own = dataclasses.fields(kind)
+    fields = dataclasses.fields(kind)
     key = "measured in"
-    return {field.name: field.metadata[key] for field in own if key in field.metadata}
+    return {field.name: field.metadata[key] for field in fields if key in field.metadata}
 
 
 def _range(name: str, values: np.ndarray, unit: str) -> dict[str, Any]:
@@ -69,13 +70,20 @@ def _range(name: str, values: np.ndarray, unit: str) -> dict[str, Any]:
 
 
 class BodyHistory(AbstractHistory):
-    """Motion of a body in the ground frame: `com` place [m] and `velocity` [m/s] of its centre of
-    mass, `rotation` its axes in the ground's (time, 3, 3), `spin` angular velocity [rad/s] in
-    ground axes, `origin` place of the body frame [m].
+    """Motion of a body in the ground frame.
 
-    Accelerations follow from the equations of motion at the saved states, and are computed when
-    asked for. Where contact forces are means over saving intervals (MoreauJean, joints that always
-    touch), what these add to an acceleration is such a mean too, impacts included.
+    Accelerations follow from the equations of motion at the saved states. Where contact forces are
+    means over the saving intervals (MoreauJean, joints that always touch), their part of an
+    acceleration is such a mean, impacts included.
+
+    Args:
+        com: position of the centre of mass [m], shape (time, 3).
+        rotation: axes of the body in the ground frame [1], shape (time, 3, 3).
+        velocity: velocity of the centre of mass [m/s], shape (time, 3).
+        spin: angular velocity [rad/s], shape (time, 3), ground axes.
+        origin: position of the origin of the body frame [m], shape (time, 3).
+        history: the saved states.
+        name: name of the body.
     """
 
     com: Float[Array, "time 3"] = measured("m")
@@ -88,24 +96,29 @@ class BodyHistory(AbstractHistory):
 
     @property
     def acceleration(self) -> Float[Array, "time 3"]:
-        """Of the centre of mass [m/s^2], ground axes."""
+        """Acceleration of the centre of mass [m/s^2], shape (time, 3), ground axes."""
         return _accelerations(self.history)[self.name][0]
 
     @property
     def angular_acceleration(self) -> Float[Array, "time 3"]:
-        """Rate of `spin` [rad/s^2], ground axes."""
+        """Angular acceleration [rad/s^2], shape (time, 3), ground axes."""
         return _accelerations(self.history)[self.name][1]
 
     @property
     def quaternion(self) -> Float[Array, "time 4"]:
-        """Orientation as unit quaternions, scalar first and not negative."""
+        """Orientation as unit quaternions, shape (time, 4), scalar first and not negative."""
         return quaternion_from_rotation(self.rotation)
 
 
 class MarkerHistory(AbstractHistory):
-    """Motion of a marker in the ground frame: `position` [m] and `rotation`, its axes in the
-    ground's; `body`: that of its body. Over the positions of a mechanism that does not move there
-    are these alone.
+    """Motion of a marker in the ground frame.
+
+    For positions of a mechanism at rest only `position` and `rotation` exist.
+
+    Args:
+        position: position of its origin [m], shape (time, 3).
+        rotation: its axes in the ground frame [1], shape (time, 3, 3).
+        body: the motion of its body.
     """
 
     position: Float[Array, "time 3"] = measured("m")
@@ -114,21 +127,25 @@ class MarkerHistory(AbstractHistory):
 
     @property
     def velocity(self) -> Float[Array, "time 3"]:
-        """Of its origin [m/s], ground axes."""
+        """Velocity of its origin [m/s], shape (time, 3), ground axes."""
         return self.body.velocity + jnp.cross(self.body.spin, self.position - self.body.com)
 
     @property
     def acceleration(self) -> Float[Array, "time 3"]:
-        """Of its origin [m/s^2], ground axes: the rate of `velocity`, without gravity. From the
-        equations of motion, as of a `BodyHistory`."""
+        """Acceleration of its origin [m/s^2], shape (time, 3), ground axes: the rate of `velocity`.
+
+        It follows from the equations of motion, as that of a `BodyHistory`.
+        """
         linear, angular = _accelerations(self.body.history)[self.body.name]
         spin, arm = self.body.spin, self.position - self.body.com
         return linear + jnp.cross(angular, arm) + jnp.cross(spin, jnp.cross(spin, arm))
 
     @property
     def specific_force(self) -> Float[Array, "time 3"]:
-        """What an accelerometer on it reads [m/s^2], along its own axes: acceleration less that of
-        gravity, so that one at rest reads g upwards."""
+        """Reading of an accelerometer on the marker [m/s^2], shape (time, 3), along its own axes.
+
+        It is the acceleration minus that of gravity: at rest it is g upwards.
+        """
         gravity = sp.stack(self.body.history.model().system.gravity)
         return jnp.einsum("tji,tj->ti", self.rotation, self.acceleration - gravity)
 
@@ -147,14 +164,21 @@ def marker(read: Callable[[str], Any], body: str | Marker, at: Any) -> MarkerHis
 
 
 class ContactHistory(AbstractHistory):
-    """A clearance joint over time, in the bearing's axes (the parent's marker); one column per
-    possible contact.
+    """A clearance joint over time, in the bearing's axes (the parent's marker).
 
-    `offset` [m] from the bearing's centre to the journal's and `axis` [1], the journal's z axis;
-    per contact the `indentation` [m] (positive in contact), `normal_force` [N], `slip_speed` [m/s],
-    `traction` [N] (magnitude of friction) and `place` [m] of touch; `force` [N] and `torque` [N m]
-    on the journal (the child), about its marker. `names` of the contacts are those of the columns;
-    `table()` has everything under labels with units, over `time` [s].
+    Args:
+        time: saving times [s], shape (time,).
+        offset: from the bearing's centre to the journal's [m], shape (time, 3).
+        axis: the journal's z axis [1], shape (time, 3).
+        indentation: of each possible contact [m], positive in contact, shape (time, contacts).
+        normal_force: of each contact [N], shape (time, contacts).
+        slip_speed: sliding speed at each contact [m/s], shape (time, contacts).
+        traction: magnitude of friction at each contact [N], shape (time, contacts).
+        place: point of contact [m], shape (time, contacts, 3).
+        force: force on the journal (the child) of its contacts and of loads in the joint
+            (`load.AbstractJointLoad`) [N], shape (time, 3).
+        torque: their torque on the journal about its marker [N m], shape (time, 3).
+        names: names of the contacts, in the order of the columns.
     """
 
     time: Float[Array, " time"] = measured("s")
@@ -171,7 +195,14 @@ class ContactHistory(AbstractHistory):
 
     @on_numbers
     def table(self) -> Any:
-        """A pandas table over time [s], a column for each number, labelled with its unit."""
+        """A table over time with a column for each number.
+
+        Returns:
+            A pandas table, its index the time [s], its columns labelled with units.
+
+        Raises:
+            ValueError: if numbers are being traced.
+        """
         columns = {"time [s]": np.asarray(self.time)}
         units = units_of(ContactHistory)
         for field in OF_JOINT:
@@ -184,11 +215,15 @@ class ContactHistory(AbstractHistory):
 
 
 class ReactionHistory(AbstractHistory):
-    """`force` [N] and `torque` [N m] that the child receives from the parent at the child's marker,
-    in ground axes; those of loads and couplings on the joint's own coordinate included. `unique`:
-    False where overconstrained loops leave open how they share what they carry; these reactions
-    then belong to the least multipliers of the joints that close loops, torques measured by the
-    longest arm.
+    """Force and torque on the child at its marker, in ground axes.
+
+    Those of loads and couplings on the joint's own coordinate are included.
+
+    Args:
+        force: force [N], shape (time, 3).
+        torque: torque [N m], shape (time, 3).
+        unique: False where overconstrained loops do not determine the reaction; it is then the one
+            of least norm over the joints that close loops, torques divided by the longest arm.
     """
 
     force: Float[Array, "time 3"] = measured("N")
@@ -197,10 +232,19 @@ class ReactionHistory(AbstractHistory):
 
 
 class EnergyHistory(AbstractHistory):
-    """Energy balance [J]: kinetic + potential + contact_stored + losses = start + input + error.
+    """Energy balance: kinetic + potential + contact_stored + losses = start + input + error.
 
-    `contact_stored` [J] in the springs of contacts; lost since the start: `contact_loss` [J] in
-    contacts, `friction_loss` [J], `damping_loss` [J] in dampers.
+    Losses and input are counted from the start of the run.
+
+    Args:
+        kinetic: kinetic energy [J], shape (time,).
+        potential: potential energy of gravity and springs [J], shape (time,).
+        contact_stored: elastic energy of the contacts [J], shape (time,).
+        contact_loss: lost in the damping of contacts [J], shape (time,).
+        friction_loss: lost in friction [J], shape (time,).
+        damping_loss: lost in dampers [J], shape (time,).
+        input: work of drives and loads [J], shape (time,).
+        error: what the balance misses [J], shape (time,).
     """
 
     kinetic: Float[Array, " time"] = measured("J")
@@ -215,7 +259,7 @@ class EnergyHistory(AbstractHistory):
 
 def body(history: StateHistory, name: str) -> BodyHistory:
     """Motion of a body."""
-    check_known(name, history.mechanism.bodies, "body")
+    check_name(name, history.mechanism.bodies, "body")
     com, rotation, velocity, spin, origin = _body(history, name)
     return BodyHistory(com, rotation, velocity, spin, origin, history, name)
 
@@ -255,20 +299,20 @@ def _accelerations(history):
 
     def one(now):
         system, _, solution = solved(history, now)
-        found = {}
+        results = {}
         every = kinematics.link_accelerations(system, now.motions, solution.accelerations)
-        for name, own in history.mechanism.bodies.items():
+        for name, body in history.mechanism.bodies.items():
             index = system.topology.index(name)
             motion, change = now.motions[index], every[index]
-            arm, turned = system.links[index].frame.point(sp.vec3(own.com)), motion.twist.angular
-            velocity = sp.plus(motion.twist.linear, sp.cross(turned, arm))
-            felt = (change.linear, sp.cross(change.angular, arm), sp.cross(turned, velocity))
+            arm, spin = system.links[index].frame.point(sp.vec3(body.com)), motion.twist.angular
+            velocity = sp.plus(motion.twist.linear, sp.cross(spin, arm))
+            felt = (change.linear, sp.cross(change.angular, arm), sp.cross(spin, velocity))
             fallen = sp.apply(motion.pose.rotation, sp.plus(*felt))
             angular = sp.apply(motion.pose.rotation, change.angular)
-            found[name] = sp.minus(fallen, kinematics.upward(system)), angular
-        return found
+            results[name] = sp.minus(fallen, kinematics.upward(system)), angular
+        return results
 
-    return {name: tuple(map(columns, own)) for name, own in over_time(history, one).items()}
+    return {name: tuple(map(columns, pair)) for name, pair in over_time(history, one).items()}
 
 
 def contact(history: StateHistory, name: str) -> ContactHistory:
@@ -288,7 +332,7 @@ def contact_impulse(history: StateHistory, name: str) -> Float[Array, " time"]:
 
 def check_contact_joint(history: StateHistory, name: str) -> None:
     """Raises `ValueError` where the formulation tells of no contacts in a joint."""
-    check_known(name, history.formulation.contact_joints(history.mechanism), "clearance joint")
+    check_name(name, history.formulation.contact_joints(history.mechanism), "clearance joint")
 
 
 @eqx.filter_jit
@@ -308,14 +352,16 @@ def _contact_names(history, name, count):
 
 
 def reaction(history: StateHistory, name: str) -> ReactionHistory:
-    """Force and torque in a connection, or of a coupling of bodies."""
+    """Force and torque in a connection, or of a coupling of bodies, or of a load in a joint."""
     couplings = history.mechanism.couplings
     meshing = [
         n
-        for n, own in couplings.items()
-        if isinstance(own, AbstractBodyCoupling) and own.motor is None
+        for n, coupling in couplings.items()
+        if isinstance(coupling, AbstractBodyCoupling) and coupling.motor is None
     ]
-    check_known(name, [*history.mechanism.connections, *meshing], "joint")
+    loads = history.mechanism.loads.items()
+    in_joints = [n for n, own in loads if isinstance(own, AbstractJointLoad)]
+    check_name(name, [*history.mechanism.connections, *meshing, *in_joints], "joint")
     kind = "coupling" if name in couplings else "joint"
     unique = is_unique(history, name, f'the reaction of {kind} "{name}"')
     return dataclasses.replace(_reaction(history, name), unique=unique)
@@ -343,6 +389,8 @@ def is_unique(history: StateHistory, name: str, what: str) -> bool:
 def _reaction(history, name):
     def one(now):
         system, forces, solution = solved(history, now)
+        if name in system.load_closures and name not in history.mechanism.connections:
+            return _load_reaction(now, forces, name)
         if system.topology.branch_of(name) is not None:
             return _branch_reaction(now, forces, solution, name)
         return _closure_reaction(now, forces, solution, name)
@@ -360,7 +408,19 @@ def _branch_reaction(now, forces, solution, name):
     force, torque = sp.apply(rotation, wrench.force), sp.apply(rotation, wrench.torque)
     if branch.reversed:
         force, torque = (tuple(sp.neg(x) for x in part) for part in (force, torque))
+    for load in system.load_closures:
+        if system.loads[load].connection == name:
+            more, turned = _load_reaction(now, forces, load)
+            force, torque = sp.plus(force, more), sp.plus(torque, turned)
     return force, torque
+
+
+def _load_reaction(now, forces, load):
+    """Of a load in a joint."""
+    closure, joint = now.model.system.load_closures[load], now.model.system.loads[load].connection
+    wrench = wrench_in_joint([row for row in forces.rows if row.owner == load], joint)
+    rotation = kinematics.relative_motion(closure, now.motions)[0].parent_pose.rotation
+    return sp.apply(rotation, wrench.force), sp.apply(rotation, wrench.torque)
 
 
 def _closure_reaction(now, forces, solution, name):
@@ -371,18 +431,16 @@ def _closure_reaction(now, forces, solution, name):
         force, torque = report.force, report.torque
     elif name in system.transmissions:
         own = system.transmissions[name]
-        (acting,) = transmissions.on_closures(now.motions, own, forces.pressing[name].torque)
-        closure, (force, torque) = acting.closure, acting.wrench
+        (mesh,) = transmissions.twist_direction(now.motions, own).places
+        size = -forces.pressing[name].torque / own.scale
+        closure, (force, torque) = mesh.closure, (sp.scale(size, x) for x in mesh.wrench)
     else:
         wanted = system.closures[topology.loops.index(name)]
         found = constraints.constraint_wrenches(system, now.motions, solution.multipliers)
         closure, force, torque, _ = next(entry for entry in found if entry[0] is wanted)
-    loads = forces.on_joints.get(name, NOTHING)
-    force, torque = sp.plus(force, loads.force), sp.plus(torque, loads.torque)
-    every = constraints.coupled(system, now.motions, solution.multipliers)
-    for term, _, wrench in constraints.coupled_wrenches(now.motions, every):
-        if term.joint == name:
-            force, torque = sp.plus(force, wrench.force), sp.plus(torque, wrench.torque)
+    rows = (*forces.rows, *constraints.coupling_rows(system, now.motions, solution.multipliers))
+    acting = wrench_in_joint(rows, name)
+    force, torque = sp.plus(force, acting.force), sp.plus(torque, acting.torque)
     rotation = kinematics.relative_motion(closure, now.motions)[0].parent_pose.rotation
     return sp.apply(rotation, force), sp.apply(rotation, torque)
 
@@ -397,11 +455,12 @@ def driving(history: StateHistory, name: str) -> Float[Array, " time"]:
         wrench = dynamics.joint_wrenches(system, forces, solution)[index]
         joint = system.links[index].joint
         (column,) = joint.columns((joint.drive.motion(now.time)[0],))
-        given = tree.power(column, wrench)
+        along = tree.power(column, wrench)
         # What couplings do along its coordinate comes through no body.
-        for link, force in dynamics.coupled_on_drives(system, forces, solution):
-            given = sp.sub(given, force) if link == index else given
-        return jnp.asarray(given, float)
+        rows = constraints.coupling_rows(system, now.motions, solution.multipliers)
+        on_drives = forces_on_drives(now.motions, (*forces.rows, *rows))
+        along = sp.sub(along, on_drives.get(index, 0))
+        return jnp.asarray(along, float)
 
     return over_time(history, one)
 
@@ -506,8 +565,8 @@ def switchings(history: StateHistory, name: str) -> Any:
     middles = np.concatenate([time[:1], 0.5 * (time[1:] + time[:-1])])
     rows = []
     for i in range(2, len(codes)):
-        turned = sums[i] @ sums[i - 1]
-        if codes[i] == codes[i - 1] and (codes[i] != LINE or turned >= 0):
+        product = sums[i] @ sums[i - 1]
+        if codes[i] == codes[i - 1] and (codes[i] != LINE or product >= 0):
             continue
         instant = 0.5 * (middles[i] + middles[i - 1])
         if products[i] * products[i - 1] < 0:
@@ -516,7 +575,7 @@ def switchings(history: StateHistory, name: str) -> Any:
             )
         elif codes[i] == codes[i - 1]:
             before = sums[i - 1] @ sums[i - 1]
-            instant = middles[i - 1] + (middles[i] - middles[i - 1]) * before / (before - turned)
+            instant = middles[i - 1] + (middles[i] - middles[i - 1]) * before / (before - product)
         other = ", on the other side" if codes[i] == codes[i - 1] else ""
         rows.append((instant, SITUATIONS[codes[i - 1]], SITUATIONS[codes[i]] + other))
     return as_table(rows, columns=["time [s]", "from", "to"])

@@ -14,7 +14,7 @@ from jaxclear.ground import datasets
 from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.table import as_table
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.texts import in_texts
+from jaxclear.studies.store.digest import in_texts
 
 RESPONSE, VARIABLE = "response", "variable"
 # Columns that stand in one of the two only.

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.errors.accuracy import beside, checked_accuracy
+from jaxclear.errors.accuracy import checked_accuracy, ratio_to_allowed
 from jaxclear.errors.choice import Chosen
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
@@ -38,7 +38,7 @@ def chosen_integrator(
     def apart(run: Trajectory, one: dict, other: dict) -> dict[str, float]:
         wanted = {name: allowed(asked, name, abs(one[name])) for name in response}
         return {
-            name: beside(abs(one[name] - other[name]), most)
+            name: ratio_to_allowed(abs(one[name] - other[name]), most)
             for name, most in wanted.items()
             if most is not None
         }
@@ -71,5 +71,5 @@ def checked_asked(accuracy: Any, response: Mapping[str, Callable]) -> Wanted:
     if isinstance(asked, float):
         return asked
     for name in asked:
-        check_known("response", name, response, " in this problem")
+        check_name("response", name, response, " in this problem")
     return tuple(asked.items())

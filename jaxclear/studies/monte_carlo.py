@@ -3,6 +3,7 @@ every statistic, and which sample failed and why.
 """
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_count, check_flags, check_known, check_number
+from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import (
@@ -24,7 +25,6 @@ from jaxclear.studies.answer import (
 )
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import answered, check_told, endless_sentences, refuse_endless
-from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
 from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
 from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, until_accurate
@@ -56,6 +56,8 @@ from jaxclear.studies.statistics.summary import (
     summary_row,
     warnings_of,
 )
+from jaxclear.studies.store.batch import chunk_size, evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import any_warning, counted, in_words, warned_of
 
 # What responses of replicas are, which are those of the first samples.
@@ -112,7 +114,7 @@ class MonteCarlo(AbstractAnswer):
     def concerned(self, response: str) -> np.ndarray:
         """Indices of the samples that carry a warning which concerns this response (peak forces
         that the steps do not resolve concern no position)."""
-        check_known("response", response, self.responses, " in this study")
+        check_name("response", response, self.responses, " in this study")
         found = warned_of(self.problem, response, self.checks, self.count)
         return np.setdiff1d(np.flatnonzero(found), self.failed)
 
@@ -137,7 +139,7 @@ class MonteCarlo(AbstractAnswer):
     ) -> NumericalError:
         """How far the mean, or another smooth function of a sample (samples,), is off by what
         discretises runs, beside what chance leaves. Raises `ValueError` without replicas."""
-        check_known("response", response, self.responses, " in this study")
+        check_name("response", response, self.responses, " in this study")
         return numerical_error(self, response, statistic)
 
     def rerun(self, index: int) -> Any:
@@ -199,7 +201,7 @@ class MonteCarlo(AbstractAnswer):
 
     def good(self, response: str) -> tuple[np.ndarray, np.ndarray]:
         """A response of the samples that did not fail, and their scramblings."""
-        check_known("response", response, self.responses, " in this study")
+        check_name("response", response, self.responses, " in this study")
         kept = np.setdiff1d(np.arange(self.count), self.failed)
         return self.responses[response][kept], self.scrambling[kept]
 
@@ -265,7 +267,7 @@ class MonteCarlo(AbstractAnswer):
         """
         check_number("content of tolerance_interval", content, above=0, below=1)
         check_number("confidence of tolerance_interval", confidence, above=0, below=1)
-        check_known("side of tolerance_interval", side, SIDES)
+        check_name("side of tolerance_interval", side, SIDES)
         check_flags("tolerance_interval", normal=normal)
         kind, (values, group) = normal_interval if normal else free_interval, self.good(response)
         if normal:
@@ -297,6 +299,7 @@ class MonteCarlo(AbstractAnswer):
 
 
 @answering
+@stored("a Monte Carlo study")
 def monte_carlo(
     problem: AbstractProblem,
     samples: int = 1024,
@@ -307,18 +310,35 @@ def monte_carlo(
     accuracy: float | Mapping[str, float] | None = None,
     chunk: int | None = None,
     verify: bool = True,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> MonteCarlo:
-    """Responses over a random sample of the variables.
+    """Run a problem for a random sample of its variables.
 
-    `sampling`: "sobol" (scrambled, quasi-random) or "random". The sample consists of independent
-    `scramblings`, by default near its root and at most 8, whose differences tell the error of every
-    statistic. `accuracy`: half of the 95 % interval of each mean, as a share of the
-    response's root mean square [1], or by response in its unit; samples are then doubled until it
-    is reached, and `samples` are the most. `chunk`: samples run together, by
-    default what fits memory; all chunks share one compiled program. `verify`: the first 16 samples
-    are run again with finer steps, which tells `numerical_error` of every statistic. A sample that
-    fails is counted, named and kept; so is one whose run warns of its own numbers.
+    A failed sample does not stop the study; it is counted and keeps the reason of its failure.
+    Samples whose run gives warnings are counted too.
+
+    Args:
+        problem: the problem.
+        samples: number of samples; with `accuracy` the largest number. 1024 by default.
+        seed: seed of the random numbers; 0 by default.
+        sampling: name of the method, "sobol" (scrambled Sobol' points, default) or "random".
+        scramblings: number of independent subsets of the sample, whose differences give the error
+            of each statistic; by default about the square root of `samples`, at most 8.
+        accuracy: required half width of the 95 % interval of each mean, as a factor of the
+            response's root mean square [1], or a dictionary by response in its unit; the sample is
+            doubled until it is reached. None by default.
+        chunk: number of samples that run together; None (default) for what fits the memory.
+        verify: whether to repeat the first 16 samples with finer steps, which gives the numerical
+            error of each statistic; True by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `MonteCarlo`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     check_sampled(problem, samples, seed, sampling)
     check_flags("monte_carlo", verify=verify, progress_bar=progress_bar)

@@ -23,7 +23,6 @@ from jaxclear.statics.position_path import both, checked_positions, sought
 from jaxclear.statics.positions import Positions
 from jaxclear.statics.quasi_static import Posed, Spot, Way
 from jaxclear.studies.base import SampleResult, how_it_ended
-from jaxclear.studies.ledger.batch import sample_of_chunk
 from jaxclear.studies.mechanism_problem import (
     AbstractMechanismProblem,
     check_answers,
@@ -31,6 +30,7 @@ from jaxclear.studies.mechanism_problem import (
     responses_of,
     wanted_of,
 )
+from jaxclear.studies.store.batch import sample_of_chunk
 from jaxclear.studies.variable import AbstractMechanismVariable
 
 # Samples a chunk: beyond it the rows of the kernel leave the cache

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.errors.observables import GAPS
-from jaxclear.errors.verification import between, replica
+from jaxclear.errors.verification import refine_times, replica
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import part_in_words
 from jaxclear.ground.quantity import on_device, with_quantities
@@ -69,7 +69,6 @@ from jaxclear.simulation.simulate import (
 from jaxclear.simulation.singular_positions import diagnosed, diagnosed_outcome
 from jaxclear.studies.base import SampleResult, how_it_ended
 from jaxclear.studies.chosen_integrator import allowed, checked_asked, chosen_integrator, unasked
-from jaxclear.studies.ledger.batch import LEAST_CHUNK, sample_of_chunk
 from jaxclear.studies.mechanism_problem import (
     AbstractMechanismProblem,
     Thinned,
@@ -78,6 +77,7 @@ from jaxclear.studies.mechanism_problem import (
     responses_of,
     wanted_of,
 )
+from jaxclear.studies.store.batch import LEAST_CHUNK, sample_of_chunk
 from jaxclear.studies.variable import AbstractMechanismVariable
 
 # Histories that a response may build from the saved states, in multiples of these.
@@ -324,7 +324,7 @@ class Problem(AbstractMechanismProblem):
         if how.every == 1:
             return found
         responses = {name: Thinned(own, how.every) for name, own in self.response.items()}
-        shares = jnp.asarray(between(self.shares, how.every))
+        shares = jnp.asarray(refine_times(self.shares, how.every))
         return eqx.tree_at(lambda own: (own.response, own.shares), found, (responses, shares))
 
     def promised(self, response, size):

@@ -20,8 +20,8 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.statistics.accuracy import NumericalError, bias_of
+from jaxclear.studies.store.batch import chunk_size, evaluate_all
 
 # So many of a study's samples, its first, have replicas.
 MOST_REPLICAS = 16

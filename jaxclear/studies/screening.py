@@ -13,6 +13,8 @@ of different lengths: Campolongo, Saltelli & Cariboni 2011, Comput. Phys. Commun
 doi:10.1016/j.cpc.2010.12.039.
 """
 
+from pathlib import Path
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -23,10 +25,11 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless
-from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import all_values, check_sampled
 from jaxclear.studies.scrambling import normal_scores
 from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed
+from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import told
 
 # Shares of the population [1] that a move goes through: their mean is that of Morris' steps.
@@ -72,15 +75,33 @@ class Screening(AbstractAnswer):
 
 
 @answering
+@stored("a screening")
 def screening(
-    problem: AbstractProblem, trajectories: int = 16, *, seed: int = 0, progress_bar: bool = False
+    problem: AbstractProblem,
+    trajectories: int = 16,
+    *,
+    seed: int = 0,
+    store: str | Path | None = None,
+    progress_bar: bool = False,
 ) -> Screening:
-    """Which variables of a problem matter, by the method of Morris: `trajectories` times one run
-    more than there are variables.
+    """Find the variables that matter, by the method of Morris.
 
-    Trajectories are independent; intervals (95 %) come from the differences between them.
-    Correlated variables are moved by their own independent numbers. A move whose run failed is left
-    out. Raises `ValueError` for what cannot be asked.
+    It takes `trajectories` times (variables + 1) runs. Trajectories are independent; 95 % intervals
+    follow from their differences. Correlated variables are moved by their independent numbers. A
+    move with a failed run is left out.
+
+    Args:
+        problem: the problem.
+        trajectories: number of trajectories; 16 by default.
+        seed: seed of the random numbers; 0 by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Screening`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     check_sampled(problem, trajectories, seed)
     check_count("trajectories of screening", trajectories, at_least=2)

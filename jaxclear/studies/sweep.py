@@ -5,6 +5,7 @@ their nominal values.
 """
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -12,13 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_flags, check_known, expect
+from jaxclear.ground.arguments import check_flags, check_name, expect
 from jaxclear.ground.wording import described
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import answered, why_unanswered
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import told
 
 
@@ -74,14 +76,30 @@ class Sweep(AbstractAnswer):
 
 
 @answering
+@stored("a sweep")
 def sweep(
-    problem: AbstractProblem, over: Mapping[str, Sequence[float]], *, progress_bar: bool = False
+    problem: AbstractProblem,
+    over: Mapping[str, Sequence[float]],
+    *,
+    store: str | Path | None = None,
+    progress_bar: bool = False,
 ) -> Sweep:
-    """Responses at every point of a grid, in one compiled program.
+    """Run a problem at every point of a grid, in one compiled program.
 
-    `over`: the values of each variable to sweep, by its name, in its unit; the others stand at
-    their nominal values. A point that fails is kept and named, the others go on. Raises
-    `ValueError` for names that there are not, and for values that are no finite numbers.
+    A point that fails is recorded with its reason; the others are computed.
+
+    Args:
+        problem: the problem.
+        over: values of each variable to sweep, by its name, in its unit; the others have their
+            nominal values.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Sweep`.
+
+    Raises:
+        ValueError: if there is no such variable or values are not finite.
     """
     expect(problem, AbstractProblem, "what is swept", "a jaxclear.Problem")
     expect(over, Mapping, "over of sweep", "values by the names of variables")
@@ -112,7 +130,7 @@ def sweep(
 
 def _axis(name: str, values: Any, problem: AbstractProblem) -> np.ndarray:
     """The values of a variable. Raises `ValueError` with a sentence."""
-    check_known("variable", name, problem.names, " in this problem")
+    check_name("variable", name, problem.names, " in this problem")
     try:
         axis = np.asarray(values, float)
     except (TypeError, ValueError):

@@ -13,6 +13,7 @@ search: Kolda, Lewis & Torczon 2003, SIAM Rev. 45, 385, doi:10.1137/S00361445024
 
 import itertools
 import math
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -22,16 +23,17 @@ import scipy
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
-from jaxclear.ground.printing import AbstractShown, shown_in_words
+from jaxclear.ground.printing import AbstractShown, with_text_repr
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import RESPONSE, TABLE, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.endless import answered, finite_beside, why_unanswered
-from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
+from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import by_kind, codes_of, concerning
 
 # Points from which each extreme is climbed to, the corner of the slopes apart.
@@ -42,7 +44,7 @@ MOST_CORNERS = 2**10
 SHORTEST, MOST_ROUNDS = 1e-3, 60
 
 
-@shown_in_words
+@with_text_repr
 class Extreme(AbstractShown):
     """The least or largest value found of a response [its unit], `values` (variables,) where it
     occurs, and the value of first order there: nominal and slopes times deviations, nan where
@@ -117,20 +119,37 @@ class WorstCase(AbstractAnswer):
 
 
 @answering
+@stored("a worst case")
 def worst_case(
     problem: AbstractProblem,
     *,
     samples: int = 256,
     sigmas: float = 3.0,
     seed: int = 0,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> WorstCase:
-    """The least and largest value of every response over the box of the variables: to the ends of
-    distributions that have ends, and to `sigmas` [1] normal scores of others. `samples`: points
-    spread over the box to begin with; beside them all corners are asked, of up to ten variables.
+    """Find the smallest and largest value of every response over the box of the variables.
 
-    What cannot be built, or fails, is in no extreme: `failed` holds these points, and the print
-    counts them. It says nothing of how likely the worst is, which `jaxclear.monte_carlo` does.
+    The box reaches to the ends of distributions that have ends. Points that cannot be built or fail
+    are in no extreme; `failed` lists them. The probability of an extreme is the business of
+    `jaxclear.monte_carlo`.
+
+    Args:
+        problem: the problem.
+        samples: number of points spread over the box at first, besides all corners for up to ten
+            variables; 256 by default.
+        sigmas: half width of the box in standard normal scores for distributions without ends [1];
+            3 by default.
+        seed: seed of the random numbers; 0 by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `WorstCase`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     check_sampled(problem, samples, seed)
     check_number("sigmas of worst_case", sigmas, above=0)

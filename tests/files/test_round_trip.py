@@ -31,7 +31,7 @@ from jaxclear.files.forms import (
 from jaxclear.files.parts import Part, arguments, members
 from jaxclear.files.scene import RUN, TOP, scene_text
 from jaxclear.files.text import parsed
-from jaxclear.studies.texts import difference, in_texts
+from jaxclear.studies.store.digest import difference, in_texts
 
 # Numbers that bound each other, words of a few, and what only fits together.
 TOGETHER = {

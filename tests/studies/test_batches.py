@@ -13,7 +13,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.native import compiled, kernel, stops
 from jaxclear.native.verdicts import calls_lapack
-from jaxclear.studies.ledger import batch
+from jaxclear.studies.store import batch
 
 # Orders of operations differ between a lane of a vector and a register by itself; over few steps
 # rounding is all that comes of it.

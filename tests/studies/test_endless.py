@@ -15,7 +15,6 @@ from jaxclear import plot
 from jaxclear.commands.report import campaign_page
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.campaign.threads import failures
 from jaxclear.studies.design.question import Question, checked_limits, freedom_of
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.design.verification import GROUPS, Verifier, _finite
@@ -24,6 +23,7 @@ from jaxclear.studies.function_problem import FunctionProblem
 from jaxclear.studies.reliability.models import RunModel
 from jaxclear.studies.reliability.subset import subset
 from jaxclear.studies.statistics.scrambled import ordinary_quantile
+from jaxclear.studies.store.workers import failures
 
 # ln(life / 1e6) is normal about half the hardness; a quarter of the lives are not followed.
 SLOPES = {"hardness": 0.5, "load": -0.3}

@@ -10,7 +10,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.integrators import Outcome
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 
 PARTS = {
     "housing": jc.Dimension(40e-3, jc.distribution.Normal(20e-6)),

@@ -5,8 +5,8 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.native import stop
-from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.ledger import batch
+from jaxclear.studies.store import batch
+from jaxclear.studies.store.samples import Samples
 
 
 def problem(width=0.1):
@@ -85,5 +85,5 @@ def test_reliability_and_shapley_effects_are_kept_too(tmp_path, monkeypatch):
         first = jc.campaign(problem(), folder=place, study=study, **how)
         assert str(first) == str(study(problem(), **how))
         with monkeypatch.context() as patched:
-            patched.setattr("jaxclear.studies.ledger.batch.Program.run", None)
+            patched.setattr("jaxclear.studies.store.batch.Program.run", None)
             assert str(jc.campaign(problem(), folder=place, study=study, **how)) == str(first)

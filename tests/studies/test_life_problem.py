@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 
 import jaxclear as jc
 from jaxclear.integrators import Outcome
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 from tests.rigs.wearing_ring import FORCE, HARDNESS, LENGTH, RADIUS, STIFFNESS, WEAR, wearing_ring
 from tests.rigs.wearing_ring import problem as one_turn
 
@@ -254,11 +254,10 @@ def test_derivatives_of_the_mean_life_are_those_of_the_closed_form(asked):
     assert found.unit("life", "hardness") == "cycles/Pa"
 
 
-@pytest.mark.parametrize("study", [{}, {"study": jc.sensitivity}])
-def test_a_campaign_of_lives_is_refused_with_what_serves(asked, tmp_path, study):
+def test_a_campaign_of_lives_is_refused_with_what_serves(asked, tmp_path):
     """Before a file is written."""
     with pytest.raises(ValueError, match=r"no compiled program.*monte_carlo.*wear_lives"):
-        jc.campaign(asked, folder=tmp_path / "kept", **study)
+        jc.campaign(asked, folder=tmp_path / "kept")
     assert not any(tmp_path.iterdir())
 
 

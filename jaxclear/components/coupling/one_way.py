@@ -8,7 +8,7 @@ from jaxclear.laws.transmission import freewheel
 
 
 class OneWay(AbstractForceCoupling):
-    r"""A freewheel: a drives b forwards, and b may overtake it. A torque flows where a would turn
+    """A freewheel: a drives b forwards, and b may overtake it. A torque flows where a would turn
     by more than `ratio` times b, and never the other way.
 
     Its shaft is a spring of `stiffness` k that is wound up while it locks, so that it holds a load
@@ -16,19 +16,27 @@ class OneWay(AbstractForceCoupling):
     the start it is unwound. It acts on the coordinates and loads no bearing. For a backstop hold
     one of the joints; where both ways are driven take `Ratio`.
 
+    Args:
+        a: name of the joint that drives.
+        b: name of the joint that is driven.
+        ratio: turns of a for one of b [1].
+        stiffness: stiffness while it locks, seen at a [N m/rad; N/m for a sliding joint], > 0;
+            required.
+        damping: damping while it locks, seen at a [N m s/rad; N s/m for a sliding joint], > 0;
+            required.
+
+    Raises:
+        ValueError: if stiffness or damping is missing.
+
     Source: the shaft with damping behind a gap of Nordin, Galić & Gutman 1997, Int. J. Adapt.
     Control Signal Process. 11, 49, with one flank.
     """
 
     a: str = named_end()
     b: str = named_end()
-    ratio: Scalar = quantity(1.0, "1", "turns of a for one of b")
-    stiffness: Scalar = quantity(
-        None, "N m/rad", "stiffness where it locks (N/m of slides)", above=0, kw_only=True
-    )
-    damping: Scalar = quantity(
-        None, "N m s/rad", "damping where it locks (N s/m of slides)", above=0, kw_only=True
-    )
+    ratio: Scalar = quantity(1.0, "1")
+    stiffness: Scalar = quantity(None, "N m/rad", sliding="N/m", above=0, kw_only=True)
+    damping: Scalar = quantity(None, "N m s/rad", sliding="N s/m", above=0, kw_only=True)
 
     def __check_init__(self):
         check_needed(self, "stiffness", "damping")

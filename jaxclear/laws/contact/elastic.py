@@ -18,14 +18,12 @@ __getattr__, __dir__ = nothing_else("jaxclear.contact.elastic", __all__)
 
 def modulus_field() -> Any:
     """Field of a combined modulus [Pa]."""
-    return quantity(
-        112.9e9, "Pa", "combined modulus E* (default: steel on steel)", above=0, usual=USUAL_MODULUS
-    )
+    return quantity(112.9e9, "Pa", above=0, usual=USUAL_MODULUS)
 
 
 def clearance_field() -> Any:
     """Field of a radial clearance [m], by default the pair's."""
-    return quantity(unit="m", meaning="radial clearance c", default_factory=ClearanceOf, above=0)
+    return quantity(unit="m", default_factory=ClearanceOf, above=0)
 
 
 class Linear(AbstractElasticForce):
@@ -33,10 +31,13 @@ class Linear(AbstractElasticForce):
 
     For rubber, coatings and comparison with closed solutions; for metal on metal prefer Hertz.
 
+    Args:
+        stiffness: spring stiffness K [N/m], > 0.
+
     Source: Hooke 1678, De potentia restitutiva; in contact Goldsmith 1960, Impact.
     """
 
-    stiffness: Fitted = quantity(1e8, "N/m", "spring stiffness K", above=0)
+    stiffness: Fitted = quantity(1e8, "N/m", above=0)
 
     def force(self, indentation: Scalar) -> Scalar:
         return self.stiffness * positive_part(indentation)
@@ -47,6 +48,10 @@ class Hertz(AbstractElasticForce):
 
     For contact areas small beside the radii; for a journal in a bearing prefer the laws of
     `cylinder`, for an indentation near the clearance BallInSocket.
+
+    Args:
+        stiffness: generalized contact stiffness K [N/m^exponent], > 0.
+        exponent: exponent of the indentation [1], > 1; None: Hertz's 3/2.
 
     Source: Hertz 1882, J. reine angew. Math. 92, 156, doi:10.1515/crll.1882.92.156; Johnson 1985,
     Contact Mechanics, eq. 4.23, doi:10.1017/CBO9781139171731.
@@ -73,14 +78,17 @@ class BallInSocket(AbstractElasticForce):
     :math:`R_s\sqrt{\delta/(c + \delta)}` under Hertz's pressure, its constant chosen so that small
     indentations are Hertz's.
 
+    Args:
+        modulus: combined modulus E* [Pa], > 0; default: steel on steel.
+        socket_radius: socket's radius R_s [m], > 0; by default that of the pair.
+        clearance: radial clearance c [m], > 0; by default that of the pair.
+
     Source: Hou, Deng & Zeng 2021, J. Cent. South Univ. 28, 712, doi:10.1007/s11771-021-4640-y;
     Liu, Zhang & Yang 2006, J. Comput. Nonlinear Dyn. 1, 160.
     """
 
     modulus: Fitted = modulus_field()
-    socket_radius: Fitted = quantity(
-        unit="m", meaning="socket's radius R_s", default_factory=OuterRadiusOf, above=0
-    )
+    socket_radius: Fitted = quantity(unit="m", default_factory=OuterRadiusOf, above=0)
     clearance: Fitted = clearance_field()
 
     def force(self, indentation: Scalar) -> Scalar:

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.wording import listed
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.ledger.batch import evaluate_all
+from jaxclear.studies.store.batch import evaluate_all
 
 
 class Record(NamedTuple):

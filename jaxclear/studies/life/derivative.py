@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_flags, check_known, check_number, expect
-from jaxclear.ground.printing import shown_in_words
+from jaxclear.ground.arguments import check_flags, check_name, check_number, expect
+from jaxclear.ground.printing import with_text_repr
 from jaxclear.ground.wording import unit_of_rate
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
@@ -31,7 +31,7 @@ AGREED = 0.1
 POWER = 4
 
 
-@shown_in_words
+@with_text_repr
 class LifeDerivative(NamedTuple):
     """Derivative of a life with respect to a variable, in `unit`: its `value`, half the width of a
     95 % interval (nan where there is none), and a sentence."""
@@ -56,22 +56,34 @@ def wear_life_derivatives(
     most: int = 12,
     progress_bar: bool = False,
 ) -> dict[str, LifeDerivative]:
-    """Derivatives of a `quantity` at the end of a life with respect to the variables of its problem
-    (clearance, hardness, a load ...), by name; with a `limit`, those of the cycles until the
-    quantity reaches it. Four more lives for each variable.
+    """Derivatives of a quantity at the end of a life, or of the life itself, by the variables.
 
-    `variables`: some of their names. `width`: how far one is moved [its unit], by default a
-    standard deviation of its distribution. `most`: cycles a rate at the most, as in
-    `wear_life`. Raises `ValueError` with a sentence for what the life does not tell of or does not
-    reach.
+    It takes four more lives for each variable.
+
+    Args:
+        life: a `WearLife` of a problem.
+        quantity: name of the quantity; "depth" by default.
+        limit: value of the quantity, in its unit, for derivatives of the cycles until it is
+            reached; None (default) for those at the end.
+        variables: names of variables; all by default.
+        width: change of a variable, in its unit; by default a standard deviation of its
+            distribution.
+        most: largest number of cycles over which a rate is averaged; 12 by default.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        By variable a `LifeDerivative`.
+
+    Raises:
+        ValueError: if an argument is wrong, or the life does not reach the limit.
     """
     expect(life, WearLife, "the life", "what jaxclear.wear_life returns")
-    check_known("quantity", quantity, life.quantities, " in this life")
+    check_name("quantity", quantity, life.quantities, " in this life")
     check_flags("wear_life_derivatives", progress_bar=progress_bar)
     problem = life.problem
     names = problem.names if variables is None else tuple(variables)
     for name in names:
-        check_known("variable", name, problem.names, " in this problem")
+        check_name("variable", name, problem.names, " in this problem")
     if not names:
         raise ValueError("the problem of this life has no variables; give it some.")
     if width is not None:
@@ -131,7 +143,7 @@ def _none(unit: str, why: str) -> LifeDerivative:
 def _along(life: WearLife, values: Any, most: int) -> WearLife:
     """The life with other numbers, by the same steps."""
     accurate = life.accuracy if np.isfinite(life.accuracy) else 1.0
-    rates = Rates(life.problem, values, Patience(SETTLED, accurate, most), None)
+    rates = Rates(life.problem, values, Patience(SETTLED, accurate, most))
     return lived(rates, life.asked, life.accuracy, None, life.lengths)
 
 

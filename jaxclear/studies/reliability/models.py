@@ -14,14 +14,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.ground.printing import shown_in_words
+from jaxclear.ground.printing import with_text_repr
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import answered
-from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState
 from jaxclear.studies.sampling import all_values, value_slopes
 from jaxclear.studies.statistics.scrambled import student
+from jaxclear.studies.store.batch import chunk_size, evaluate_all
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.surface.surface import run
 from jaxclear.studies.warned import codes_of, sentences
@@ -146,7 +146,7 @@ def _surface_slopes(surface, limits, normal):
     return jax.vmap(lambda z: (margins(z), jax.jacfwd(margins)(z)))(normal)
 
 
-@shown_in_words
+@with_text_repr
 class Probability(NamedTuple):
     """Probability of failing [1] by one method. `variation` is its coefficient of variation, the
     standard error over the value; nan where a method does not know its own error. It is that of

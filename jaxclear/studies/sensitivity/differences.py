@@ -30,11 +30,11 @@ import scipy
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.distribution.base import END_SCORE
-from jaxclear.studies.ledger.batch import chunk_size, evaluate_all
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
 from jaxclear.studies.sensitivity.estimand import FEWEST_DECIDING, Direction, Functional, flow
 from jaxclear.studies.sensitivity.regression import UNSEEN, no_score_function, normal_scores_of
 from jaxclear.studies.statistics.scrambled import half_width, pseudo_values, student
+from jaxclear.studies.store.batch import chunk_size, evaluate_all
 from jaxclear.studies.warned import FEW_WARNED, concern
 
 # Shares of a step by which the variable is moved.

@@ -28,13 +28,13 @@ import scipy
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.inputs import Inputs
-from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.sampling import by_scrambling, draw
 from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
 from jaxclear.studies.sensitivity.estimand import Direction, Functional, weights
 from jaxclear.studies.statistics.scrambled import SAMPLES_A_TERM, pseudo_values, student
+from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.warned import concern
 
 # Points at which the polynomial's mean derivative is taken, and what draws them.

@@ -16,6 +16,7 @@ Avramidis & Wilson 1993, Manage. Sci. 39, 1094, doi:10.1287/mnsc.39.9.1094.
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -25,13 +26,12 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags
-from jaxclear.ground.printing import left_out
+from jaxclear.ground.printing import failed_samples_sentence
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, with_interval
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless, undrawn_levels
 from jaxclear.studies.inputs import Inputs
-from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import (
@@ -41,6 +41,8 @@ from jaxclear.studies.statistics.scrambled import (
     Statistic,
     jackknifed,
 )
+from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.fitting import HIGHEST
 from jaxclear.studies.surface.polynomials import Expansion, levels, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface
@@ -66,7 +68,7 @@ class SobolIndices(AbstractAnswer):
     def sentence(self) -> str:
         """Which variables lead the variance of each response, and how many base samples failed."""
         led = leading(self.total, "total index")
-        return " ".join(filter(None, [led, left_out(self.failed, "base sample")]))
+        return " ".join(filter(None, [led, failed_samples_sentence(self.failed, "base sample")]))
 
     def _stated(self):
         over = (RESPONSE, VARIABLE)
@@ -77,23 +79,35 @@ class SobolIndices(AbstractAnswer):
 
 
 @answering
+@stored("a study of Sobol' indices")
 def sobol_indices(
     of: AbstractProblem | ResponseSurface,
     samples: int = 512,
     *,
     seed: int = 0,
     scramblings: int | None = None,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> SobolIndices:
     """Sobol' indices of every response by every variable.
 
-    `of`: a problem, which is run `samples` (variables + 2) times; or its `jaxclear.surface`, whose
-    indices take no run, and whose error is what it does not explain of the variance, or supposes of
-    parts beyond its runs.
+    A problem is run `samples` (variables + 2) times. The indices of a surface take no run; their
+    error is the variance that the surface does not explain.
 
-    Raises `ValueError` for correlated variables, whose shares of a variance are not defined
-    (`jaxclear.shapley_effects` are what to ask instead), and for a surface that was not fitted over
-    all of their spread.
+    Args:
+        of: the problem, or its `ResponseSurface`.
+        samples: number of samples; 512 by default.
+        seed: seed of the random numbers; 0 by default.
+        scramblings: number of independent subsets of the sample; None (default) for the usual one.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `SobolIndices`.
+
+    Raises:
+        ValueError: if variables are correlated (use `jaxclear.shapley_effects`), or a surface was
+            not fitted over their whole spread.
     """
     surface = of if isinstance(of, ResponseSurface) else None
     problem: Any = of if surface is None else surface.problem

@@ -18,14 +18,14 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
-from jaxclear.ground.printing import shown_in_words, with_error
+from jaxclear.ground.printing import with_error, with_text_repr
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, AbstractAnswer, Column, Stated, means_and_deviations
 from jaxclear.studies.endless import refuse_endless
-from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
 from jaxclear.studies.sampling import all_values
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
+from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.surface.control_variate import Known, normal_blocks, regressed
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
@@ -36,7 +36,7 @@ SURFACE_SCRAMBLINGS, SURFACE_POINTS, TOGETHER = 16, 8192, 1024
 FEWEST = 4
 
 
-@shown_in_words
+@with_text_repr
 class CorrectedStatistic(NamedTuple):
     """A number and half the width of its 95 % interval, in one unit; `gain` [1] says how many times
     its variance is below that of the same runs without the surface."""
@@ -107,10 +107,22 @@ def corrected(
     seed: int = 1,
     progress_bar: bool = False,
 ) -> Corrected:
-    """Statistics of a problem from its surface and fresh runs that correct it, without bias.
+    """Statistics of a problem from its surface and new runs that remove the surface's bias.
 
-    `samples` runs in each of `scramblings` independent scramblings of Sobol' points. `limits`:
-    limit states by name, whose probabilities are wanted (rare ones: `jaxclear.reliability`).
+    Args:
+        surface: the `ResponseSurface`.
+        samples: number of runs in each scrambling; 32 by default.
+        scramblings: number of independent scramblings of Sobol' points; 16 by default.
+        limits: limit states by name, whose probabilities are computed (for rare ones use
+            `jaxclear.reliability`); None (default) for none.
+        seed: seed of the random numbers; 1 by default.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Corrected`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     expect(surface, ResponseSurface, "what is corrected", "what jaxclear.surface gives")
     check_count("samples of corrected", samples)

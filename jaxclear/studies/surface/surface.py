@@ -7,6 +7,7 @@ runs that it has not seen, one by one (leave-one-out); below R2 = 0.9 it says th
 
 import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -17,14 +18,15 @@ import scipy
 from jaxtyping import Array, Float
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_count, check_flags, check_known, check_number, expect
+from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number, expect
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.campaign.result import GivenSample, given_sample
 from jaxclear.studies.endless import refuse_endless
-from jaxclear.studies.ledger.batch import evaluate_all
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.sampling import all_values
 from jaxclear.studies.scrambling import scrambled_normal
+from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.result import GivenSample, given_sample
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import powers
 from jaxclear.studies.surface.response_surface import ResponseSurface
@@ -52,7 +54,7 @@ def check_region(problem: AbstractProblem, over: Any) -> None:
         check_number("over of surface (or ranges by name)", over, above=0)
         return
     for name, own in over.items():
-        check_known("variable", name, problem.names, " in this problem")
+        check_name("variable", name, problem.names, " in this problem")
         pair = isinstance(own, (tuple, list)) and len(own) == 2
         if (
             not pair
@@ -71,6 +73,7 @@ INSTEAD = "limits of jaxclear.design and jaxclear.reliability take it"  # what h
 
 
 @answering
+@stored("a response surface")
 def surface(
     problem: AbstractProblem,
     sample: int | GivenSample | None = None,
@@ -79,17 +82,31 @@ def surface(
     over: Region = 1.0,
     slopes: bool = False,
     seed: int = 0,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> ResponseSurface:
-    """A polynomial surface through a few runs of a problem.
+    """Fit a polynomial response surface to a few runs of a problem.
 
-    `sample`: how many runs (by default three for each term of a quadratic), or a Monte Carlo study
-    or a campaign of the problem that is there. `degree`: of the polynomials; by default that of 1
-    to 4 which predicts runs best, for each response. `over`: where it is fitted: a number
-    widens the spread of the variables so many times, for rare parts; {name: (low, high)} fills
-    ranges of these variables evenly, for nominal values that are to be chosen. `slopes`: take
-    the exact slopes of each run as equations too, which a problem has where no contact opens and
-    closes. Raises `ValueError` for what cannot be asked, and where too few runs reach their end.
+    Args:
+        problem: the problem.
+        sample: number of runs, or a `MonteCarlo` or `Campaign` of this problem; None (default) for
+            three runs for each term of a quadratic.
+        degree: degree of the polynomials, an integer; None (default) for that of 1 to 4 that
+            predicts runs best, for each response.
+        over: where the surface is fitted: a factor of the spread of the variables [1], 1 by
+            default, larger for rare parts; or a dictionary of ranges (low, high) by variable, in
+            its unit, filled evenly, for nominal values that are to be chosen.
+        slopes: whether to fit the exact slopes of each run too, which exist where no contact opens
+            or closes; False by default.
+        seed: seed of the random numbers; 0 by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `ResponseSurface`.
+
+    Raises:
+        ValueError: if an argument is wrong, or too few runs reach their end.
     """
     expect(problem, AbstractProblem, "what a surface is fitted to", "a problem of jaxclear")
     if not problem.names:

@@ -9,17 +9,18 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxclear.ground.arguments import check_known
-from jaxclear.ground.printing import shown_in_words
+from jaxclear.ground.arguments import check_name
+from jaxclear.ground.printing import with_text_repr
 from jaxclear.integrators.checks import Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.campaign.dataset import dataset_of
-from jaxclear.studies.campaign.samples import VALUES, Samples
 from jaxclear.studies.endless import answered
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.limits import Limits, check_limits
 from jaxclear.studies.statistics.summary import summary_of, summary_row
-from jaxclear.studies.texts import difference, first_difference, in_texts
+from jaxclear.studies.store.batch import VALUES
+from jaxclear.studies.store.dataset import dataset_of
+from jaxclear.studies.store.digest import difference, first_difference, in_texts
+from jaxclear.studies.store.samples import Samples
 
 
 def _of_all(method: Callable) -> Any:
@@ -37,7 +38,7 @@ def _of_one(method: Callable) -> Any:
     return asked
 
 
-@shown_in_words
+@with_text_repr
 class Campaign:
     """The finished samples in a folder. Statistics are those of `MonteCarlo`, computed from one
     response at a time; `sample` is the whole study in memory, with all that it can be asked.
@@ -90,7 +91,9 @@ class Campaign:
     def sample_of(self, problem: AbstractProblem) -> MonteCarlo:
         """The finished samples in memory as a study of this problem. Raises `ValueError` with a
         sentence where they are of another one."""
-        differs = first_difference(json.loads(self._samples.told["problem"]), in_texts(problem))
+        differs = first_difference(
+            json.loads(self._samples.description["problem"]), in_texts(problem)
+        )
         if differs:
             raise ValueError(
                 f"the campaign in {self.folder} is of another problem: {differs}. Give a sample of "
@@ -177,7 +180,7 @@ class Campaign:
         """The study of one response, or of a few, without values; of every check whether it is
         beyond its limit."""
         for name in names:
-            check_known("response", name, self.problem.response_names, " in this study")
+            check_name("response", name, self.problem.response_names, " in this study")
         columns, outcomes, beyond = [], [], []
         for at in self._spans():
             found = self._samples.found(at)

@@ -1,0 +1,322 @@
+"""A study that is kept on disk chunk by chunk, and goes on where it was interrupted:
+`jaxclear.campaign`, of Monte Carlo or of another study, and `jaxclear.open_campaign` to read it.
+
+A folder is begun or found, made larger where more samples are asked for, what it lacks is computed,
+and its first samples get replicas.
+"""
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+from jaxclear.ground.argument_errors import answering
+from jaxclear.ground.arguments import check_count, check_flags, expect
+from jaxclear.ground.warning import warn
+from jaxclear.ground.wording import described, listed, meant
+from jaxclear.integrators.checks import Checks
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.campaign.recorded import RecordedProblem, in_json
+from jaxclear.studies.replicas import MOST_REPLICAS
+from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
+from jaxclear.studies.sequential import FIRST_SAMPLES, first_of, until_accurate
+from jaxclear.studies.statistics.accuracy import Piece, asked_of
+from jaxclear.studies.store.batch import RESPONSES, VALUES
+from jaxclear.studies.store.digest import in_texts
+from jaxclear.studies.store.result import Campaign
+from jaxclear.studies.store.samples import KIND, Plan, Samples, batch_of, planned
+from jaxclear.studies.store.store import check_folder
+from jaxclear.studies.store.workers import AbstractWork, Heard, Threads, Workers, check_client
+
+# What keeps lives, in words.
+OTHERWISE = (
+    "is no compiled program, and a campaign keeps samples of one; ask jaxclear.monte_carlo(..., "
+    "store=folder) for lives as responses, or jaxclear.wear_lives(..., store=folder)."
+)
+# How studies call the number of their samples.
+COUNTS = ("samples", "sample")
+# What a campaign takes beside the arguments that it names.
+SAMPLED = ("sampling", "scramblings", "accuracy", "chunk")
+# Samples that are read together, about.
+READ = 1 << 16
+# Claimed by the process that adds replicas.
+VERIFYING = "replicas"
+
+
+@answering
+def campaign(
+    problem: AbstractProblem,
+    samples: int | None = None,
+    *,
+    folder: str | Path,
+    study: Callable | None = None,
+    seed: int | None = None,
+    client: Any = None,
+    verify: bool = True,
+    progress_bar: bool = False,
+    **settings: Any,
+) -> Any:
+    """A Monte Carlo study of any size, stored in a folder chunk by chunk.
+
+    The folder holds values, responses, outcomes, warnings, seed, versions and the problem, in plain
+    files with checksums. A repeated call continues with the chunks that are missing or damaged,
+    also to more samples; it gives the same result as one call would have. Ctrl-C keeps all finished
+    chunks. Several processes may work on one folder. The memory does not grow with the samples.
+
+    Args:
+        problem: the problem.
+        samples: number of samples; None for that of the folder.
+        folder: path of the folder. One of another problem or other samples is refused with the
+            difference.
+        study: another study function to store, such as `jaxclear.sensitivity`, with its arguments
+            in `settings`; None (default) for a Monte Carlo study.
+        seed: seed of the random numbers; None for that of the folder, or 0.
+        client: a `dask.distributed.Client` whose workers compute the chunks; None (default) for
+            this process.
+        verify: whether to repeat the first 16 samples with finer steps, as of `monte_carlo`; True
+            by default.
+        progress_bar: whether to show rate, remaining time and failures; False by default.
+        settings: further keyword arguments: `sampling`, `scramblings` and `accuracy` as of
+            `monte_carlo`, and `chunk`, the number of samples in a file; or those of `study`.
+
+    Returns:
+        The `Campaign`, or the result of `study`.
+
+    Raises:
+        ValueError: if an argument is wrong.
+    """
+    check_flags("campaign", verify=verify, progress_bar=progress_bar)
+    if study is not None:
+        given = {"samples": samples, "seed": seed, "client": client}
+        given |= {"verify": None if verify else False}
+        given |= {"chunk": settings.pop("chunk", None), "progress_bar": progress_bar or None}
+        options = {name: own for name, own in given.items() if own is not None}
+        return _run_study(study, problem, folder, options, settings)
+    samples, seed = 1024 if samples is None else samples, 0 if seed is None else seed
+    plan = _plan(problem, samples, seed, settings)
+    accuracy = asked_of(settings.get("accuracy"), problem.response_names, "campaign")
+    checked = ("seed", "sampling", "scramblings")[: 2 + ("scramblings" in settings)]
+    check_folder(folder)
+    try:
+        with _workers(problem, client) as work:
+            kept = _begin(problem, plan, checked, samples, folder)
+            # The plan first: whatever ends the process from here on, the folder knows what was
+            # asked of it.
+            if accuracy is None:
+                kept = _with_room(kept, samples, samples, problem)
+            if len(kept.finished()):
+                kept.warn_of_versions()
+            run, short = _Run(work, kept, samples, progress_bar), ""
+            if accuracy is None:
+                run.grow(samples)
+            else:
+                first = max(plan.samples, kept.plan.samples)
+                short = until_accurate(problem, first, samples, accuracy, run.grown)
+            if verify:
+                _verify(run.kept, work)
+            run.kept.conclude()
+            return Campaign(run.kept, problem, short)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(_interrupted(folder)) from None
+
+
+@answering
+def open_campaign(folder: str | Path, problem: AbstractProblem | None = None) -> Campaign:
+    """Open the campaign in a folder, finished or not.
+
+    Args:
+        folder: path of the folder.
+        problem: its problem, to run single samples again; None (default) to read everything else.
+
+    Returns:
+        The `Campaign`.
+
+    Raises:
+        ValueError: if the folder holds none, or one of another problem.
+    """
+    kept = Samples.open(folder)
+    if problem is None:
+        return Campaign(kept, RecordedProblem.of_json(kept.description["recorded"]))
+    expect(problem, AbstractProblem, "problem of open_campaign", "a jaxclear.Problem")
+    kept.store.refuse_other(kept.description, KIND, in_texts(problem))
+    return Campaign(kept, problem)
+
+
+def _run_study(
+    study: Any, problem: Any, folder: Any, options: dict[str, Any], settings: dict[str, Any]
+) -> Any:
+    """What a study answers that takes `store`. `options`: arguments of the campaign that the study
+    may have. Raises `ValueError` with a sentence for a study that is not kept, or an option that it
+    has not."""
+    takes = inspect.signature(study).parameters if callable(study) else {}
+    if "store" not in takes:
+        raise ValueError(
+            f"study of campaign is {described(study)}; it must be one of jaxclear that takes "
+            "store=, such as jaxclear.sensitivity, or left out for a Monte Carlo study."
+        )
+    for name, value in options.items():
+        known = [own for own in (COUNTS if name == "samples" else (name,)) if own in takes]
+        if not known:
+            raise ValueError(
+                f"jaxclear.{study.__name__} has no {name}; leave it out of the campaign."
+            )
+        settings = settings | {known[0]: value}
+    return study(problem, store=folder, **settings)
+
+
+@contextmanager
+def _workers(problem: AbstractProblem, client: Any) -> Iterator[AbstractWork]:
+    """Who computes: the threads here, or the workers of a client."""
+    if client is None:
+        yield Threads(problem)
+        return
+    check_client(client)
+    workers = Workers(problem, client)
+    try:
+        yield workers
+    finally:
+        workers.close()
+
+
+def _plan(problem: Any, samples: Any, seed: Any, settings: dict[str, Any]) -> Plan:
+    """The plan to begin with. Raises `ValueError` or `TypeError` with a sentence."""
+    for name in settings:
+        if name not in SAMPLED:
+            known = [*inspect.signature(campaign).parameters][:-1]
+            raise TypeError(
+                f'jaxclear.campaign has no argument "{name}"; it takes '
+                f"{listed([*known, *SAMPLED])}.{meant(name, [*known, *SAMPLED])}"
+            )
+    sampling, scramblings = settings.get("sampling", "sobol"), settings.get("scramblings")
+    check_sampled(problem, samples, seed, sampling)
+    if not problem.compiled():
+        raise ValueError(f"problem of campaign ({type(problem).__name__}) {OTHERWISE}")
+    to_accuracy = settings.get("accuracy") is not None
+    first = min(samples, FIRST_SAMPLES) if to_accuracy else samples
+    parts = checked_scramblings("campaign", first, scramblings)
+    first = first_of(first, parts) if to_accuracy else first
+    chunk = settings.get("chunk")
+    if chunk is not None:
+        check_count("chunk of campaign", chunk)
+    return planned(problem, (first, seed, sampling, parts), chunk, samples)
+
+
+def _begin(
+    problem: AbstractProblem, plan: Plan, checked: tuple[str, ...], most: int, folder: Any
+) -> Samples:
+    """The samples in a folder, which is told of them where there are none. `checked`: what of a
+    plan must be as in the folder."""
+    found = Samples.create(folder, plan, in_texts(problem), in_json(problem))
+    for name in checked:
+        there, here = getattr(found.plan, name), getattr(plan, name)
+        if there != here:
+            raise ValueError(
+                f"the folder {found.folder} holds a campaign of this problem with "
+                f"{name}={there!r}, not {here!r}. Ask for the same, or give another folder."
+            )
+    if found.plan.samples > most:
+        raise ValueError(
+            f"the folder {found.folder} holds a campaign of this problem with "
+            f"samples={found.plan.samples}, more than {most}. Ask for as many or more, or "
+            "give another folder."
+        )
+    return found
+
+
+def _with_room(kept: Samples, samples: int, most: int, problem: AbstractProblem) -> Samples:
+    """The same with room for so many samples; for more, up to the `most`, where other processes
+    have planned these."""
+    if kept.plan.samples >= samples:
+        return kept
+    return kept.extend(samples, batch_of(problem, samples)).view(most)
+
+
+class _Run:
+    """Grows what is in a folder, to the `most` samples that are asked for; other processes may
+    make it larger."""
+
+    def __init__(self, by: AbstractWork, kept: Samples, most: int, shown: bool):
+        self.by, self.kept, self.most, self.shown = by, kept, most, shown
+
+    def grow(self, samples: int) -> None:
+        """Has so many samples in the folder, and computes those that it lacks."""
+        self.kept = _with_room(self.kept, samples, self.most, self.by.problem)
+        plan = self.kept.plan
+        left = np.setdiff1d(np.arange(plan.chunks), self.kept.finished()).tolist()
+        if lost := self.kept.lost(left):
+            warn(lost)
+        if left:
+            with _progress(self.shown, plan, left) as heard:
+                self.by.compute(self.kept, left, heard)
+
+    def grown(self, samples: int) -> Iterator[Piece]:
+        """Has so many samples in the folder, and reads all that are then there in pieces of some
+        chunks: responses (samples,), and their scramblings."""
+        self.grow(samples)
+        names, plan = self.by.problem.response_names, self.kept.plan
+        size = max(READ // plan.chunk, 1) * plan.chunk
+        for first in range(0, plan.samples, size):
+            at = slice(first, min(first + size, plan.samples))
+            rows = self.kept.read(at, RESPONSES)[RESPONSES]
+            own = groups(at.stop, plan.scramblings, at.start)
+            yield {name: rows[:, i] for i, name in enumerate(names)}, own
+
+
+def _verify(samples: Samples, by: AbstractWork) -> None:
+    """Adds the replicas that the finished samples in a folder lack, if their problem has any:
+    finer runs of the first ones, written once all samples are there. A campaign that becomes larger
+    keeps them, and adds what it lacks."""
+    count = min(MOST_REPLICAS, samples.plan.samples)
+
+    def load() -> Any:
+        known = samples.finer()
+        return known if known is not None and len(known.outcome) >= count else None
+
+    def compute() -> Any:
+        known = samples.finer()
+        values = samples.read(slice(0, count), VALUES)[VALUES]
+        left = values[0 if known is None else len(known.outcome) :]
+        found: Any = by.replicated(samples.plan, left)
+        found = dataclasses.replace(found, checks=Checks())
+        parts = [own for own in (known, found) if own is not None]
+        samples.keep_finer(values, jax.tree.map(lambda *own: np.concatenate(own), *parts))
+
+    if by.problem.replica() is not None:
+        samples.store.obtain(VERIFYING, load, compute, wait=True)
+
+
+@contextmanager
+def _progress(shown: bool, plan: Plan, left: list[int]) -> Iterator[Heard]:
+    """A bar with rate, time left and failures so far; what is told of each finished chunk."""
+    sizes = {number: plan.span(number)[1] - plan.span(number)[0] for number in left}
+    before = plan.samples - sum(sizes.values())
+    failed = [0]
+    with tqdm(
+        total=plan.samples, initial=before, desc="campaign", unit=" samples", disable=not shown
+    ) as bar:
+
+        def heard(number: int, failures: int) -> None:
+            failed[0] += failures
+            bar.set_postfix_str(f"{failed[0]} failed", refresh=False)
+            bar.update(sizes[number])
+
+        yield heard
+
+
+def _interrupted(folder: Any) -> str:
+    """What is said after Ctrl-C."""
+    try:
+        kept = Samples.open(folder)
+    except ValueError:
+        return "The campaign was interrupted before its first chunk."
+    done, plan = len(kept.finished()), kept.plan
+    return (
+        f"The campaign was interrupted. {done} of {plan.chunks} chunks (of {plan.chunk} samples) "
+        f"are kept in {folder}; ask the same again, and it goes on from there."
+    )
