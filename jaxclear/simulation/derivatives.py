@@ -181,7 +181,7 @@ def in_other_steps(integrator: Any, share: Any, times: Any) -> Any:
 def order_of(mechanism: Mechanism, integrator: AbstractIntegrator) -> int:
     """Power of the step in proportion to which derivatives of runs of a mechanism are off, on the
     safe side: forces that switch within a step leave its first."""
-    acting = [*mechanism.loads.values(), *mechanism.couplings.values()]
+    acting: list[Any] = [*mechanism.loads.values(), *mechanism.couplings.values()]
     switch = any(own.switches for own in acting) or rubbing_in(mechanism.connections)
     return 1 if integrator.first_order_slopes or switch else 2
 
