@@ -71,12 +71,12 @@ def campaign(
 
     Args:
         problem: the problem.
-        samples: number of samples; None for that of the folder.
+        samples: number of samples; None (default) for 1024, or those of `study`.
         folder: path of the folder. One of another problem or other samples is refused with the
             difference.
         study: another study function to store, such as `jaxclear.sensitivity`, with its arguments
             in `settings`; None (default) for a Monte Carlo study.
-        seed: seed of the random numbers; None for that of the folder, or 0.
+        seed: seed of the random numbers; None (default) for 0, or that of `study`.
         client: a `dask.distributed.Client` whose workers compute the chunks; None (default) for
             this process.
         verify: whether to repeat the first 16 samples with finer steps, as of `monte_carlo`; True

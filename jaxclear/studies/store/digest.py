@@ -189,13 +189,13 @@ def _items(thing: Any) -> dict[str, Any] | None:
 def _attributes(thing: Any) -> dict[str, Any]:
     """What a thing holds, in slots too, each by what follows its own path."""
     held = dict(getattr(thing, "__dict__", {}))
-    # Of what wraps a function, and another one in a script.
-    held.pop("__module__", None)
     for owner in type(thing).__mro__:
         slots = (n for n, own in vars(owner).items() if isinstance(own, MemberDescriptorType))
         # A slot that has no value counts as None.
         held |= {name: getattr(thing, name, None) for name in slots}
-    return {f".{name}": value for name, value in held.items()}
+    # What wraps a function has its module's name, a partial function an address.
+    special = ("__module__", "__vectorcalloffset__")
+    return {f".{name}": value for name, value in held.items() if name not in special}
 
 
 def _is_field(kind: type, name: str) -> bool:
