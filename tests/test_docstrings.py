@@ -98,7 +98,9 @@ def documented_things():
             if inspect.isclass(thing) and not issubclass(thing, enum.Enum):
                 things[identifier(thing)] = argument_names(thing), [*class_docstrings(thing)]
                 for name, member in inspect.getmembers(thing, inspect.isroutine):
-                    own = owner(thing, name).startswith("jaxclear") and not name.startswith("_")
+                    # A cached property counts as a routine, and has no name of its own.
+                    own = not name.startswith("_") and hasattr(member, "__qualname__")
+                    own = own and owner(thing, name).startswith("jaxclear")
                     if own and not is_described_elsewhere(thing, name):
                         docstrings = [*method_docstrings(thing, name)]
                         things[identifier(member)] = argument_names(member), docstrings
@@ -107,13 +109,13 @@ def documented_things():
     return things
 
 
-def faults(arguments, docstrings):
+def faults(arguments, docstrings, abstract=False):
     """What is wrong with the lists of arguments; an entry nearer to the class hides one above."""
     lists = [entries for text in docstrings if (entries := listed_arguments(text))]
     for entries in lists:
         names = [name for name, _ in entries]
         yield from (f"{name} is listed twice" for name in {n for n in names if names.count(n) > 1})
-    if lists and docstrings[0] and listed_arguments(docstrings[0]):
+    if lists and docstrings[0] and listed_arguments(docstrings[0]) and not abstract:
         yield from (f"{name} is no argument" for name, _ in lists[0] if name not in arguments)
     described = {name: text for entries in reversed(lists) for name, text in entries}
     for name in arguments:
@@ -142,7 +144,9 @@ def public_classes():
 
 
 THINGS = documented_things()
-FAULTS = {name: found for name in THINGS if (found := [*faults(*THINGS[name])])}
+# Abstract classes may describe the fields that their members have.
+ABSTRACT = {name for name in THINGS if name.rpartition(".")[2].startswith("Abstract")}
+FAULTS = {name: found for name in THINGS if (found := [*faults(*THINGS[name], name in ABSTRACT)])}
 ALLOWED = json.loads(PENDING.read_text()) if PENDING.exists() else {}
 
 
