@@ -121,9 +121,9 @@ INNER = {
     "WallMap",
 }
 # A folder of samples remembers its problem by one.
-INNER |= {"RecordedProblem", "StateGroup"}
-# What problems of a mechanism have in common.
-INNER |= {"AbstractMechanismProblem"}
+INNER |= {"RecordedExperiment", "RecordedVariable", "StateGroup"}
+# What functions make problems of.
+INNER |= {"RunExperiment", "PositionExperiment", "FunctionExperiment", "LifeExperiment"}
 # Laws of which a number says which acts, in the sample of an identification; what sensors are.
 INNER |= {"ChosenDissipation", "ChosenFriction", "AbstractSignal"}
 # A load as steps see it that find its force themselves.

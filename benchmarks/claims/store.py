@@ -14,7 +14,7 @@ import jaxclear as jc
 from benchmarks.claims.positions import stack
 from benchmarks.measure import arguments, report, side_by_side
 from jaxclear.integrators.checks import Check, Checks
-from jaxclear.studies.base import SampleResult
+from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.store.batch import pack, unpack
 from jaxclear.studies.store.store import CHUNKS, Store
 

@@ -26,7 +26,7 @@ import numpy as np
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.digest import first_difference, in_texts
 
 P, R = ParamSpec("P"), TypeVar("R")
@@ -308,7 +308,7 @@ CURRENT: ContextVar[Store | None] = ContextVar("store of the current study", def
 
 
 @contextmanager
-def open_store(folder: Any, what: str, problem: AbstractProblem) -> Iterator[None]:
+def open_store(folder: Any, what: str, problem: Problem) -> Iterator[None]:
     """What a study of this kind computes of a problem within is kept in a folder, if one is
     given."""
     if folder is None:
@@ -350,7 +350,7 @@ def stored(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
             if folder is None:
                 return study(*arguments, **options)
             problem: Any = arguments[0] if arguments else options.get(first)
-            expect(problem, AbstractProblem, f"the {first} of {what}", "a problem, for its store")
+            expect(problem, Problem, f"the {first} of {what}", "a problem, for its store")
             with open_store(folder, what, problem):
                 return study(*arguments, **options)
 

@@ -20,9 +20,8 @@ import numpy as np
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.printing import with_error, with_text_repr
-from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, AbstractAnswer, Column, Stated, means_and_deviations
-from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.endless import refuse_endless, successes
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
 from jaxclear.studies.sampling import all_values
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
@@ -142,8 +141,7 @@ def corrected(
         found = evaluate_all(problem, values, progress_bar=progress_bar, label="corrected")
     own = {name: np.asarray(found.responses[name], float) for name in problem.response_names}
     refuse_endless(problem, own, "mean or deviation", "jaxclear.monte_carlo serves")
-    finite = np.all([np.isfinite(own[name]) for name in own], axis=0)
-    good = (np.asarray(found.outcome) == Outcome.REACHED) & finite
+    good, _ = successes(problem, found.outcome, own)
     many = normal_blocks(SURFACE_SCRAMBLINGS, SURFACE_POINTS, len(problem.names), (seed, 1))
     there, free = _evaluated(surface, np.asarray(values)), _of_normal(surface, many)
     means, deviations, probabilities = {}, {}, {}
