@@ -60,7 +60,8 @@ class Wearing(AbstractQuantified):
     """A surface that wears.
 
     The surface is updated whenever a contact has moved by half a cell, and at the saving times;
-    companion runs halve that path, so that its error is part of the estimate. A scar narrower than
+    companion runs halve that path, and another one has cells twice as wide, so that errors of both
+    are part of the estimate. A scar narrower than
     a few cells has too small a depth, and the run says so; the tilted journal of a `JournalBearing`
     takes some hundred along. A run whose steps are counted (`steps_per_save`) updates the surface
     at each saving time.
@@ -75,6 +76,7 @@ class Wearing(AbstractQuantified):
             follows the radius as worn at the contact, not as made.
         updates: largest number of updates of the surface in a run, a count, >= 1; None: no bound.
             With a bound a depth may be wrong by more than the estimate.
+        coarseness: number of cells side by side that are one [1], 1 or 2: companion runs take 2.
 
     Raises:
         ValueError: for fewer than 4 cells around or 1 along.

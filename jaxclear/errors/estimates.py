@@ -17,7 +17,7 @@ from jaxclear.errors.observables import named
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
 from jaxclear.integrators.base import PART_OF, Promise
-from jaxclear.integrators.checks import Check
+from jaxclear.integrators.checks import Check, Checks
 from jaxclear.results.response import needs_of
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.results.verification import AbstractVerification, Estimate, Unverified
@@ -123,7 +123,7 @@ class Verified(AbstractVerification):
             # What is found in a run need not be in its replica: a tenth impact, a row of a table.
             return Estimate(value, math.nan, f"in finer steps the same fails: {failure}")
         try:
-            share = of_cells(run)
+            share = of_cells(run.invariants)
             told = lambda *each: _told_error(*each, share)
             error = jax.tree.map(told, value, coarse, *values)
         except (TypeError, ValueError):
@@ -138,8 +138,9 @@ class Verified(AbstractVerification):
         steps = "half" if len(self.replicas) == 1 else "half and quarter"
         began = not is_traced(self.since) and self.since != 0
         since = f", since {float(self.since):.6g} s" if began else ""
-        cells = "" if self.coarser is None else ", and what cells twice as wide change"
-        return f"twice what {steps} steps change{cells}{since}"
+        if self.coarser is not None:
+            return f"from {steps} steps and wider cells{since}"
+        return f"twice what {steps} steps change{since}"
 
     def promised(self, response: Any) -> float | None:
         """The share that is promised of a response; None for nothing."""
@@ -199,10 +200,10 @@ def richardson(differences: list[Any], shares: Sequence[float | None] = (HALF, Q
     return functools.reduce(jnp.maximum if is_traced(errors) else np.maximum, errors)
 
 
-def of_cells(run: Trajectory) -> float:
+def of_cells(checks: Checks) -> float:
     """The error that cells leave, relative to what cells twice as wide change: that of order 2
     where they resolve the scars, else of order 1."""
-    cells = run.invariants.figures.get(Check.WEAR_BY_CELLS)
+    cells = checks.figures.get(Check.WEAR_BY_CELLS)
     if cells is None or is_traced(cells.worst):
         return 1.0
     return 1 / 3 if np.max(np.asarray(cells.worst)) <= Check.WEAR_BY_CELLS.limit else 1.0

@@ -187,7 +187,7 @@ def _verification(
     coarser = _on_coarser_cells(run, integrator, repeated)
     if coarser is not None:
         rows_of_cells = asked.apart(run, own, asked.seen(coarser), seen[-1])
-        wear = of_cells(run) * np.array([row.part == "losses" for row in rows_of_cells])
+        wear = of_cells(run.invariants) * np.array([row.part == "losses" for row in rows_of_cells])
         errors = list(errors + wear * [row.off for row in rows_of_cells])
         shares = shares + wear * [row.share for row in rows_of_cells]
     numbers = np.stack([[row[0].value for row in rows], errors, shares, promised], axis=1)

@@ -199,7 +199,8 @@ def simulate(
             accuracies by the name of a quantity of `print(run)`, or by response, in its unit, a
             dict.
         save: number of equally spaced saving times, >= 2; or the times [s]; or a `Saving`, which
-            keeps touches and releases too. Worn surfaces are updated at these times.
+            keeps touches and releases too. Worn surfaces are updated as contacts move, and at
+            these times.
         state: state in which the run begins instead of the mechanism's start, such as `run.state()`
             of another run; saving times, worn volumes and energies count from there.
         balance: whether to integrate the energies that `Trajectory.energy_balance` needs.

@@ -6,6 +6,7 @@ allows, and so on, each cycle from where the one before settled. One program is 
 worn surfaces and numbers are inputs of it.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import wearing_in
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
+from jaxclear.simulation.wear import with_coarser_cells
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
 from jaxclear.studies.life.cycle import as_problem, check_cycles, check_period
 from jaxclear.studies.life.rates import Rates
@@ -56,6 +58,7 @@ def wear_life(
     jump: float | None = None,
     most: int = 12,
     store: str | Path | None = None,
+    verify: bool = False,
     progress_bar: bool = False,
 ) -> WearLife:
     """The wear of a life of so many `cycles`, 2^53 at the most, from few simulated ones: of a
@@ -69,7 +72,8 @@ def wear_life(
     most, and what noise is left belongs to the error. What wears no more is not simulated further;
     a life ends where a surface is worn through. `store`: a folder that keeps every
     cycle; asked again, the life goes on from there. A cycle that fails ends the life, with what was
-    reached and why. Raises `ValueError` with a sentence for what cannot be asked, and
+    reached and why. `verify`: whether a second life, on cells twice as wide, says what cells leave
+    in the depth. Raises `ValueError` with a sentence for what cannot be asked, and
     `SimulationError` where the very first cycle fails.
     """
     problem = as_problem("wear_life", asked, period)
@@ -78,15 +82,30 @@ def wear_life(
     if jump is not None:
         check_number("jump of wear_life", jump, at_least=1)
     check_count("most of wear_life", most)
-    check_flags("wear_life", progress_bar=progress_bar)
+    check_flags("wear_life", progress_bar=progress_bar, verify=verify)
     check_asked(problem)
     kept = None if store is None else Ledger.opened(store, "a wear life", in_texts(problem))
     rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, most), kept)
     with progress.bar(progress_bar, "wear life"):
         result = lived(rates, float(cycles), float(accuracy), jump)
+        if verify:
+            result = dataclasses.replace(result, by_cells=_error_of_cells(result, rates.patience))
     if kept is not None:
         kept.conclude(result.to_dataset())
     return result
+
+
+def _error_of_cells(life: WearLife, patience: Patience) -> float:
+    """The relative error that cells leave in the depth of a life, from another one with the same
+    steps on cells twice as wide."""
+    coarser = with_coarser_cells(life.problem.mechanism, 2.0)
+    problem = eqx.tree_at(lambda own: own.mechanism, life.problem, coarser)
+    rates = Rates(problem, problem.nominal(), patience, None)
+    other = lived(rates, float(life.cycles[-1]), life.accuracy, None, life.lengths)
+    depth, reached = life.at_end(DEPTH), min(life.cycles[-1], other.cycles[-1])
+    coarse, fine = (float(own.over_life(DEPTH, reached)) for own in (other, life))
+    # Scars that have grown to the shape of the part have edges: errors are of order 1 in the cells.
+    return abs(coarse - fine) / depth if depth else 0.0
 
 
 def lived(
