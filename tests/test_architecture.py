@@ -38,17 +38,17 @@ FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
 # Floors of the room of studies, from below; files, or folders, on one floor may import each other.
 STUDIES = (
     # What a study asks, and what it answers.
-    "base distribution inputs variable limit_state store.digest answer endless warned",
-    "store.store store.files store.batch",
-    "mechanism_problem function_problem position_problem problem sensor "
-    "chosen_integrator usual_integrator",
+    "experiment distribution inputs variable responses chosen_integrator usual_integrator "
+    "run_experiment problem",
+    "function_problem position_problem sensor",
+    "limit_state store.digest answer endless warned",
+    "store.store store.batch",
     "sampling scrambling sequential replicas statistics",
     "monte_carlo sweep screening worst_case advice",
-    "store.result store.samples store.dataset campaign",
+    "store",
     "surface",
     "statistics.shapley statistics.sobol_indices sensitivity fidelity reliability design life "
     "identification",
-    "store",
 )
 LONGEST_FILE, LONGEST_FUNCTION, LONGEST_LINE = 800, 80, 100
 # Libraries that a run does without: loaded when a table, a data set or a kernel is asked for.

@@ -5,6 +5,7 @@ What is not complete yet stands in refdata/undocumented.json, a list for each pa
 shrinks: `python -m tests.test_docstrings` takes out what is complete, and says what others lack.
 """
 
+import dataclasses
 import enum
 import inspect
 import json
@@ -97,7 +98,9 @@ def documented_things():
             if inspect.isclass(thing) and not issubclass(thing, enum.Enum):
                 things[identifier(thing)] = argument_names(thing), [*class_docstrings(thing)]
                 for name, member in inspect.getmembers(thing, inspect.isroutine):
-                    own = owner(thing, name).startswith("jaxclear") and not name.startswith("_")
+                    # A cached property counts as a routine, and has no name of its own.
+                    own = not name.startswith("_") and hasattr(member, "__qualname__")
+                    own = own and owner(thing, name).startswith("jaxclear")
                     if own and not is_described_elsewhere(thing, name):
                         docstrings = [*method_docstrings(thing, name)]
                         things[identifier(member)] = argument_names(member), docstrings
@@ -106,13 +109,13 @@ def documented_things():
     return things
 
 
-def faults(arguments, docstrings):
+def faults(arguments, docstrings, abstract=False):
     """What is wrong with the lists of arguments; an entry nearer to the class hides one above."""
     lists = [entries for text in docstrings if (entries := listed_arguments(text))]
     for entries in lists:
         names = [name for name, _ in entries]
         yield from (f"{name} is listed twice" for name in {n for n in names if names.count(n) > 1})
-    if lists and docstrings[0] and listed_arguments(docstrings[0]):
+    if lists and docstrings[0] and listed_arguments(docstrings[0]) and not abstract:
         yield from (f"{name} is no argument" for name, _ in lists[0] if name not in arguments)
     described = {name: text for entries in reversed(lists) for name, text in entries}
     for name in arguments:
@@ -122,8 +125,28 @@ def faults(arguments, docstrings):
             yield f"{name} has neither a unit nor a word for its kind: {described[name]!r}"
 
 
+RANGES = {"above": ">", "at_least": ">=", "below": "<", "at_most": "<="}
+
+
+def numbers_with_descriptions():
+    """(name, metadata, description) of numbers of public classes that describe them."""
+    for kind in {id(thing): thing for thing in public_classes()}.values():
+        descriptions = dict(listed_arguments(vars(kind).get("__doc__")))
+        for field in dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ():
+            if field.name in descriptions and field.metadata.get("unit", "(")[0] != "(":
+                name = f"{kind.__qualname__}.{field.name}"
+                yield name, field.metadata, descriptions[field.name]
+
+
+def public_classes():
+    offered = (vars(module)[n] for module in public_modules().values() for n in module.__all__)
+    return [thing for thing in offered if inspect.isclass(thing)]
+
+
 THINGS = documented_things()
-FAULTS = {name: found for name in THINGS if (found := [*faults(*THINGS[name])])}
+# Abstract classes may describe the fields that their members have.
+ABSTRACT = {name for name in THINGS if name.rpartition(".")[2].startswith("Abstract")}
+FAULTS = {name: found for name in THINGS if (found := [*faults(*THINGS[name], name in ABSTRACT)])}
 ALLOWED = json.loads(PENDING.read_text()) if PENDING.exists() else {}
 
 
@@ -168,6 +191,26 @@ def test_what_is_complete_is_taken_from_the_list_of_what_is_not(room):
 def test_the_rule_finds_each_fault(text, fault):
     found = "; ".join(faults(["x", "n"], [text]))
     assert fault in found if fault else not found
+
+
+def test_units_and_ranges_are_those_of_the_fields():
+    """A field's metadata say the same as the docstring, which also gives its meaning."""
+    numbers = list(numbers_with_descriptions())
+    assert len(numbers) > 150
+    assert not [(name, *told) for name, *own in numbers if (told := [*disagreements(*own)])]
+
+
+def disagreements(metadata, text):
+    units = [re.split("[;,]", own)[0] for own in re.findall(r"\[([^\]]*)\]", text)]
+    if metadata["unit"] not in ("1", *units) or not units:
+        yield f"[{metadata['unit']}] is not in {text!r}"
+    for key in RANGES.keys() & metadata.keys():
+        if f"{RANGES[key]} {metadata[key]:g}" not in text:
+            yield f"{RANGES[key]} {metadata[key]:g} is not in {text!r}"
+    if metadata.get("sliding", "") and f"{metadata['sliding']} for a sliding" not in text:
+        yield f"{metadata['sliding']} for a sliding joint is not in {text!r}"
+    if not metadata["meaning"]:
+        yield "no meaning"
 
 
 def test_a_member_of_a_family_inherits_the_list():

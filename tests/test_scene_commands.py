@@ -234,7 +234,7 @@ def test_a_run_of_a_scene_is_kept_and_reported(here, capsys):
 
 @pytest.mark.slow
 def test_a_run_that_ends_early_is_kept_and_ends_with_code_1(here, capsys):
-    short = pendulum(integrator=jc.integrator.Adaptive(most_steps=10))
+    short = pendulum(integrator=jc.integrator.Adaptive(max_steps=10))
     jc.write_scene(short, here / "short.yaml")
     with pytest.raises(SystemExit) as ended:
         main(["run", "short.yaml", "--quiet"])
@@ -257,7 +257,7 @@ def test_monte_carlo_of_a_scene_is_interrupted_goes_on_and_is_reported(here, cap
     begun = subprocess.Popen(
         [sys.executable, "-c", BEGIN, *asked, "--out", "store"], stderr=subprocess.PIPE, text=True
     )
-    mark = here / "store" / "pieces"
+    mark = here / "store" / "chunks"
     for _ in range(1200):
         if mark.exists() and begun.poll() is None:
             break

@@ -52,7 +52,7 @@ def row(name: str, run: jc.Trajectory, wanted: dict[str, np.ndarray], spent: flo
     """What is told of a run."""
     said = {"integrator": name, "CPU [s]": spent} | off(asked(run), wanted)
     return said | {
-        "warns of": ", ".join(told.name for told in run.verification.told if told.beyond),
+        "warns of": ", ".join(told.name for told in run.verification.entries if told.beyond),
     }
 
 
@@ -69,7 +69,7 @@ def main() -> None:
     tight = []
     for rtol in rtols:
         begun = time.process_time()
-        one = jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol, most_steps=MOST_STEPS)
+        one = jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol, max_steps=MOST_STEPS)
         run = simulated(one)
         tight.append((rtol, run, time.process_time() - begun))
     wanted = asked(tight[-1][1])

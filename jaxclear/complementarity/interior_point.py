@@ -97,11 +97,11 @@ class InteriorPoint(AbstractSolver):
 
     Args:
         kappa: product z_i w_i of the relaxed problem [unit of z times unit of w], > 0.
-        most_steps: largest number of iterations, a count, >= 1.
+        max_steps: largest number of iterations, a count, >= 1.
     """
 
-    kappa: Scalar = quantity(1e-8, "1", "product z_i w_i, in the units of the problem", above=0)
-    most_steps: int = count(100, "most iterations")
+    kappa: Scalar = quantity(1e-8, "1", above=0)
+    max_steps: int = count(100)
 
     def solve(self, problem: AbstractLinearProblem) -> Solution:
         check_double_precision()
@@ -109,21 +109,21 @@ class InteriorPoint(AbstractSolver):
         small = scaled(lcp)
         kappa = jax.lax.stop_gradient(self.kappa) / (small.z_scale * small.w_scale)
         finite = small.finite & jnp.all(jnp.isfinite(kappa))
-        found, outcome, steps = _follow_path(
-            small.matrix, small.offset, jnp.where(finite, kappa, 1.0), self.most_steps
+        scaled_z, outcome, steps = _follow_path(
+            small.matrix, small.offset, jnp.where(finite, kappa, 1.0), self.max_steps
         )
         outcome = jnp.where(finite, outcome, Outcome.NOT_FINITE)
-        kept = jax.lax.stop_gradient(jnp.where(small.finite, found, 0.0) * small.z_scale)
+        relaxed_z = jax.lax.stop_gradient(jnp.where(small.finite, scaled_z, 0.0) * small.z_scale)
         z = _keep_relaxation(
-            kept,
+            relaxed_z,
             outcome == Outcome.SOLVED,
             (small.z_scale, small.w_scale),
             lcp.matrix,
             lcp.offset,
             self.kappa,
         )
-        own = problem.from_lcp(z)
-        return Solution(*own, problem.residual(*own), outcome, steps)
+        solution = problem.from_lcp(z)
+        return Solution(*solution, problem.residual(*solution), outcome, steps)
 
 
 @jax.custom_jvp
@@ -142,20 +142,20 @@ def _keep_relaxation_jvp(primals, tangents):
     # its two weights
     weight = w * z_scale + out * w_scale
     share = jnp.where(solved, out * w_scale / weight, 0.0)
-    held = (
+    matrix_of_dz = (
         jnp.diag(1 - share)
         + share[:, None] * jnp.where(solved, matrix, 0.0) * z_scale / w_scale[:, None]
     )
     right = d_kappa / weight - share * (d_matrix @ out + d_offset) / w_scale
-    return out, z_scale * jnp.linalg.solve(held, jnp.where(solved, right, 0.0))
+    return out, z_scale * jnp.linalg.solve(matrix_of_dz, jnp.where(solved, right, 0.0))
 
 
-def _follow_path(matrix, offset, kappa, most_steps):
+def _follow_path(matrix, offset, kappa, max_steps):
     """(z, outcome, steps) of a scaled problem with a kappa for every row."""
 
     def running(carry):
         z, w, moved, steps = carry
-        return ~_arrived(matrix, offset, kappa, z, w) & moved & (steps < most_steps)
+        return ~_arrived(matrix, offset, kappa, z, w) & moved & (steps < max_steps)
 
     def improve(carry):
         z, w, _, steps = carry

@@ -147,7 +147,7 @@ class TimeTable(AbstractFunctionOfTime):
     values: Float[Array, "n ..."]
     coefficients: Float[Array, "4 pieces ..."]
     areas: Float[Array, "n ..."]
-    factor: Scalar = quantity(1.0, "1", "factor of all values")
+    factor: Scalar = quantity(1.0, "1")
     interpolation: str = eqx.field(static=True, default="cubic")
     beyond: str = eqx.field(static=True, default="held")
 

@@ -89,12 +89,16 @@ class Wearing(AbstractQuantified):
         converter=lambda given: tuple(given) if isinstance(given, list) else given,
         metadata={"wanted": "2 whole numbers: cells around and along"},
     )
-    acceleration: Scalar = quantity(1.0, "1", "worn volume per simulated volume", at_least=0)
+    acceleration: Scalar = quantity(1.0, "1", at_least=0)
     worn_radius: bool = eqx.field(static=True, default=False, kw_only=True)
+<<<<<<< HEAD
     updates: int | None = count(None, "most updates of the worn surface in a run", kw_only=True)
     coarseness: Scalar = quantity(
         1.0, "1", "cells that are one, side by side", at_least=1, at_most=2, kw_only=True
     )
+=======
+    updates: int | None = count(None, kw_only=True)
+>>>>>>> main
 
     def __check_init__(self):
         if self.cells[0] < 4 or self.cells[1] < 1:

@@ -51,8 +51,8 @@ from jaxclear.formulations.unilateral import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
-from jaxclear.multibody.forces import add_action_and_reaction
 from jaxclear.multibody.kinematics import along
+from jaxclear.multibody.rows import add_action_and_reaction
 from jaxclear.multibody.state import unpack_motion
 
 
@@ -129,7 +129,7 @@ def searched(
 
     def unfinished(carry):
         _, _, left, sweeps = carry
-        return (left > settings.tolerance) & (sweeps < settings.most_sweeps)
+        return (left > settings.tolerance) & (sweeps < settings.max_sweeps)
 
     first = (start, respond(start / h), jnp.asarray(jnp.inf), jnp.zeros((), int))
     z, _, left, _ = jax.lax.while_loop(unfinished, improve, first)

@@ -9,11 +9,14 @@ import functools
 import importlib.util
 import inspect
 import re
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
+import sys
+from collections.abc import Callable, Container
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import equinox as eqx
 
+from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import as_typed, described, final_members, listed, meant, public_name
 
 if TYPE_CHECKING:
@@ -23,11 +26,20 @@ else:
 
 P, R = ParamSpec("P"), TypeVar("R")
 PACKAGE_PATH = re.compile(r"\bjaxclear(\.\w+)+")
+# An entry of `Args:`: names, and the description up to the unit, the range or the default.
+ARGUMENT = re.compile(
+    r"^ {4}((?:\w+, )*\w+): (.*?)(?: \[|, [<>]=? |, a count|; |\.(?:\s|\Z))",
+    re.MULTILINE | re.DOTALL,
+)
 KEYWORDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 ORDERED = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 # Names that are offered no more, each with what to write instead; kept for one version.
 REMOVED = {
+    "jaxclear.AbstractProblem": (
+        "derive from jaxclear.AbstractExperiment, and write jaxclear.Problem.of(experiment, "
+        "variables)"
+    ),
     "jaxclear.conformal": "write jaxclear.contact",
     "jaxclear.LifeEnd": "give any function of a life as a response",
     "jaxclear.distribution.Beta": "write FromScipy(scipy.stats.beta(a, b, low, high - low))",
@@ -35,6 +47,33 @@ REMOVED = {
     f"jaxclear.cost.{name}": "give the cost as a function of (nominal, tolerance)"
     for name in ("Exponential", "ReciprocalExponential", "ReciprocalPower", "ReciprocalSquared")
 }
+# Names that have changed, by the old ones; these work for one version and warn.
+RENAMED = {
+    "jaxclear.coupling.Hold": "Latch",
+    "jaxclear.drive.Held": "ConstantPosition",
+    "jaxclear.heated": "apply_thermal_expansion",
+}
+
+RENAMED_ARGUMENTS = {"most_steps": "max_steps", "most_sweeps": "max_sweeps", "way": "path"}
+
+
+def with_new_arguments(owner: str, known: Container[str], given: dict) -> dict:
+    """Arguments with their new names; warns of old ones, of which the `owner` is known."""
+    for old, new in RENAMED_ARGUMENTS.items():
+        if old in given and old not in known and new in known:
+            sentence = (
+                f"{old} of {owner} is called {new} now; the old name goes in the next version."
+            )
+            warn(sentence, FutureWarning)
+            given = {new if name == old else name: value for name, value in given.items()}
+    return given
+
+
+def warn_of_renaming(path: str) -> str:
+    """The new name for an old one, such as "jaxclear.drive.Held"."""
+    new = f"{path.rpartition('.')[0]}.{RENAMED[path]}"
+    warn(f"{path} is called {new} now; the old name goes in the next version.", FutureWarning)
+    return RENAMED[path]
 
 
 class AnsweringMeta(ModuleMeta):
@@ -44,7 +83,9 @@ class AnsweringMeta(ModuleMeta):
         check = namespace.get("__check_init__")
         if check is not None and any(isinstance(base, AnsweringMeta) for base in bases):
             namespace = namespace | {"__check_init__": _after_fields(check)}
-        return ModuleMeta.__new__(mcs, name, bases, namespace, **kwargs)
+        kind = ModuleMeta.__new__(mcs, name, bases, namespace, **kwargs)
+        _describe_fields(kind)
+        return kind
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
         if cls.__name__.startswith("Abstract"):
@@ -53,6 +94,8 @@ class AnsweringMeta(ModuleMeta):
                 f"{public_name(cls)} is what a family has in common and cannot be built; it needs "
                 f"a class of its own{''.join(f', such as {one}' for one in members)}."
             )
+        if not kwargs.keys().isdisjoint(RENAMED_ARGUMENTS):
+            kwargs = with_new_arguments(public_name(cls), cls.__dataclass_fields__, kwargs)
         try:
             return ModuleMeta.__call__(cls, *args, **kwargs)
         except TypeError:
@@ -60,6 +103,17 @@ class AnsweringMeta(ModuleMeta):
             if sentence:
                 raise TypeError(sentence) from None
             raise
+
+
+def _describe_fields(kind: Any) -> None:
+    """Takes the meaning of a class's numbers from `Args:` of its docstring, up to the unit."""
+    section = inspect.cleandoc(vars(kind).get("__doc__") or "").partition("\n\nArgs:\n")[2]
+    for names, meaning in ARGUMENT.findall(section.partition("\n\n")[0]):
+        for name in names.split(", "):
+            field = kind.__dataclass_fields__.get(name)
+            if field is not None and field.metadata.get("meaning") == "":
+                words = {"meaning": " ".join(meaning.split())}
+                field.metadata = MappingProxyType({**field.metadata, **words})
 
 
 def _after_fields(class_check: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -79,6 +133,10 @@ def answering(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        if not kwargs.keys().isdisjoint(RENAMED_ARGUMENTS):
+            parameters = inspect.signature(function).parameters
+            renamed: Any = with_new_arguments(public_name(function), parameters, kwargs)
+            kwargs = renamed
         try:
             return function(*args, **kwargs)
         except TypeError:
@@ -151,12 +209,14 @@ def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
 
 def nothing_else(
     module: str, offered: list[str]
-) -> tuple[Callable[[str], NoReturn], Callable[[], list[str]]]:
-    """The `__getattr__` and `__dir__` of a module: for any name beyond those offered, a sentence;
-    what completes a name that is being typed shows these alone."""
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """The `__getattr__` and `__dir__` of a module: for any name beyond those offered, a sentence,
+    for an old one what has the new; what completes a name that is being typed shows these alone."""
 
-    def refuse(name: str) -> NoReturn:
+    def refuse(name: str) -> Any:
         path = f"{module} has no {name!r}"
+        if f"{module}.{name}" in RENAMED:
+            return getattr(sys.modules[module], warn_of_renaming(f"{module}.{name}"))
         if name.startswith("__"):
             raise AttributeError(f"{path}.")
         if f"{module}.{name}" in REMOVED:

@@ -10,11 +10,11 @@ Every number of a mechanism, in the unit of the joint it is of: a coordinate is 
 its joint turns or slides.
 """
 
-import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
+from jaxclear.components.acting import acts_on_coordinates
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import (
@@ -24,8 +24,7 @@ from jaxclear.components.coupling import (
 )
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Free, Planar, Revolute
 from jaxclear.components.joint.base import drive_of
-from jaxclear.components.load import AbstractStateLoad
-from jaxclear.ground.quantity import IF_ANY, numbers
+from jaxclear.ground.quantity import numbers
 from jaxclear.ground.wording import listed
 
 
@@ -111,8 +110,8 @@ class Topology:
     coordinate_count: int
     speed_count: int
     redundancy: Redundancy | None = None
-    couplings: tuple[str, ...] = field(default=(), metadata={IF_ANY: True})
-    geared: tuple[tuple[str, str], ...] = field(default=(), metadata={IF_ANY: True})
+    couplings: tuple[str, ...] = ()
+    geared: tuple[tuple[str, str], ...] = ()
 
     @property
     def closing(self) -> tuple[str, ...]:
@@ -310,10 +309,6 @@ def _geared(couplings: Mapping[str, AbstractCoupling], free: set[str]) -> Iterat
             yield motor, joints[0]
 
 
-# What the meaning of a number says of its unit where the joint slides that it is of, or acts on.
-SLIDING = re.compile(r"\(([^()]+) for a sliding joint\)")
-
-
 def own_numbers(mechanism: Any) -> Iterator[tuple[str, Any, Mapping[str, Any], str]]:
     """(name, value, metadata of its field, unit) of every number of a mechanism but those of its
     start, in definition order."""
@@ -340,7 +335,7 @@ def moves_along(mechanism: Any, part: Any) -> bool:
     if isinstance(part, AbstractForceCoupling):
         place = part.along()
         return place is None or slides(mechanism, place)
-    if isinstance(part, AbstractStateLoad):
+    if acts_on_coordinates(part):
         return slides(mechanism, part.coordinates()[0])
     if not isinstance(part, AbstractCoupling):
         return False
@@ -368,5 +363,5 @@ def slides(mechanism: Any, name: str) -> bool:
 
 def unit_along(metadata: Mapping[str, Any], along: bool) -> str:
     """The unit of a number by its field; `along`: whether it is of a coordinate that slides."""
-    found = SLIDING.search(metadata.get("meaning", "")) if along else None
-    return metadata.get("unit", "1") if found is None else found[1]
+    unit = metadata.get("unit", "1")
+    return metadata.get("sliding", unit) if along else unit

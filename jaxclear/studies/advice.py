@@ -13,11 +13,10 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from jaxclear.errors.accuracy import beside
+from jaxclear.errors.accuracy import ratio_to_allowed
 from jaxclear.errors.choice import Question, Rung, Search, Tried, budget_of, others_of, rungs_of
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
@@ -30,8 +29,8 @@ from jaxclear.simulation.initial_state import beginning
 from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.simulate import How, check_run, repeated
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
-from jaxclear.studies.mechanism_problem import answer
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.responses import answer
 from jaxclear.studies.sampling import draw
 
 # What the user had.
@@ -47,8 +46,13 @@ PARTING = "Where single runs part, as chaotic ones do, ask for means over a samp
 
 
 class PilotSettings(AbstractQuantified):
-    """Which runs an advice is founded on: so many `copies`, the nominal values and others that
-    `seed` draws from the tolerances. More of them where the answer says that paths part."""
+    """The trial runs on which an advice is based.
+
+    Args:
+        copies: number of copies of the mechanism, the nominal one and others drawn from the
+            tolerances; 8 by default. Use more where the answer says that paths separate.
+        seed: seed that draws the copies; 0 by default.
+    """
 
     copies: int = count(8, "nominal and perturbed runs")
     seed: int = count(0, "seed that draws the copies", at_least=0)
@@ -146,7 +150,7 @@ class Asked(NamedTuple):
         found = {}
         for name, own in one.items():
             allowed = float(np.sqrt(np.mean(own**2))) * self.limit(len(own))
-            found[name] = beside(float(np.max(np.abs(own - other[name]))), allowed)
+            found[name] = ratio_to_allowed(float(np.max(np.abs(own - other[name]))), allowed)
         return found
 
 
@@ -336,13 +340,23 @@ def advise(
     pilot: PilotSettings | None = None,
     progress_bar: bool = False,
 ) -> Advice:
-    """The integrator that keeps `accuracy` in every response of a problem at the least work; see
-    `Advice`. It is what `Problem(accuracy=)` chooses from the nominal sample, asked of several
-    samples and of more methods; work is counted in evaluations of forces.
+    """Find the integrator that reaches an accuracy in every response at the least work.
 
-    `accuracy` [1]: largest error beside a response's root mean square over the copies. `pilot`: the
-    runs it is founded on. Raises
-    `ValueError` with a sentence for what cannot be asked, and where no run gives numbers.
+    It makes the choice of `Problem(accuracy=)` from several copies of the mechanism and more
+    methods. Work is counted in evaluations of forces.
+
+    Args:
+        problem: the `Problem`.
+        accuracy: largest error of a response, as a factor of its root mean square over the copies
+            [1]; 0.01 by default.
+        pilot: `PilotSettings` of the trial runs; None for the defaults.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Advice`.
+
+    Raises:
+        ValueError: if an argument is wrong, or no run gives numbers.
     """
     check_double_precision()
     expect(problem, Problem, "what advice is given on", "a jaxclear.Problem")
@@ -388,20 +402,20 @@ def _advised(copies: Copies, asked: Asked, rungs: _Rungs, progress_bar: bool = F
     found = search.best or search.nearest
     if found is None:
         raise ValueError(_why_nothing(copies, rungs))
-    for name, answers in found.seen.items():
+    for name, answers in found.observed.items():
         if not np.any(answers):
             raise ValueError(
                 f'response "{name}" is 0 in every copy, which gives an error no measure; add its '
                 "size to it, or leave it out."
             )
-    seen, limit = (search.reference or found).seen, asked.limit(len(copies.values))
+    seen, limit = (search.reference or found).observed, asked.limit(len(copies.values))
     shares = lambda errors: {name: limit * error for name, error in errors.items()}
     off = lambda answers: shares(asked.beside(answers, seen))
     kept = lambda errors: all(error <= limit for error in errors.values())
 
     def trial(name: str, one: Tried) -> Trial:
-        left_out = off(one.seen) if name in rungs.other and one.errors else {}
-        meets = one.told <= 1 and kept(left_out)
+        left_out = off(one.observed) if name in rungs.other and one.errors else {}
+        meets = one.error_ratio <= 1 and kept(left_out)
         why = copies.run(one.integrator).failure or ("" if one.errors else "in finer steps.")
         return Trial(name, one.integrator, one.work, shares(one.errors), left_out, meets, why)
 
@@ -446,7 +460,7 @@ def _values(problem: Problem, pilot: PilotSettings) -> np.ndarray:
 
 def _possible(problem: Problem, values: np.ndarray) -> bool:
     """Whether there is a mechanism of these values, and it can start."""
-    mechanism = problem.seen(jnp.asarray(values))
+    mechanism = problem.seen(problem.setting(values))
     if not all(bool(np.all(inside(leaf, known))) for _, leaf, known in numbers(mechanism)):
         return False
     try:

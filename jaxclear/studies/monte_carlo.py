@@ -3,6 +3,7 @@ every statistic, and which sample failed and why.
 """
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -11,7 +12,6 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number
-from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import (
     DATASET,
@@ -22,8 +22,8 @@ from jaxclear.studies.answer import (
     Column,
     Stated,
 )
-from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.endless import answered, check_told, endless_sentences, refuse_endless
+from jaxclear.studies.endless import check_told, endless_sentences, refuse_endless, successes
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
 from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
 from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, until_accurate
@@ -56,6 +56,7 @@ from jaxclear.studies.statistics.summary import (
     warnings_of,
 )
 from jaxclear.studies.store.batch import chunk_size, evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import any_warning, counted, in_words, warned_of
 
 # What responses of replicas are, which are those of the first samples.
@@ -77,7 +78,7 @@ class MonteCarlo(AbstractAnswer):
     are finer runs of the first samples, which tell numerical errors (None: not verified).
     """
 
-    problem: AbstractProblem
+    problem: Problem
     values: np.ndarray
     responses: dict[str, np.ndarray]
     outcome: np.ndarray
@@ -93,8 +94,7 @@ class MonteCarlo(AbstractAnswer):
     @property
     def failed(self) -> np.ndarray:
         """Indices of the samples that failed."""
-        told = answered(self.problem, self.responses)
-        return np.flatnonzero((self.outcome != Outcome.REACHED) | ~told)
+        return np.flatnonzero(~successes(self.problem, self.outcome, self.responses)[0])
 
     def failures(self) -> dict[int, str]:
         """Why each failed sample failed, by its index."""
@@ -130,7 +130,7 @@ class MonteCarlo(AbstractAnswer):
     def doubts_of(self, *responses: str) -> tuple[str, ...]:
         """The `doubts` that concern these responses."""
         told = () if self.replicas is None else self.replicas.doubts(self.problem, *responses)
-        return (*told, *self.problem.doubts())
+        return (*told, *self.problem.description.warnings)
 
     def numerical_error(
         self, response: str, statistic: Callable[[np.ndarray], float] = np.mean
@@ -143,7 +143,7 @@ class MonteCarlo(AbstractAnswer):
     def rerun(self, index: int) -> Any:
         """One sample alone, to look at one that failed or warned: a mechanism's run, bit for bit
         that of the study; of a function what it gives, by name."""
-        return self.problem.rerun(jnp.asarray(self.values[index]), index, self.chunk)
+        return self.problem.detail(self.values[index], index, self.chunk)
 
     def sentence(self) -> str:
         """How many samples there are, failed and warned, and of what; and why the integrator is
@@ -157,7 +157,7 @@ class MonteCarlo(AbstractAnswer):
             unverified(self.problem, self.replicas),
             *endless_sentences(self.problem, self.responses),
             self.unreached,
-            self.problem.remark(),
+            self.problem.description.remark,
         )
         return " ".join(filter(None, told))
 
@@ -297,8 +297,9 @@ class MonteCarlo(AbstractAnswer):
 
 
 @answering
+@stored("a Monte Carlo study")
 def monte_carlo(
-    problem: AbstractProblem,
+    problem: Problem,
     samples: int = 1024,
     *,
     seed: int = 0,
@@ -307,18 +308,35 @@ def monte_carlo(
     accuracy: float | Mapping[str, float] | None = None,
     chunk: int | None = None,
     verify: bool = True,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> MonteCarlo:
-    """Responses over a random sample of the variables.
+    """Run a problem for a random sample of its variables.
 
-    `sampling`: "sobol" (scrambled, quasi-random) or "random". The sample consists of independent
-    `scramblings`, by default near its root and at most 8, whose differences tell the error of every
-    statistic. `accuracy`: half of the 95 % interval of each mean, as a share of the
-    response's root mean square [1], or by response in its unit; samples are then doubled until it
-    is reached, and `samples` are the most. `chunk`: samples run together, by
-    default what fits memory; all chunks share one compiled program. `verify`: the first 16 samples
-    are run again with finer steps, which tells `numerical_error` of every statistic. A sample that
-    fails is counted, named and kept; so is one whose run warns of its own numbers.
+    A failed sample does not stop the study; it is counted and keeps the reason of its failure.
+    Samples whose run gives warnings are counted too.
+
+    Args:
+        problem: the problem.
+        samples: number of samples; with `accuracy` the largest number. 1024 by default.
+        seed: seed of the random numbers; 0 by default.
+        sampling: name of the method, "sobol" (scrambled Sobol' points, default) or "random".
+        scramblings: number of independent subsets of the sample, whose differences give the error
+            of each statistic; by default about the square root of `samples`, at most 8.
+        accuracy: required half width of the 95 % interval of each mean, as a factor of the
+            response's root mean square [1], or a dictionary by response in its unit; the sample is
+            doubled until it is reached. None by default.
+        chunk: number of samples that run together; None (default) for what fits the memory.
+        verify: whether to repeat the first 16 samples with finer steps, which gives the numerical
+            error of each statistic; True by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `MonteCarlo`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     check_sampled(problem, samples, seed, sampling)
     check_flags("monte_carlo", verify=verify, progress_bar=progress_bar)

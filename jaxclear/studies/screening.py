@@ -13,20 +13,22 @@ of different lengths: Campolongo, Saltelli & Cariboni 2011, Comput. Phys. Commun
 doi:10.1016/j.cpc.2010.12.039.
 """
 
+from pathlib import Path
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags
-from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Column, Stated
-from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.endless import refuse_endless, successes
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import all_values, check_sampled
 from jaxclear.studies.scrambling import normal_scores
 from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed
 from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import told
 
 # Shares of the population [1] that a move goes through: their mean is that of Morris' steps.
@@ -39,7 +41,7 @@ class Screening(AbstractAnswer):
     whether its effect hangs on where it and the others stand. `effects` (trajectories,) are nan
     where a run failed, of which there are `failed` among `runs`."""
 
-    problem: AbstractProblem
+    problem: Problem
     mu_star: dict[tuple[str, str], Statistic]
     sigma: dict[tuple[str, str], Statistic]
     effects: dict[tuple[str, str], np.ndarray]
@@ -72,15 +74,33 @@ class Screening(AbstractAnswer):
 
 
 @answering
+@stored("a screening")
 def screening(
-    problem: AbstractProblem, trajectories: int = 16, *, seed: int = 0, progress_bar: bool = False
+    problem: Problem,
+    trajectories: int = 16,
+    *,
+    seed: int = 0,
+    store: str | Path | None = None,
+    progress_bar: bool = False,
 ) -> Screening:
-    """Which variables of a problem matter, by the method of Morris: `trajectories` times one run
-    more than there are variables.
+    """Find the variables that matter, by the method of Morris.
 
-    Trajectories are independent; intervals (95 %) come from the differences between them.
-    Correlated variables are moved by their own independent numbers. A move whose run failed is left
-    out. Raises `ValueError` for what cannot be asked.
+    It takes `trajectories` times (variables + 1) runs. Trajectories are independent; 95 % intervals
+    follow from their differences. Correlated variables are moved by their independent numbers. A
+    move with a failed run is left out.
+
+    Args:
+        problem: the problem.
+        trajectories: number of trajectories; 16 by default.
+        seed: seed of the random numbers; 0 by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Screening`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     check_sampled(problem, trajectories, seed)
     check_count("trajectories of screening", trajectories, at_least=2)
@@ -90,12 +110,11 @@ def screening(
     found = evaluate_all(problem, values, progress_bar=progress_bar, label="screening")
     refuse_endless(problem, found.responses, "elementary effect")
     own = {name: np.asarray(found.responses[name], float) for name in problem.response_names}
-    finite = np.all([np.isfinite(responses) for responses in own.values()], axis=0)
-    good = (np.asarray(found.outcome) == Outcome.REACHED) & finite
+    good, own = successes(problem, found.outcome, own)
     moves = np.diff(shares.reshape(trajectories, -1, shares.shape[1]), axis=1)
     effects, mu_star, sigma = {}, {}, {}
     for name, responses in own.items():
-        kept = np.where(good, responses, np.nan).reshape(trajectories, -1)
+        kept = responses.reshape(trajectories, -1)
         for i, variable in enumerate(problem.names):
             # Each trajectory moves each variable once.
             moved = np.argmax(np.abs(moves[:, :, i]), axis=1)[:, None]

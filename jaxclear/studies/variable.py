@@ -14,11 +14,11 @@ from jaxclear.ground.arguments import check_number, expect
 from jaxclear.ground.quantity import Scalar, is_one_number, is_traced, quantity
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, meant
-from jaxclear.multibody.heated import heated
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.thermal_expansion import apply_thermal_expansion
 from jaxclear.multibody.topology import own_numbers
-from jaxclear.studies.base import AbstractVariable, one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
+from jaxclear.studies.experiment import AbstractVariable, one_distribution
 
 # The least quantile of a response that studies tell.
 TOLD_QUANTILE = 0.05
@@ -27,50 +27,62 @@ SAME = 1e-3
 
 
 class AbstractMechanismVariable(AbstractVariable):
-    """A number that varies of a mechanism, or about it."""
+    """A number that varies in a mechanism, or in its environment."""
 
     @abstractmethod
     def leaves(self, mechanism: Mechanism) -> list:
-        """The numbers of the mechanism that it sets by itself."""
+        """The numbers of the mechanism that the variable sets.
 
-    @abstractmethod
-    def nominal_in(self, mechanism: Mechanism) -> Any:
-        """Its nominal value."""
+        Args:
+            mechanism: the `Mechanism`.
 
-    @abstractmethod
-    def unit_in(self, mechanism: Mechanism) -> str:
-        """Its unit."""
-
-    @abstractmethod
-    def put(self, mechanism: Mechanism, value: Any) -> Mechanism:
-        """The mechanism with its numbers set."""
-
-    @abstractmethod
-    def followed(self, mechanism: Mechanism, value: Any) -> Mechanism:
-        """The mechanism, all of whose variables are set, with what follows from this one."""
+        Returns:
+            A list of leaves.
+        """
 
     @abstractmethod
     def check(self, name: str, mechanism: Mechanism) -> None:
-        """Raises `ValueError` where it has nothing to do with the mechanism."""
+        """Refuse a variable that does not belong to the mechanism.
 
-    @abstractmethod
-    def told(self, name: str, mechanism: Mechanism) -> dict[str, Any]:
-        """All that tells it from another, but for its distribution."""
+        Args:
+            name: name of the variable.
+            mechanism: the `Mechanism`.
+
+        Raises:
+            ValueError: if it does not.
+        """
 
     def check_derived(self, name: str, mechanism: Mechanism, varied: set[int]) -> None:
-        """Raises `ValueError` where a derived number is not what the mechanism itself has (one of
-        the two is wrong), or is one of those that are `varied`."""
+        """Refuse derived numbers that contradict the mechanism or that a variable sets.
+
+        Args:
+            name: name of the variable.
+            mechanism: the `Mechanism`.
+            varied: identifiers (`id`) of the numbers that variables set.
+
+        Raises:
+            ValueError: if a derived number is not what the mechanism has, or is among them.
+        """
 
 
 class Variable(AbstractMechanismVariable):
-    """A number of the mechanism that varies: `where(mechanism)` returns its leaf, or several leaves
-    that vary together.
+    """A number of a mechanism that varies.
 
-    `distribution` is centred on the leaf's own value; `tolerance=t` stands for a normal
-    distribution with three standard deviations in t, cut off at +-t.
-    `derived`: numbers that follow from it, a pair of functions each: where the number stands, and
-    what it is in a mechanism whose variables are set: `(lambda rig: rig.bodies["rod"].inertia,
-    lambda rig: rig.bodies["rod"].mass * rig.bodies["rod"].com[0] ** 2 / 3)`.
+    Args:
+        where: function of a `Mechanism` that returns the number (a leaf), or several that vary
+            together.
+        distribution: distribution of the deviation from the number's own value, one of
+            `jaxclear.distribution`; in its place `tolerance`.
+        tolerance: half width t of the tolerance, a number in the varied number's unit, > 0: a
+            normal distribution with a standard deviation of t/3, cut off at +-t.
+        derived: numbers that follow from it, a sequence of pairs of functions of a mechanism: where
+            the number stands, and its value once the variables are set, such as `(lambda rig:
+            rig.bodies["rod"].inertia, lambda rig: rig.bodies["rod"].mass * rig.bodies["rod"].com[0]
+            ** 2 / 3)`; () by default.
+
+    Raises:
+        ValueError: if neither or both of distribution and tolerance are given, or `derived` holds
+            something else.
     """
 
     where: Callable[[Mechanism], Any] = eqx.field(static=True)
@@ -101,7 +113,7 @@ class Variable(AbstractMechanismVariable):
         first = self.leaves(mechanism)[0]
         return next((unit for _, leaf, _, unit in own_numbers(mechanism) if leaf is first), "1")
 
-    def put(self, mechanism, value):
+    def put(self, name, mechanism, value):
         # Leaves that vary together move by the same amount.
         old = self.leaves(mechanism)
         new = [leaf + (value - old[0]) for leaf in old]
@@ -148,9 +160,14 @@ class Variable(AbstractMechanismVariable):
 
 @dataclasses.dataclass(frozen=True)
 class Heating:
-    """What a temperature does, for a `Condition` to act by: `heated(mechanism, rise, expansion)`
-    for a `rise` [K] above the drawing's. `expansion`: coefficient of linear expansion [1/K], one
-    for all, or by body. It is data: a scene file holds it, and no function of one's own.
+    """Thermal expansion by a temperature rise, as data: what a `Condition` acts by.
+
+    A scene file holds it. It calls `apply_thermal_expansion(mechanism, rise, expansion)`, `rise`
+    [K] above the temperature of the drawing.
+
+    Args:
+        expansion: coefficient of linear expansion [1/K], one number for all bodies and the ground,
+            or a dict by body.
     """
 
     expansion: float | tuple[tuple[str, float], ...]
@@ -171,18 +188,37 @@ class Heating:
         object.__setattr__(self, "expansion", own)
 
     def __call__(self, mechanism: Mechanism, rise: Any) -> Mechanism:
-        """The mechanism at this rise [K]."""
+        """The mechanism at a higher temperature.
+
+        Args:
+            mechanism: the `Mechanism`.
+            rise: temperature above that of the drawing [K].
+
+        Returns:
+            The new `Mechanism`.
+        """
         own = self.expansion
-        return heated(mechanism, rise, dict(own) if isinstance(own, tuple) else own)
+        return apply_thermal_expansion(
+            mechanism, rise, dict(own) if isinstance(own, tuple) else own
+        )
 
 
 class Condition(AbstractMechanismVariable):
-    """What varies and is no number of the mechanism itself, such as a temperature:
-    `acts(mechanism, value)` returns the mechanism as it is under the condition, all other variables
-    set before. `Heating` is such a function for temperatures.
+    """A quantity that varies and is no number of the mechanism, such as a temperature.
 
-    `nominal` and `unit` are the condition's own; `acts(mechanism, nominal)` is the mechanism as it
-    is studied at nominal. `distribution` or `tolerance` as of a `Variable`.
+    Args:
+        acts: function of a `Mechanism` and the value that returns the mechanism under the
+            condition, after all other variables are set, such as a `Heating`; with the nominal
+            value it is the mechanism at nominal.
+        nominal: nominal value, a number in `unit`.
+        distribution: distribution of the deviation from the nominal value, one of
+            `jaxclear.distribution`; in its place `tolerance`.
+        tolerance: half width t of the tolerance, a number in `unit`, > 0, as of a `Variable`.
+        unit: unit, a text; "K" by default.
+
+    Raises:
+        ValueError: if an argument is of another kind, or neither or both of distribution and
+            tolerance are given.
     """
 
     nominal: Scalar = quantity(unit="(its unit)", meaning="nominal value")
@@ -219,7 +255,7 @@ class Condition(AbstractMechanismVariable):
     def unit_in(self, mechanism):
         return self.unit
 
-    def put(self, mechanism, value):
+    def put(self, name, mechanism, value):
         return mechanism
 
     def followed(self, mechanism, value):
@@ -251,27 +287,6 @@ def _pair(given: Any) -> tuple[Callable, Callable]:
             "a mechanism: where a number stands, and what it is."
         )
     return tuple(given)
-
-
-def with_values(
-    mechanism: Mechanism, variables: list[AbstractMechanismVariable], values: Any
-) -> Mechanism:
-    """The mechanism with its variables set, in the order of `values`, and what follows."""
-    for variable, value in zip(variables, values, strict=True):
-        mechanism = variable.put(mechanism, value)
-    for variable, value in zip(variables, values, strict=True):
-        mechanism = variable.followed(mechanism, value)
-    return mechanism
-
-
-def places_of(
-    mechanism: Mechanism, variables: Mapping[str, AbstractMechanismVariable]
-) -> dict[str, Any]:
-    """What each variable points at, in words, and what follows from it."""
-    found: dict[str, Any] = {}
-    for name, own in variables.items():
-        found |= own.told(name, mechanism)
-    return found
 
 
 def check_variables(variables: dict[str, Any], mechanism: Mechanism) -> None:

@@ -13,6 +13,7 @@ search: Kolda, Lewis & Torczon 2003, SIAM Rev. 45, 385, doi:10.1137/S00361445024
 
 import itertools
 import math
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -26,12 +27,13 @@ from jaxclear.ground.printing import AbstractShown, with_text_repr
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import RESPONSE, TABLE, VARIABLE, AbstractAnswer, Column, Stated
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution.base import END_SCORE
-from jaxclear.studies.endless import answered, finite_beside, why_unanswered
+from jaxclear.studies.endless import finite_beside, successes, why_unanswered
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import by_kind, codes_of, concerning
 
 # Points from which each extreme is climbed to, the corner of the slopes apart.
@@ -61,7 +63,7 @@ class WorstCase(AbstractAnswer):
     `nominal` values. Of the `points` asked over the box, its corners among them, `failed` (failed,
     variables) have no answer; `warnings` say so, and which extremes are those of runs that warn."""
 
-    problem: AbstractProblem
+    problem: Problem
     low: np.ndarray
     high: np.ndarray
     nominal: dict[str, float]
@@ -117,20 +119,37 @@ class WorstCase(AbstractAnswer):
 
 
 @answering
+@stored("a worst case")
 def worst_case(
-    problem: AbstractProblem,
+    problem: Problem,
     *,
     samples: int = 256,
     sigmas: float = 3.0,
     seed: int = 0,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> WorstCase:
-    """The least and largest value of every response over the box of the variables: to the ends of
-    distributions that have ends, and to `sigmas` [1] normal scores of others. `samples`: points
-    spread over the box to begin with; beside them all corners are asked, of up to ten variables.
+    """Find the smallest and largest value of every response over the box of the variables.
 
-    What cannot be built, or fails, is in no extreme: `failed` holds these points, and the print
-    counts them. It says nothing of how likely the worst is, which `jaxclear.monte_carlo` does.
+    The box reaches to the ends of distributions that have ends. Points that cannot be built or fail
+    are in no extreme; `failed` lists them. The probability of an extreme is the business of
+    `jaxclear.monte_carlo`.
+
+    Args:
+        problem: the problem.
+        samples: number of points spread over the box at first, besides all corners for up to ten
+            variables; 256 by default.
+        sigmas: half width of the box in standard normal scores for distributions without ends [1];
+            3 by default.
+        seed: seed of the random numbers; 0 by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `WorstCase`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     check_sampled(problem, samples, seed)
     check_number("sigmas of worst_case", sigmas, above=0)
@@ -169,7 +188,7 @@ def corners_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.array(list(itertools.product(*ends)))
 
 
-def box(problem: AbstractProblem, sigmas: float) -> tuple[np.ndarray, np.ndarray]:
+def box(problem: Problem, sigmas: float) -> tuple[np.ndarray, np.ndarray]:
     """Least and largest value of each variable, (variables,) each."""
     nominal, ends = np.asarray(problem.nominal()), []
     for own in problem.inputs.distributions:
@@ -193,14 +212,14 @@ def _value_and_slopes(problem, name, values):
 class Search:
     """Runs a problem in search of extremes, and counts the runs."""
 
-    def __init__(self, problem: AbstractProblem, low, high, progress_bar: bool):
+    def __init__(self, problem: Problem, low, high, progress_bar: bool):
         self.problem, self.low, self.high, self.bar = problem, low, high, progress_bar
         self.runs = 0
         # Of the points asked last: whether one has no answer, and how and when [s] each ended.
         self.failed, self.ends = np.zeros(0, bool), (np.zeros(0, int), np.zeros(0))
         # Of what the runs warn, by their values.
         self.codes: dict[bytes, int] = {}
-        self.differentiable = not any(problem.pathwise_limits())
+        self.differentiable = not any(problem.description.derivative)
 
     def responses(self, points: np.ndarray) -> dict[str, np.ndarray]:
         """By name at points (points, variables); nan where one failed."""
@@ -209,11 +228,9 @@ class Search:
             self.problem, jnp.asarray(points), progress_bar=self.bar, label="worst case"
         )
         self._keep(points, found.checks)
-        good = np.asarray(found.outcome) == Outcome.REACHED
-        told = lambda name, own: good & answered(self.problem, {name: own})
-        self.failed = ~(good & answered(self.problem, found.responses))
-        self.ends = np.asarray(found.outcome), np.asarray(found.ended)
-        return {n: np.where(told(n, own), own, np.nan) for n, own in found.responses.items()}
+        good, responses = successes(self.problem, found.outcome, found.responses)
+        self.failed, self.ends = ~good, (np.asarray(found.outcome), np.asarray(found.ended))
+        return responses
 
     def unanswered(self, points: np.ndarray, corners: int) -> tuple[str, ...]:
         """How many of the points asked last have no answer, the first of which is the nominal one

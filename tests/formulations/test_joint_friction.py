@@ -124,15 +124,15 @@ def test_joints_of_a_loop_that_come_to_rest_together_do_so_in_steps_of_any_lengt
     jam = crank(jc.joint.PlainBearing, friction=jc.friction.Coulomb(mu_kinetic=0.5), radius=20e-3)
     ends = {}
     for step in (4.124626382901348e-06, 1e-5, 2.4244620170823306e-05, 3.455107294592218e-05, 1e-4):
-        steps = jc.integrator.NonColliding(step, most_sweeps=100.0)
+        steps = jc.integrator.NonColliding(step, max_sweeps=100.0)
         run = jc.simulate(jam, 0.06, integrator=steps, save=121, throw=False)
         assert run.succeeded, run.result
         ends[step] = float(run.speed("A")[-1])
     shortest, *others = ends.values()
     np.testing.assert_allclose(others, shortest, rtol=2e-3)
-    few = jc.integrator.NonColliding(1e-5, most_sweeps=2.0)
+    few = jc.integrator.NonColliding(1e-5, max_sweeps=2.0)
     run = jc.simulate(jam, 0.06, integrator=few, save=121, throw=False)
-    assert not run.succeeded and "Allow more of them (most_sweeps)" in run.result
+    assert not run.succeeded and "Allow more of them (max_sweeps)" in run.result
 
 
 @pytest.mark.slow
@@ -237,3 +237,25 @@ def test_a_study_of_a_joint_that_rubs_controls_its_error():
     )
     assert isinstance(problem.integrator, jc.integrator.Adaptive)
     assert 'friction in joint "B"' in problem.why_integrator
+
+
+@pytest.mark.parametrize("closing", ["B", "D"])
+@pytest.mark.parametrize("integrator", [jc.integrator.FixedStep(1e-3), NON_COLLIDING])
+def test_friction_is_in_the_reaction_wherever_the_loop_is_cut(closing, integrator):
+    """A parallelogram whose pin B, clamped, rubs by mu F r as the rod turns in the rocker."""
+    law = FAST if integrator is not NON_COLLIDING else STICKS
+    pin = jc.joint.PlainBearing(law, radius=RADIUS, load=LOAD)
+    crank, turn = jc.joint.Revolute(jc.drive.ConstantSpeed(3.0)), jc.joint.Revolute()
+    ends = jc.Marker("rod", (0.3, 0.0)), jc.Marker("rocker", (0.0, 0.1))
+    joints = {
+        "O": jc.Connection(crank, "ground", "crank"),
+        "A": jc.Connection(turn, "crank", "rod", at=(0.0, 0.1)),
+        "B": jc.Connection(pin, *ends),
+        "D": jc.Connection(turn, "ground", "rocker", at=(0.3, 0.0)),
+    }
+    order = [name for name in joints if name != closing] + [closing]
+    bodies = {name: jc.Body(0.1, 1e-4) for name in ("crank", "rod", "rocker")}
+    rig = jc.Mechanism(bodies, {name: joints[name] for name in order})
+    run = jc.simulate(rig, 0.01, save=3, integrator=integrator, verify=False)
+    torque = np.asarray(run.reaction("B").torque[1:, 2])
+    np.testing.assert_allclose(torque, -MU * LOAD * RADIUS, rtol=1e-6)

@@ -12,11 +12,11 @@ import scipy
 import jaxclear as jc
 from jaxclear.ground.printing import with_error
 from jaxclear.plot.studies import _warned_samples
-from jaxclear.studies.base import SampleResult
+from jaxclear.studies.experiment import Cost, Description, ResponseInfo, SampleResult
 from jaxclear.studies.replicas import MOST_REPLICAS
-from jaxclear.studies.store import threads
+from jaxclear.studies.store import workers
 from jaxclear.studies.store.batch import evaluate_chunk
-from jaxclear.studies.store.files import PIECES
+from jaxclear.studies.store.store import CHUNKS
 
 GRAVITY, DURATION, STEP = 9.81, 0.5, 5e-3
 # One program serves all that are run in chunks of this size.
@@ -75,7 +75,7 @@ def test_the_bias_of_euler_steps_is_that_of_the_closed_form(study):
 def test_a_replica_has_that_share_of_the_steps_that_were_taken(share):
     """Saving times 0.1 s apart shorten steps of 0.03 s to 0.025 s."""
     problem = falling(integrator=jc.integrator.FixedStep(0.03, "euler"))
-    replica = problem.replica(share)
+    replica = problem.refine(share)
     assert float(replica.integrator.step) == pytest.approx(share * 0.025)
     at = jnp.tile(problem.nominal(), (CHUNK, 1))
     own, finer = (evaluate_chunk(each, at).responses["way"][0] for each in (problem, replica))
@@ -129,7 +129,7 @@ def test_told_errors_are_true_ones_of_a_wide_swing(integrator):
 def test_responses_see_finer_runs_at_the_times_that_were_asked_for(how):
     """Counted steps are halved by twice the saving times; what hangs on these does not see them."""
     problem = falling(**how)
-    replica = problem.replica()
+    replica = problem.refine()
     counted = problem.integrator.steps_between_saves is not None
     assert len(replica.shares) == (11 if counted else 6)
     told = jc.monte_carlo(problem, 4).numerical_error("saves")
@@ -229,7 +229,7 @@ def test_what_is_off_beyond_the_promise_is_said(study):
 
 def test_replicas_that_fail_say_so_and_leave_the_study_alone():
     """Tighter tolerances take more steps than are allowed."""
-    allowed = falling(integrator=jc.integrator.Adaptive(rtol=1e-4, atol=1e-6, most_steps=12))
+    allowed = falling(integrator=jc.integrator.Adaptive(rtol=1e-4, atol=1e-6, max_steps=12))
     found = jc.monte_carlo(allowed, 32)
     assert len(found.failed) == 0
     replicas = eqx.tree_at(
@@ -247,59 +247,37 @@ def test_replicas_that_fail_say_so_and_leave_the_study_alone():
     assert broken.mean("way") == found.mean("way") and len(broken.failed) == 0
 
 
-class Parting(jc.AbstractProblem):
+class Parting(jc.AbstractExperiment):
     """What steps of h make of a number: x + a sin(w x / h), which parts wholly for another h; a
-    stranger's problem, which refines itself."""
+    stranger's experiment, which refines itself."""
 
-    variables: dict[str, jc.Dimension]
     step: jnp.ndarray
     apart: jnp.ndarray
     refines: bool = eqx.field(static=True, default=True)
-    names: tuple[str, ...] = eqx.field(static=True, default=("x",))
     response_names: tuple[str, ...] = eqx.field(static=True, default=("y",))
-    variable_units: tuple[str, ...] = eqx.field(static=True, default=("m",))
-    correlation: None = None
 
-    def nominal(self):
-        return jnp.stack([self.variables["x"].nominal])
-
-    def units(self):
-        return {"y": "m"}
-
-    def evaluate(self, values, *, discrete_derivatives=False):
-        own = values[0] + self.apart * jnp.sin(1e5 * values[0] / self.step)
+    def evaluate(self, setting, *, discrete_derivatives=False):
+        x = setting(self.subject)["x"]
         failed = self.step < 0.3
         outcome = jnp.where(failed, jc.integrator.Outcome.TOO_MANY_STEPS, 0)
+        own = x + self.apart * jnp.sin(1e5 * x / self.step)
         return SampleResult({"y": own}, outcome, jnp.zeros(()))
 
-    def discretised(self):
-        return True
-
-    def replica(self, share=0.5):
+    def refine(self, share=0.5):
         return eqx.tree_at(lambda own: own.step, self, self.step * share) if self.refines else None
 
-    def promised(self, response, size):
-        return 0.01 * size
+    def cost(self):
+        return Cost(64, 32)
 
-    def sample_memory(self):
-        return 64
-
-    def most_together(self):
-        return 32
-
-    def rerun(self, values, index, chunk):
-        return self.evaluate(values)
-
-    def ending(self, outcome, ended):
-        return "it ended well." if outcome == 0 else "it took too many steps."
-
-    def parts(self):
-        return {"step": self.step, "apart": self.apart}
+    def describe(self):
+        many = {jc.integrator.Outcome.TOO_MANY_STEPS: "it took too many steps."}
+        known = {"y": ResponseInfo("m", promise=(0.0, 0.01))}
+        return Description("Parting", known, many, discretised=True)
 
 
 def parting(apart, step=1.0, **how):
     spread = {"x": jc.Dimension(1.0, jc.distribution.Normal(0.01))}
-    return Parting(spread, jnp.asarray(step), jnp.asarray(apart), **how)
+    return jc.Problem.of(Parting(jnp.asarray(step), jnp.asarray(apart), **how), spread)
 
 
 def test_where_paths_part_two_figures_stand_side_by_side():
@@ -332,12 +310,12 @@ def test_a_replica_that_fails_of_a_strangers_problem_is_named():
 
 def test_a_campaign_keeps_its_replicas_and_adds_what_it_lacks(tmp_path, monkeypatch):
     """A larger one has those of the smaller, and eight more; nothing is run twice."""
-    asked, counts, finer = long_steps(), [], threads.finer_runs
+    asked, counts, finer = long_steps(), [], workers.finer_runs
     counted = lambda asked, values, chunk: (
         counts.append(len(values)),
         finer(asked, values, chunk),
     )[1]
-    monkeypatch.setattr(threads, "finer_runs", counted)
+    monkeypatch.setattr(workers, "finer_runs", counted)
     how = {"folder": tmp_path, "scramblings": 4}
     first = jc.campaign(asked, 8, **how)
     assert first.sample.replicas.count == 8
@@ -371,10 +349,10 @@ def test_a_kept_study_of_derivatives_keeps_replicas_beside_what_it_asked_before(
     how = {"sample": 8, "difference_samples": 8, "variables": "gravity"}
     plain = jc.sensitivity(asked, **how)
     found = jc.campaign(asked, folder=tmp_path, study=jc.sensitivity, **how)
-    files = len(list((tmp_path / PIECES).iterdir()))
+    files = len(list((tmp_path / CHUNKS).iterdir()))
     without = tmp_path / "without"
     jc.campaign(asked, folder=without, study=jc.sensitivity, verify=False, **how)
-    assert 0 < len(list((without / PIECES).iterdir())) < files
+    assert 0 < len(list((without / CHUNKS).iterdir())) < files
     for name, told in plain.sample.replicas.responses.items():
         np.testing.assert_array_equal(found.sample.replicas.responses[name], told)
     with pytest.raises(ValueError, match="sobol_indices has no verify"):

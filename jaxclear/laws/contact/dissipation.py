@@ -55,7 +55,7 @@ class RestitutionMissed(UserWarning):
 
 def restitution_field() -> Any:
     """Field of a prescribed coefficient of restitution [1]."""
-    return quantity(0.9, "1", "coefficient of restitution c_e, 0 < c_e <= 1", above=0, at_most=1)
+    return quantity(0.9, "1", above=0, at_most=1)
 
 
 class AbstractRestitutionFactor(AbstractDissipation):
@@ -70,17 +70,17 @@ class AbstractRestitutionFactor(AbstractDissipation):
         """d [1] >= 0, 0 at restitution 1."""
 
     def __check_init__(self):
-        asked, factor = concrete(self.restitution), concrete(on_host(self).factor())
-        if asked is None or factor is None:
+        prescribed, factor = concrete(self.restitution), concrete(on_host(self).factor())
+        if prescribed is None or factor is None:
             return
-        found = rebound_by(factor)
-        off = found / asked - 1
+        rebound = rebound_by(factor)
+        off = rebound / prescribed - 1
         if abs(off) > MISSED:
             side = "high" if off > 0 else "low"
             warn(
-                f"{public_name(type(self))} with restitution {asked:g} rebounds with {found:.3g}, "
-                f"{abs(100 * off):.2g} % too {side}, in compliant contact. CarvalhoMartins is the "
-                "closest closed formula, Gonthier exact.",
+                f"{public_name(type(self))} with restitution {prescribed:g} rebounds with "
+                f"{rebound:.3g}, {abs(100 * off):.2g} % too {side}, in compliant contact. "
+                "CarvalhoMartins is the closest closed formula, Gonthier exact.",
                 RestitutionMissed,
             )
 
@@ -266,9 +266,7 @@ class MarhefkaOrin(AbstractDissipation):
     1999, IEEE Trans. SMC-A 29, 566, doi:10.1109/3468.798060.
     """
 
-    loss_per_speed: Scalar = quantity(
-        0.2, "s/m", "a: loss of restitution per impact speed", at_least=0
-    )
+    loss_per_speed: Scalar = quantity(0.2, "s/m", at_least=0)
     restitution: ClassVar[None] = None
     remembers_impact_speed: ClassVar[bool] = False
 

@@ -14,19 +14,21 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.design.limit import AbstractLimit
 from jaxclear.studies.design.question import Question, checked_cost, checked_limits, freedom_of
 from jaxclear.studies.design.result import Design, prices_of
 from jaxclear.studies.design.runs import BATCH, Runs
 from jaxclear.studies.design.search import DesignSettings, Sought, sought
 from jaxclear.studies.endless import endless_sentences
+from jaxclear.studies.problem import Problem
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import sentences
 
 
 @answering
+@stored("a design")
 def design(
-    problem: AbstractProblem,
+    problem: Problem,
     cost: Any,
     limits: Sequence[AbstractLimit] | AbstractLimit,
     *,
@@ -36,30 +38,40 @@ def design(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> Design:
-    """The cheapest design of a problem that keeps all limits.
+    """Find the cheapest design of a problem that satisfies all limits.
 
-    `cost`: members of `jaxclear.cost` by the name of the variable whose tolerance they price, or a
-    differentiable function of two dictionaries (nominal values, tolerances). `limits`: members of
-    `jaxclear.limit`, on responses or variables. `tolerance` and `nominal`: what may be chosen, by
-    name of the variable, each (smallest, largest) or a member of `jaxclear.catalogue`; a tolerance
-    stretches the variable's own distribution, and is half of its range (three standard deviations
-    where it has no ends).
+    The design is verified by runs with other random numbers and tightened until the limits hold;
+    its sentence says whether they do. Ctrl-C ends the search with the best design so far.
 
-    The answer was verified by runs with other random numbers, and tightened until it held; its
-    sentence says so, or that it does not hold. Ctrl-C ends the search with the best so far.
-    `store`: a folder that keeps every run; asked again, a design takes them from there. Raises
-    `ValueError` with a sentence for what cannot be asked.
+    Args:
+        problem: the problem.
+        cost: members of `jaxclear.cost` by the name of the variable whose tolerance they price, or
+            a differentiable function of two dictionaries (nominal values, tolerances).
+        limits: one member of `jaxclear.limit` or a sequence, on responses or variables.
+        tolerance: tolerances to choose, by name of the variable: (smallest, largest) in its unit,
+            or a member of `jaxclear.catalogue`. A tolerance scales the variable's distribution; it
+            is half of its range (three standard deviations where it has no ends). None by default.
+        nominal: nominal values to choose, by name of the variable, likewise. None by default.
+        settings: `DesignSettings` of the search; None for the defaults.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Design`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     asked = _asked(problem, cost, limits, tolerance, nominal)
     settings = _settings(settings)
     check_flags("design", progress_bar=progress_bar)
-    runs = _runs(problem, settings, store, progress_bar)
-    return _designed(asked, runs, settings)
+    return _designed(asked, _runs(problem, settings, progress_bar), settings)
 
 
 @answering
+@stored("a design")
 def design_front(
-    problem: AbstractProblem,
+    problem: Problem,
     cost: Any,
     limits: Sequence[AbstractLimit] | AbstractLimit,
     bounds: Sequence[float],
@@ -69,8 +81,27 @@ def design_front(
     store: str | Path | None = None,
     **choices: Any,
 ) -> list[Design]:
-    """The Pareto front of cost against one limit: the designs for several `bounds` of limit number
-    `limit`, each verified; runs of one serve the surfaces of the next. All else as in `design`."""
+    """The Pareto front of cost against the bound of one limit.
+
+    Each design is verified; runs of one serve the surfaces of the next.
+
+    Args:
+        problem: the problem.
+        cost: cost of tolerances, a dictionary or function, as of `design`.
+        limits: one member of `jaxclear.limit` or a sequence.
+        bounds: values of the bound, a sequence, in the unit of the limit.
+        limit: index of the limit that has these bounds; 0 by default.
+        settings: `DesignSettings` of the search; None for the defaults.
+        store: folder that keeps the runs; None (default) for none.
+        choices: `tolerance`, `nominal` and `progress_bar`, a dictionary each or whether, as of
+            `design`.
+
+    Returns:
+        A list of `Design`, one for each bound.
+
+    Raises:
+        ValueError: if an argument is wrong.
+    """
     unknown = set(choices) - {"tolerance", "nominal", "progress_bar"}
     if unknown:
         raise TypeError(
@@ -84,7 +115,7 @@ def design_front(
     if limit >= len(asked.limits):
         raise ValueError(f"there is no limit {limit}; there are {len(asked.limits)}, from 0 on.")
     settings = _settings(settings)
-    runs = _runs(problem, settings, store, show)
+    runs = _runs(problem, settings, show)
     found = []
     for bound in bounds:
         own = list(asked.limits)
@@ -95,7 +126,7 @@ def design_front(
 
 def _asked(problem: Any, cost: Any, limits: Any, tolerance: Any, nominal: Any) -> Question:
     """The question, checked."""
-    expect(problem, AbstractProblem, "what is designed", "a problem of jaxclear")
+    expect(problem, Problem, "what is designed", "a problem of jaxclear")
     freedom = freedom_of(problem, nominal, tolerance)
     checked = checked_limits(limits, problem)
     return Question(
@@ -109,17 +140,17 @@ def _settings(settings: DesignSettings | None) -> DesignSettings:
     return settings
 
 
-def _direct(problem: AbstractProblem, settings: DesignSettings) -> bool:
+def _direct(problem: Problem, settings: DesignSettings) -> bool:
     """Whether the problem answers without a surface."""
     if settings.surface is not None:
         return not settings.surface
-    return problem.at_once() and not any(problem.pathwise_limits())
+    return problem.cost().cheap and not any(problem.description.derivative)
 
 
-def _runs(problem: AbstractProblem, settings: DesignSettings, store: Any, show: bool) -> Runs:
-    usual = problem.compiled() and not problem.at_once()
-    batch = BATCH if usual else problem.most_together()
-    return Runs(problem, store, show, min(batch, settings.samples))
+def _runs(problem: Problem, settings: DesignSettings, show: bool) -> Runs:
+    cost = problem.cost()
+    batch = BATCH if cost.compiled and not cost.cheap else cost.batch
+    return Runs(problem, show, min(batch, settings.samples))
 
 
 def _designed(question: Question, runs: Runs, settings: DesignSettings) -> Design:

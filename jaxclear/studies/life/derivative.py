@@ -7,6 +7,7 @@ off, four times as large for a derivative: their error goes with the fourth powe
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -22,6 +23,7 @@ from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import CONFIDENCE, VOLUME, WearLife
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.wear_life import SETTLED, lived
+from jaxclear.studies.store.store import open_store
 
 # Moves of a variable, in widths.
 MOVES = (-1.0, -0.5, 0.5, 1.0)
@@ -54,16 +56,30 @@ def wear_life_derivatives(
     variables: Sequence[str] | None = None,
     width: float | None = None,
     most: int = 12,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> dict[str, LifeDerivative]:
-    """Derivatives of a `quantity` at the end of a life with respect to the variables of its problem
-    (clearance, hardness, a load ...), by name; with a `limit`, those of the cycles until the
-    quantity reaches it. Four more lives for each variable.
+    """Derivatives of a quantity at the end of a life, or of the life itself, by the variables.
 
-    `variables`: some of their names. `width`: how far one is moved [its unit], by default a
-    standard deviation of its distribution. `most`: cycles a rate at the most, as in
-    `wear_life`. Raises `ValueError` with a sentence for what the life does not tell of or does not
-    reach.
+    It takes four more lives for each variable.
+
+    Args:
+        life: a `WearLife` of a problem.
+        quantity: name of the quantity; "depth" by default.
+        limit: value of the quantity, in its unit, for derivatives of the cycles until it is
+            reached; None (default) for those at the end.
+        variables: names of variables; all by default.
+        width: change of a variable, in its unit; by default a standard deviation of its
+            distribution.
+        most: largest number of cycles over which a rate is averaged; 12 by default.
+        store: folder that keeps every cycle, that of the life or another; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        By variable a `LifeDerivative`.
+
+    Raises:
+        ValueError: if an argument is wrong, or the life does not reach the limit.
     """
     expect(life, WearLife, "the life", "what jaxclear.wear_life returns")
     check_name("quantity", quantity, life.quantities, " in this life")
@@ -79,7 +95,7 @@ def wear_life_derivatives(
     if limit is not None and not np.isfinite(life.until(quantity, limit).cycles):
         raise ValueError(f"{life.until(quantity, limit).sentence} Ask for a longer life.")
     found = {}
-    with progress.bar(progress_bar, "lives"):
+    with open_store(store, "a wear life", problem), progress.bar(progress_bar, "lives"):
         for name in names:
             deviation = problem.variables[name].distribution.deviation()
             own = float(deviation) if width is None else float(width)
@@ -131,7 +147,7 @@ def _none(unit: str, why: str) -> LifeDerivative:
 def _along(life: WearLife, values: Any, most: int) -> WearLife:
     """The life with other numbers, by the same steps."""
     accurate = life.accuracy if np.isfinite(life.accuracy) else 1.0
-    rates = Rates(life.problem, values, Patience(SETTLED, accurate, most), None)
+    rates = Rates(life.problem, values, Patience(SETTLED, accurate, most))
     return lived(rates, life.asked, life.accuracy, None, life.lengths)
 
 

@@ -15,14 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
+from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import wearing_in
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.simulation.wear import with_coarser_cells
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
-from jaxclear.studies.life.cycle import as_problem, check_cycles, check_period
+from jaxclear.studies.life.cycle import as_problem, check_cycle, check_cycles, check_period
 from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import DEPTH, VOLUME, Stage, WearLife
 from jaxclear.studies.life.settling import Patience
@@ -38,8 +38,7 @@ from jaxclear.studies.life.steps import (
 )
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import draw
-from jaxclear.studies.store.digest import in_texts
-from jaxclear.studies.store.store import Ledger
+from jaxclear.studies.store.store import open_store
 
 # Ends of a cycle this far apart are the same, as in `settled`.
 SETTLED = 1e-3
@@ -61,10 +60,9 @@ def wear_life(
     verify: bool = False,
     progress_bar: bool = False,
 ) -> WearLife:
-    """The wear of a life of so many `cycles`, 2^53 at the most, from few simulated ones: of a
-    mechanism and its `period` [s], as in `settled`, or of a `Problem` whose duration is the period
-    and whose responses are followed, at its nominal numbers.
+    """Wear over many cycles, from few simulated ones.
 
+<<<<<<< HEAD
     Steps are as long as lets each be wrong by `accuracy` [1] of what it wears, and so the whole
     life (root mean square over the cells of a surface); `jump` [cycles] gives them a fixed length
     instead, each with the losses at its start. They are those of a periodic cycle (`settled`);
@@ -75,6 +73,33 @@ def wear_life(
     reached and why. `verify`: whether a second life, on cells twice as wide, says what cells leave
     in the depth. Raises `ValueError` with a sentence for what cannot be asked, and
     `SimulationError` where the very first cycle fails.
+=======
+    Cycle jumps are chosen so that the relative error of the wear in each jump, and so of the whole
+    life, is about `accuracy` (root mean square over the cells of a surface). A rate is that of a
+    periodic cycle (`settled`) or, where there is none, a mean over cycles, whose scatter belongs to
+    the error. A surface that wears no more is not simulated further; a life ends where a surface is
+    worn through or a cycle fails.
+
+    Args:
+        asked: a `Mechanism`, or a `Problem` whose duration is the period, at its nominal values,
+            and whose responses are followed.
+        period: period of a mechanism [s], > 0; None for a problem.
+        cycles: number of cycles, at most 2^53; 1e6 by default.
+        accuracy: relative error of a jump [1], > 0; 0.01 by default.
+        jump: fixed length of the jumps [cycles], each with the wear rate at its start; None
+            (default) for chosen ones.
+        most: largest number of cycles over which a rate is averaged; 12 by default.
+        store: folder that keeps every cycle, from which a life is continued; None (default) for
+            none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `WearLife`.
+
+    Raises:
+        ValueError: if an argument is wrong.
+        SimulationError: if the first cycle fails.
+>>>>>>> main
     """
     problem = as_problem("wear_life", asked, period)
     check_cycles("wear_life", cycles)
@@ -84,6 +109,7 @@ def wear_life(
     check_count("most of wear_life", most)
     check_flags("wear_life", progress_bar=progress_bar, verify=verify)
     check_asked(problem)
+<<<<<<< HEAD
     kept = None if store is None else Ledger.opened(store, "a wear life", in_texts(problem))
     rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, most), kept)
     with progress.bar(progress_bar, "wear life"):
@@ -93,6 +119,11 @@ def wear_life(
     if kept is not None:
         kept.conclude(result.to_dataset())
     return result
+=======
+    with open_store(store, "a wear life", problem), progress.bar(progress_bar, "wear life"):
+        rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, most))
+        return lived(rates, float(cycles), float(accuracy), jump)
+>>>>>>> main
 
 
 def _error_of_cells(life: WearLife, patience: Patience) -> float:
@@ -274,12 +305,28 @@ def wear_lives(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> WearLives:
-    """The wear of lives over a quasi-random sample of the problem's variables; `cycles` [1],
-    `accuracy` [1], `most` as in `wear_life`, of every one of them. `store`: a folder in which each
-    life is kept, from which an interrupted study goes on. A life that has no first cycle keeps its
-    row, with a sentence. Raises `ValueError` with a sentence for what cannot be asked.
+    """Wear over many cycles for a quasi-random sample of a problem's variables.
+
+    A life whose first cycle fails keeps its row, with the reason.
+
+    Args:
+        problem: the `Problem`, whose duration is the period.
+        samples: number of lives; 32 by default.
+        cycles: number of cycles of each; 1e6 by default.
+        seed: seed of the random numbers; 0 by default.
+        accuracy: relative error of a jump [1], > 0; 0.01 by default.
+        most: largest number of cycles over which a rate is averaged; 12 by default.
+        store: folder that keeps each life, from which an interrupted study is continued; None
+            (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `WearLives`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
-    expect(problem, Problem, "what lives", "a jaxclear.Problem")
+    check_cycle("what lives", problem)
     check_cycles("wear_lives", cycles)
     check_number("accuracy of wear_lives", accuracy, above=0)
     check_count("most of wear_lives", most)
@@ -288,14 +335,10 @@ def wear_lives(
     values = draw(problem, samples, seed)
     lives: list[WearLife | None] = []
     failed: dict[int, str] = {}
-    with progress.bar(progress_bar, "lives"):
+    with open_store(store, "wear lives", problem), progress.bar(progress_bar, "lives"):
         for i, own in enumerate(values):
-            kept = None
-            if store is not None:
-                texts = in_texts(problem) | {"values of its variables": repr(own.tolist())}
-                kept = Ledger.opened(Path(store) / f"{i:06d}", "a wear life", texts)
             try:
-                rates = Rates(problem, jnp.asarray(own), Patience(SETTLED, accuracy, most), kept)
+                rates = Rates(problem, jnp.asarray(own), Patience(SETTLED, accuracy, most))
                 lives.append(lived(rates, float(cycles), float(accuracy), None))
             except (SimulationError, ValueError) as reason:
                 lives.append(None)

@@ -7,6 +7,7 @@ nothing that fails is found, a search of few runs says whether any is within rea
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -14,9 +15,10 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_methods, check_number, expect
-from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import check_told, endless_sentences
+from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.reliability.design_point import DesignPoint, design_points
 from jaxclear.studies.reliability.first_order import curvatures, form, sorm
 from jaxclear.studies.reliability.importance import Proposal, importance
@@ -31,6 +33,7 @@ from jaxclear.studies.reliability.result import Reliability
 from jaxclear.studies.reliability.subset import PILOT, Reach, repetitions, subset
 from jaxclear.studies.scrambling import scrambled_normal
 from jaxclear.studies.store.digest import difference
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import powers
 from jaxclear.studies.surface.response_surface import ResponseSurface
@@ -107,8 +110,9 @@ MOST_REGIONS = 16
 
 
 @answering
+@stored("a reliability")
 def reliability(
-    problem: AbstractProblem,
+    problem: Problem,
     limit: AbstractLimitState,
     *,
     methods: Sequence[str] | None = None,
@@ -116,21 +120,35 @@ def reliability(
     variation: float = 0.1,
     most_runs: int = 20_000,
     seed: int = 0,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> Reliability:
-    """Probability that a limit is broken, with its error and the number of runs.
+    """Probability that a limit is exceeded, with its error and the number of runs.
 
-    `limit`: of `jaxclear.limit_state`: `Above("response", threshold)`, `Below`, or several in
-    `Series` or `Parallel`. `methods`: some of "form", "sorm", "importance" and "subset"; by default
-    the first three, and the last where importance sampling does not reach the `variation` [1], a
-    coefficient of variation. `most_runs` bounds the runs of each sampling (subset simulation begins
-    with eight repetitions whatever they cost, but not where a search of 2360 runs finds nothing
-    that fails: the limit is then told to lie beyond everything seen). `surface`: of
-    `jaxclear.surface`, on which design points are then found, and which takes up what it explains
-    of importance sampling; by default one is fitted where runs are dear or have no exact slopes.
-    Raises `ValueError` for what cannot be asked.
+    Args:
+        problem: the problem.
+        limit: limit state, one of `jaxclear.limit_state`: `Above("response", threshold)`, `Below`,
+            or several in `Series` or `Parallel`.
+        methods: names of methods, some of "form", "sorm", "importance" and "subset"; None (default)
+            for the first three, and the last where importance sampling does not reach `variation`.
+        surface: a `ResponseSurface` on which design points are searched, and which reduces the
+            variance of importance sampling; None (default) fits one where runs are expensive or
+            have no exact slopes.
+        variation: required coefficient of variation of the probability [1], > 0; 0.1 by default.
+        most_runs: largest number of runs of each sampling; 20 000 by default. Subset simulation
+            begins with eight repetitions, unless a search of 2360 runs finds no failure: the limit
+            is then reported as beyond all samples.
+        seed: seed of the random numbers; 0 by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Reliability`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
-    expect(problem, AbstractProblem, "what reliability is asked of", "a problem of jaxclear")
+    expect(problem, Problem, "what reliability is asked of", "a problem of jaxclear")
     wanted = _checked(problem, limit, methods, surface)
     check_number("variation of reliability", variation, above=0, at_most=1)
     check_count("most_runs of reliability", most_runs)
@@ -185,8 +203,9 @@ def _about(
     return importance(model, control, proposal, *asked)
 
 
-def _cheap(problem: AbstractProblem) -> bool:
-    return problem.at_once() and problem.most_together() >= CHEAP
+def _cheap(problem: Problem) -> bool:
+    cost = problem.cost()
+    return cost.cheap and cost.batch >= CHEAP
 
 
 def _with_other_regions(
@@ -256,7 +275,7 @@ def _searched(
         return [], None, []
     cuts, variables = model.limit.cut_sets(), len(model.problem.names)
     hopeless = lambda: bool(reach.beyond())
-    exact = not any(model.problem.pathwise_limits())
+    exact = not any(model.problem.description.derivative)
     if surface is None and exact and _cheap(model.problem):
         return design_points(model, cuts, variables, seed, hopeless), None, []
     if surface is None:
@@ -311,7 +330,7 @@ def _second_order(
     }
 
 
-def _checked(problem: AbstractProblem, limit: Any, methods: Any, surface: Any) -> tuple[str, ...]:
+def _checked(problem: Problem, limit: Any, methods: Any, surface: Any) -> tuple[str, ...]:
     """The methods wanted. Raises `ValueError` for what cannot be asked."""
     if not problem.names:
         raise ValueError(

@@ -7,14 +7,15 @@ in one (`derivative`).
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_methods, expect
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.monte_carlo import MonteCarlo, monte_carlo
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import draw, groups, usual_scramblings
 from jaxclear.studies.scrambling import seed_of
 from jaxclear.studies.sensitivity.derivative import (
@@ -47,6 +48,7 @@ from jaxclear.studies.sensitivity.regression import (
 )
 from jaxclear.studies.sensitivity.steps import error_by_steps
 from jaxclear.studies.store.result import GivenSample, given_sample
+from jaxclear.studies.store.store import stored
 
 METHODS = ("regression", "differences", "pathwise")
 # Independent parts of a sample of differences: as many as of the Monte Carlo sample.
@@ -56,8 +58,9 @@ SEEDS = 811
 
 
 @answering
+@stored("a sensitivity study")
 def sensitivity(
-    problem: AbstractProblem,
+    problem: Problem,
     variables: str | Sequence[str] | None = None,
     *,
     sample: GivenSample | int = 256,
@@ -66,27 +69,41 @@ def sensitivity(
     methods: Sequence[str] = ("regression", "differences"),
     seed: int = 0,
     verify: bool = True,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> Sensitivity:
-    """Derivatives of the mean of every response, or of other statistics, with respect to
-    `variables`: names (all by default), and widths of distributions by theirs, "tolerance of
-    clearance", "standard deviation of length", "half width of slot".
+    """Derivatives of the mean of every response, or of other statistics, by the variables.
 
-    `sample`: a Monte Carlo sample or a campaign to read slopes from, or how many samples to draw
-    for it. `of`: any of "mean", "standard deviation", ("quantile", share [1]), ("above", limit),
-    ("below", limit), for every response, or {response: statistics}; limits in the response's unit,
-    the share of parts beyond one is a probability of failure; what fewer than 4 samples decide is
-    refused. `methods`: any of "regression" (a polynomial, corrected by the score function; takes a
-    quarter of the sample's runs more, 128 at the most, further out than the sample reaches),
-    "differences" (by small steps over a first 16 of `difference_samples` where these confirm a more
-    certain answer, else between values that become likelier and such as become less so, or by steps
-    over all), "pathwise" (fixed-step integrators only; the cheapest where nothing opens and closes;
-    through contacts it is shown only where another method agrees with it, and is never the answer).
-    `verify`: the sample drawn here has replicas, as in `monte_carlo`: errors hold what steps do to
-    a derivative, as far as they tell it, and verdicts say what they doubt.
-    Raises `ValueError` with a sentence for a name that there is not, and for another's sample.
+    Args:
+        problem: the problem.
+        variables: names of variables; also of widths of distributions, such as "tolerance of
+            clearance", "standard deviation of length", "half width of slot". All variables by
+            default.
+        sample: number of samples to draw, or a `MonteCarlo` or `Campaign` of this problem; 256 by
+            default.
+        difference_samples: number of samples for differences; 128 by default. A first 16 suffice
+            where small steps confirm a more certain answer.
+        of: statistics of every response, some of "mean" (default), "standard deviation",
+            ("quantile", share [1]), ("above", limit), ("below", limit), with limits in the
+            response's unit; or a dictionary from responses to statistics. A statistic that fewer
+            than 4 samples decide is refused.
+        methods: names of methods, some of "regression" (polynomial with the score function; a
+            quarter more runs, at most 128, with a wider spread), "differences" (small steps, or
+            values that become more and less likely), both by default, and "pathwise" (fixed steps
+            only; shown where another method agrees, never the answer through contacts).
+        seed: seed of the random numbers; 0 by default.
+        verify: whether to repeat samples with finer steps, as of `monte_carlo`; errors then include
+            what steps change in a derivative. True by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Sensitivity`.
+
+    Raises:
+        ValueError: if an argument is wrong, or the sample is of another problem.
     """
-    expect(problem, AbstractProblem, "what is differentiated", "a jaxclear.Problem")
+    expect(problem, Problem, "what is differentiated", "a jaxclear.Problem")
     variables = [variables] if isinstance(variables, str) else variables
     _check(variables, sample, difference_samples, methods, seed)
     wanted = directions(problem, list(problem.names if variables is None else variables))
@@ -124,7 +141,7 @@ class _Sequential(NamedTuple):
     """Differences along a direction on as much of a sample, `values` (samples, variables) and their
     scramblings `group` (samples,), as confirms what `others` answer, by method and label."""
 
-    problem: AbstractProblem
+    problem: Problem
     direction: Direction
     values: np.ndarray
     group: np.ndarray
@@ -216,7 +233,7 @@ def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarl
     return Sensitivity(derivatives, drawn, units)
 
 
-def _shared(problem: AbstractProblem, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def _shared(problem: Problem, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """A sample of a method's own: values (samples, variables) and scramblings (samples,)."""
     parts = SCRAMBLINGS if samples >= 4 * SCRAMBLINGS else usual_scramblings(samples)
     return draw(problem, samples, seed, scramblings=parts), groups(samples, parts)

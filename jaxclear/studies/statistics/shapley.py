@@ -12,6 +12,7 @@ chance: Song, Nelson & Staum 2016, SIAM/ASA J. Uncertain. Quantif. 4, 1060, doi:
 
 import itertools
 import math
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -24,9 +25,9 @@ from jaxclear.ground.arguments import check_count, check_flags
 from jaxclear.ground.printing import failed_samples_sentence
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, with_interval
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.inputs import Inputs
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, student
@@ -37,6 +38,7 @@ from jaxclear.studies.statistics.sobol_indices import (
     refuse_part_of_spread,
 )
 from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
 
@@ -56,7 +58,7 @@ class ShapleyEffects(AbstractAnswer):
     surface, where one was given) and how many samples `failed`; `remark` says what a surface leaves
     out, `warnings` of what runs warn."""
 
-    problem: AbstractProblem
+    problem: Problem
     effects: dict[tuple[str, str], Statistic]
     runs: int = eqx.field(static=True)
     failed: int = eqx.field(static=True)
@@ -80,20 +82,33 @@ class ShapleyEffects(AbstractAnswer):
 
 
 @answering
+@stored("a study of Shapley effects")
 def shapley_effects(
-    of: AbstractProblem | ResponseSurface,
+    of: Problem | ResponseSurface,
     samples: int = 1024,
     *,
     seed: int = 0,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> ShapleyEffects:
-    """Shapley effects of every variable on every response, for independent variables and dependent
-    ones.
+    """Shapley effects of every variable on every response, for independent and dependent variables.
 
-    `of`: a problem, or its `jaxclear.surface`, which is what to give of a mechanism: runs are
-    `samples` times the sets of variables, 2^variables up to 8 of them, and about 65 times the
-    variables beyond, where orders are drawn by chance. Raises `ValueError` with a sentence for what
-    cannot be asked.
+    It takes `samples` runs for each set of variables: 2^variables sets for up to 8 of them, about
+    65 times the number of variables beyond, where orders are drawn at random. For a mechanism use
+    its surface.
+
+    Args:
+        of: the problem, or its `ResponseSurface`.
+        samples: number of samples; 1024 by default.
+        seed: seed of the random numbers; 0 by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `ShapleyEffects`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     surface = of if isinstance(of, ResponseSurface) else None
     problem: Any = of if surface is None else surface.problem

@@ -16,6 +16,7 @@ Avramidis & Wilson 1993, Manage. Sci. 39, 1094, doi:10.1287/mnsc.39.9.1094.
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -28,9 +29,9 @@ from jaxclear.ground.arguments import check_flags
 from jaxclear.ground.printing import failed_samples_sentence
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, with_interval
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless, undrawn_levels
 from jaxclear.studies.inputs import Inputs
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import (
@@ -41,6 +42,7 @@ from jaxclear.studies.statistics.scrambled import (
     jackknifed,
 )
 from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.fitting import HIGHEST
 from jaxclear.studies.surface.polynomials import Expansion, levels, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface
@@ -56,7 +58,7 @@ class SobolIndices(AbstractAnswer):
     """`first` and `total` indices [1] by (response, variable), each with its 95 % interval; `runs`
     that they took, how many of the base samples `failed`, and of what runs warn (`warnings`)."""
 
-    problem: AbstractProblem
+    problem: Problem
     first: dict[tuple[str, str], Statistic]
     total: dict[tuple[str, str], Statistic]
     runs: int = eqx.field(static=True)
@@ -77,23 +79,35 @@ class SobolIndices(AbstractAnswer):
 
 
 @answering
+@stored("a study of Sobol' indices")
 def sobol_indices(
-    of: AbstractProblem | ResponseSurface,
+    of: Problem | ResponseSurface,
     samples: int = 512,
     *,
     seed: int = 0,
     scramblings: int | None = None,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> SobolIndices:
     """Sobol' indices of every response by every variable.
 
-    `of`: a problem, which is run `samples` (variables + 2) times; or its `jaxclear.surface`, whose
-    indices take no run, and whose error is what it does not explain of the variance, or supposes of
-    parts beyond its runs.
+    A problem is run `samples` (variables + 2) times. The indices of a surface take no run; their
+    error is the variance that the surface does not explain.
 
-    Raises `ValueError` for correlated variables, whose shares of a variance are not defined
-    (`jaxclear.shapley_effects` are what to ask instead), and for a surface that was not fitted over
-    all of their spread.
+    Args:
+        of: the problem, or its `ResponseSurface`.
+        samples: number of samples; 512 by default.
+        seed: seed of the random numbers; 0 by default.
+        scramblings: number of independent subsets of the sample; None (default) for the usual one.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `SobolIndices`.
+
+    Raises:
+        ValueError: if variables are correlated (use `jaxclear.shapley_effects`), or a surface was
+            not fitted over their whole spread.
     """
     surface = of if isinstance(of, ResponseSurface) else None
     problem: Any = of if surface is None else surface.problem
@@ -141,7 +155,7 @@ def sobol_indices(
 
 
 def open_shares(
-    problem: AbstractProblem, values: np.ndarray, *shares: dict[tuple[str, str], Statistic]
+    problem: Problem, values: np.ndarray, *shares: dict[tuple[str, str], Statistic]
 ) -> tuple[str, ...]:
     """Sentences for variables with a level that no run (runs, variables) has seen, whose shares of
     a variance are then open: 0 to 1."""

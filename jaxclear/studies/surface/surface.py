@@ -7,6 +7,7 @@ runs that it has not seen, one by one (leave-one-out); below R2 = 0.9 it says th
 
 import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -18,13 +19,15 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number, expect
-from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.monte_carlo import MonteCarlo
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import all_values
 from jaxclear.studies.scrambling import scrambled_normal
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.result import GivenSample, given_sample
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import powers
 from jaxclear.studies.surface.response_surface import ResponseSurface
@@ -34,7 +37,7 @@ NUMBER = (int, float, np.integer, np.floating)
 Region = float | Mapping[str, tuple[float, float]]
 
 
-def drawn(problem: AbstractProblem, runs: int, over: Region, seed: int) -> np.ndarray:
+def drawn(problem: Problem, runs: int, over: Region, seed: int) -> np.ndarray:
     """Values (runs, variables) that fill a region."""
     rng = np.random.default_rng(seed)
     normal = scrambled_normal(runs, len(problem.names), rng)
@@ -46,7 +49,7 @@ def drawn(problem: AbstractProblem, runs: int, over: Region, seed: int) -> np.nd
     return values
 
 
-def check_region(problem: AbstractProblem, over: Any) -> None:
+def check_region(problem: Problem, over: Any) -> None:
     """What a surface may be fitted over."""
     if not isinstance(over, Mapping):
         check_number("over of surface (or ranges by name)", over, above=0)
@@ -71,27 +74,42 @@ INSTEAD = "limits of jaxclear.design and jaxclear.reliability take it"  # what h
 
 
 @answering
+@stored("a response surface")
 def surface(
-    problem: AbstractProblem,
+    problem: Problem,
     sample: int | GivenSample | None = None,
     *,
     degree: int | None = None,
     over: Region = 1.0,
     slopes: bool = False,
     seed: int = 0,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> ResponseSurface:
-    """A polynomial surface through a few runs of a problem.
+    """Fit a polynomial response surface to a few runs of a problem.
 
-    `sample`: how many runs (by default three for each term of a quadratic), or a Monte Carlo study
-    or a campaign of the problem that is there. `degree`: of the polynomials; by default that of 1
-    to 4 which predicts runs best, for each response. `over`: where it is fitted: a number
-    widens the spread of the variables so many times, for rare parts; {name: (low, high)} fills
-    ranges of these variables evenly, for nominal values that are to be chosen. `slopes`: take
-    the exact slopes of each run as equations too, which a problem has where no contact opens and
-    closes. Raises `ValueError` for what cannot be asked, and where too few runs reach their end.
+    Args:
+        problem: the problem.
+        sample: number of runs, or a `MonteCarlo` or `Campaign` of this problem; None (default) for
+            three runs for each term of a quadratic.
+        degree: degree of the polynomials, an integer; None (default) for that of 1 to 4 that
+            predicts runs best, for each response.
+        over: where the surface is fitted: a factor of the spread of the variables [1], 1 by
+            default, larger for rare parts; or a dictionary of ranges (low, high) by variable, in
+            its unit, filled evenly, for nominal values that are to be chosen.
+        slopes: whether to fit the exact slopes of each run too, which exist where no contact opens
+            or closes; False by default.
+        seed: seed of the random numbers; 0 by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `ResponseSurface`.
+
+    Raises:
+        ValueError: if an argument is wrong, or too few runs reach their end.
     """
-    expect(problem, AbstractProblem, "what a surface is fitted to", "a problem of jaxclear")
+    expect(problem, Problem, "what a surface is fitted to", "a problem of jaxclear")
     if not problem.names:
         raise ValueError("the problem has no variables; a surface would have none: give it some.")
     if degree is not None:
@@ -99,7 +117,7 @@ def surface(
     check_count("seed of surface", seed, at_least=0)
     check_flags("surface", slopes=slopes, progress_bar=progress_bar)
     check_region(problem, over)
-    why = "; ".join(filter(None, problem.pathwise_limits())) if slopes else ""
+    why = "; ".join(filter(None, problem.description.derivative)) if slopes else ""
     if why:
         raise ValueError(f"this problem has no exact slopes ({why}); take slopes=False.")
     if isinstance(sample, GivenSample):
@@ -127,7 +145,7 @@ def _there(study: MonteCarlo, slopes: bool) -> tuple[np.ndarray, SampleResult, s
 
 
 @eqx.filter_jit
-def _with_slopes(problem: AbstractProblem, values: Float[Array, "samples variables"]):
+def _with_slopes(problem: Problem, values: Float[Array, "samples variables"]):
     """Outcomes of a chunk of samples, and the slopes of their responses, (samples, variables)."""
 
     def one(own):
@@ -141,7 +159,7 @@ def _with_slopes(problem: AbstractProblem, values: Float[Array, "samples variabl
 
 
 def run(
-    problem: AbstractProblem,
+    problem: Problem,
     values: np.ndarray,
     *,
     slopes: bool = False,
