@@ -91,14 +91,8 @@ class Wearing(AbstractQuantified):
     )
     acceleration: Scalar = quantity(1.0, "1", at_least=0)
     worn_radius: bool = eqx.field(static=True, default=False, kw_only=True)
-<<<<<<< HEAD
-    updates: int | None = count(None, "most updates of the worn surface in a run", kw_only=True)
-    coarseness: Scalar = quantity(
-        1.0, "1", "cells that are one, side by side", at_least=1, at_most=2, kw_only=True
-    )
-=======
     updates: int | None = count(None, kw_only=True)
->>>>>>> main
+    coarseness: Scalar = quantity(1.0, "1", at_least=1, at_most=2, kw_only=True)
 
     def __check_init__(self):
         if self.cells[0] < 4 or self.cells[1] < 1:

@@ -109,15 +109,10 @@ class Verified(AbstractVerification):
         """What is off, by how much, and what to do, of the answers that are furthest beyond."""
         worst, others = beyond[0], len(beyond) - 1
         more = f" (and {others} more answer{'s' * (others > 1)})" if others else ""
-<<<<<<< HEAD
-        told = f"{worst.share:.2g} {WORDS[worst.part]} ({worst.promised:g} promised)"
+        error = f"{worst.share:.2g} {WORDS[worst.part]} ({worst.promised:g} promised)"
         cells = "; " if self.coarser is None or worst.part != "losses" else "; more cells, or "
         name = f"{worst.name[0].upper()}{worst.name[1:]}"
-        return f"{name}: error about {told}{more}{cells}{self.remedy}."
-=======
-        error = f"{worst.share:.2g} {WORDS[worst.part]} ({worst.promised:g} promised)"
-        return f"{worst.name[0].upper()}{worst.name[1:]}: error about {error}{more}; {self.remedy}."
->>>>>>> main
+        return f"{name}: error about {error}{more}{cells}{self.remedy}."
 
     def estimate(self, run, response):
         value = response(run)
@@ -128,13 +123,9 @@ class Verified(AbstractVerification):
             # What is found in a run need not be in its replica: a tenth impact, a row of a table.
             return Estimate(value, math.nan, f"in finer steps the same fails: {failure}")
         try:
-<<<<<<< HEAD
             share = of_cells(run.invariants)
-            told = lambda *each: _told_error(*each, share)
-            error = jax.tree.map(told, value, coarse, *values)
-=======
-            error = jax.tree.map(_estimate_error, value, *values)
->>>>>>> main
+            estimate = lambda *each: _estimate_error(*each, share)
+            error = jax.tree.map(estimate, value, coarse, *values)
         except (TypeError, ValueError):
             return Estimate(value, math.nan, "the answer is no number, or of another form there")
         if not jax.tree.leaves(error):
@@ -209,7 +200,6 @@ def richardson(differences: list[Any], shares: Sequence[float | None] = (HALF, Q
     return functools.reduce(jnp.maximum if is_traced(errors) else np.maximum, errors)
 
 
-<<<<<<< HEAD
 def of_cells(checks: Checks) -> float:
     """The error that cells leave, relative to what cells twice as wide change: that of order 2
     where they resolve the scars, else of order 1."""
@@ -219,13 +209,9 @@ def of_cells(checks: Checks) -> float:
     return 1 / 3 if np.max(np.asarray(cells.worst)) <= Check.WEAR_BY_CELLS.limit else 1.0
 
 
-def _told_error(value: Any, coarse: Any, *rest: Any) -> Any:
+def _estimate_error(value: Any, coarse: Any, *rest: Any) -> Any:
     """Of a number, or an array of them, from one on `coarse` cells, others in finer steps and the
     share of what cells change. Raises `TypeError` or `ValueError` for what is none, and
-=======
-def _estimate_error(value: Any, *values: Any) -> Any:
-    """Of a number, or an array of them. Raises `TypeError` or `ValueError` for what is none, and
->>>>>>> main
     for arrays of another shape."""
     *values, share = rest
     number, coarse, *others = (
@@ -234,11 +220,6 @@ def _estimate_error(value: Any, *values: Any) -> Any:
     if any(other.shape != number.shape for other in (coarse, *others)):
         raise ValueError("arrays of another shape")
     with np.errstate(invalid="ignore"):
-<<<<<<< HEAD
         by_steps = richardson([abs(number - other) for other in others])
-        found = by_steps + share * abs(number - coarse)
-    return found if is_traced(found) else np.asarray(found)[()]
-=======
-        error = richardson([abs(number - other) for other in others])
+        error = by_steps + share * abs(number - coarse)
     return error if is_traced(error) else np.asarray(error)[()]
->>>>>>> main

@@ -19,13 +19,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-<<<<<<< HEAD
-from jaxclear.errors.accuracy import Asked, Seen
-from jaxclear.errors.estimates import HALF, QUARTER, Failed, Verified, of_cells, richardson
-=======
 from jaxclear.errors.accuracy import Bounds, Observed
-from jaxclear.errors.estimates import HALF, QUARTER, Failed, Verified, richardson
->>>>>>> main
+from jaxclear.errors.estimates import HALF, QUARTER, Failed, Verified, of_cells, richardson
 from jaxclear.errors.observables import parted
 from jaxclear.ground.quantity import concrete, is_traced, with_fields
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
@@ -142,14 +137,9 @@ def verify_run(
     goes wrong in replicas, Ctrl-C too, leaves the run as it is."""
     bounds = Bounds(integrator.promise) if bounds is None else bounds
     why = _why_not(run, verify)
-<<<<<<< HEAD
     # Worn depths hang on updates and cells, which nothing but replicas looks at.
-    known: AbstractVerification = Unverified(
-        _and_chosen(why, asked), why == LONG and bool(run.worn)
-    )
-=======
-    verification: AbstractVerification = Unverified(_and_chosen(why, bounds))
->>>>>>> main
+    warns = why == LONG and bool(run.worn)
+    verification: AbstractVerification = Unverified(_and_chosen(why, bounds), warns)
     if not why:
         try:
             with stoppable():
@@ -199,7 +189,7 @@ def _verification(
     errors = [float(richardson([each.off for each in row])) for row in rows]
     coarser = _on_coarser_cells(run, integrator, repeated)
     if coarser is not None:
-        rows_of_cells = asked.apart(run, own, asked.seen(coarser), seen[-1])
+        rows_of_cells = bounds.differences(run, coarse, bounds.observe(coarser), finer[-1])
         wear = of_cells(run.invariants) * np.array([row.part == "losses" for row in rows_of_cells])
         errors = list(errors + wear * [row.off for row in rows_of_cells])
         shares = shares + wear * [row.share for row in rows_of_cells]
@@ -208,14 +198,13 @@ def _verification(
     gaps = np.array([row[0].part == "gaps" for row in rows])
     if np.any(gaps & ~np.isnan(promised) & ~(shares <= promised)):
         limit = float(np.nanmin(promised[gaps]))
-<<<<<<< HEAD
-        path, lost = _lost(run, asked, seen[0], repeated(plans[0], TENTH_DIGIT), limit)
+        path, chaotic = _find_chaotic(run, bounds, finer[0], repeated(plans[0], TENTH_DIGIT), limit)
     of_replica = Unverified(OF_A_REPLICA)
-    known = tuple(dataclasses.replace(each, verification=of_replica) for each in replicas)
+    companions = tuple(dataclasses.replace(each, verification=of_replica) for each in replicas)
     coarser = coarser and dataclasses.replace(coarser, verification=of_replica)
     answers = tuple((row[0].answer, row[0].part, row[0].place, row[0].unit) for row in rows)
-    ends = np.asarray(run.time)[0], asked.promise, answers, integrator.remedy, asked.why
-    return Verified(known, numbers, lost, path, *ends, coarser=coarser)
+    ends = np.asarray(run.time)[0], bounds.promise, answers, integrator.remedy, bounds.why
+    return Verified(companions, numbers, chaotic, path, *ends, coarser=coarser)
 
 
 def _on_coarser_cells(
@@ -228,15 +217,6 @@ def _on_coarser_cells(
         return None
     coarser = repeated(Replica(integrator, np.asarray(run.time), coarseness=2.0))
     return coarser if coarser.succeeded else None
-=======
-        path, chaotic = _find_chaotic(run, bounds, finer[0], repeated(plans[0], TENTH_DIGIT), limit)
-    companions = tuple(
-        dataclasses.replace(each, verification=Unverified(OF_A_REPLICA)) for each in replicas
-    )
-    answers = tuple((row[0].answer, row[0].part, row[0].place, row[0].unit) for row in rows)
-    ends = np.asarray(run.time)[0], bounds.promise, answers, integrator.remedy, bounds.why
-    return Verified(companions, numbers, chaotic, path, *ends)
->>>>>>> main
 
 
 @compiled_quickly

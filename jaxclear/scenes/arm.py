@@ -326,16 +326,10 @@ def arm(
     return Mechanism(
         _bodies(),
         _connections((None,) * 7),
-<<<<<<< HEAD
-        loads | servos(way),
+        loads | servos(path),
         couplings={
             name: reducer(name, plays[name], wear) if name in slack else reducer(name)
             for name in JOINTS
         },
-        start=dict(zip(JOINTS, map(float, way.angles[0]), strict=True)),
-=======
-        loads | servos(path),
-        couplings={name: reducer(name, plays[name] if name in slack else None) for name in JOINTS},
         start=dict(zip(JOINTS, map(float, path.angles[0]), strict=True)),
->>>>>>> main
     )

@@ -62,18 +62,6 @@ def wear_life(
 ) -> WearLife:
     """Wear over many cycles, from few simulated ones.
 
-<<<<<<< HEAD
-    Steps are as long as lets each be wrong by `accuracy` [1] of what it wears, and so the whole
-    life (root mean square over the cells of a surface); `jump` [cycles] gives them a fixed length
-    instead, each with the losses at its start. They are those of a periodic cycle (`settled`);
-    where none comes a mean over as many as bring its noise below that, `most` at the
-    most, and what noise is left belongs to the error. What wears no more is not simulated further;
-    a life ends where a surface is worn through. `store`: a folder that keeps every
-    cycle; asked again, the life goes on from there. A cycle that fails ends the life, with what was
-    reached and why. `verify`: whether a second life, on cells twice as wide, says what cells leave
-    in the depth. Raises `ValueError` with a sentence for what cannot be asked, and
-    `SimulationError` where the very first cycle fails.
-=======
     Cycle jumps are chosen so that the relative error of the wear in each jump, and so of the whole
     life, is about `accuracy` (root mean square over the cells of a surface). A rate is that of a
     periodic cycle (`settled`) or, where there is none, a mean over cycles, whose scatter belongs to
@@ -91,6 +79,8 @@ def wear_life(
         most: largest number of cycles over which a rate is averaged; 12 by default.
         store: folder that keeps every cycle, from which a life is continued; None (default) for
             none.
+        verify: whether a second life, on cells twice as wide, gives the error that cells leave in
+            the depth; False by default.
         progress_bar: whether to show the progress; False by default.
 
     Returns:
@@ -99,7 +89,6 @@ def wear_life(
     Raises:
         ValueError: if an argument is wrong.
         SimulationError: if the first cycle fails.
->>>>>>> main
     """
     problem = as_problem("wear_life", asked, period)
     check_cycles("wear_life", cycles)
@@ -109,21 +98,13 @@ def wear_life(
     check_count("most of wear_life", most)
     check_flags("wear_life", progress_bar=progress_bar, verify=verify)
     check_asked(problem)
-<<<<<<< HEAD
-    kept = None if store is None else Ledger.opened(store, "a wear life", in_texts(problem))
-    rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, most), kept)
-    with progress.bar(progress_bar, "wear life"):
-        result = lived(rates, float(cycles), float(accuracy), jump)
-        if verify:
-            result = dataclasses.replace(result, by_cells=_error_of_cells(result, rates.patience))
-    if kept is not None:
-        kept.conclude(result.to_dataset())
-    return result
-=======
     with open_store(store, "a wear life", problem), progress.bar(progress_bar, "wear life"):
         rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, most))
-        return lived(rates, float(cycles), float(accuracy), jump)
->>>>>>> main
+        life = lived(rates, float(cycles), float(accuracy), jump)
+    if not verify:
+        return life
+    # Outside the folder, which knows cycles by their surfaces alone.
+    return dataclasses.replace(life, by_cells=_error_of_cells(life, rates.patience))
 
 
 def _error_of_cells(life: WearLife, patience: Patience) -> float:
@@ -131,7 +112,7 @@ def _error_of_cells(life: WearLife, patience: Patience) -> float:
     steps on cells twice as wide."""
     coarser = with_coarser_cells(life.problem.mechanism, 2.0)
     problem = eqx.tree_at(lambda own: own.mechanism, life.problem, coarser)
-    rates = Rates(problem, problem.nominal(), patience, None)
+    rates = Rates(problem, problem.nominal(), patience)
     other = lived(rates, float(life.cycles[-1]), life.accuracy, None, life.lengths)
     depth, reached = life.at_end(DEPTH), min(life.cycles[-1], other.cycles[-1])
     coarse, fine = (float(own.over_life(DEPTH, reached)) for own in (other, life))
