@@ -99,6 +99,12 @@ class AbstractStateLoad(AbstractLoad):
         overridden. Only a joint that the tree carries can have some."""
         return None
 
+    def resistance(self) -> list[tuple[Scalar, Scalar]] | None:
+        """Stiffness [N m/rad, N/m] and damping [N m s/rad, N s/m] of each of its coordinates, where
+        it is a linear spring on each that `ImplicitStep` shall not have to resolve; None unless
+        overridden."""
+        return None
+
     def sampled_every(self) -> Scalar | None:
         """Period [s] with which `sampled` sets its states, at its whole multiples; None: never, as
         unless overridden."""

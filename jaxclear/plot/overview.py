@@ -62,7 +62,7 @@ def overview(run: Trajectory, *, ax: Any = None) -> Any:
     kept = reached(run, -np.inf)
     time = np.asarray(run.time)[kept]
     ways = {}
-    for name in run.mechanism.bodies:
+    for name in dict.fromkeys(map(run.mechanism.bodies.beam_of, run.mechanism.bodies)):
         motion = run.body(name)
         com = np.asarray(motion.com)[kept]
         ways[name] = np.linalg.norm(com - com[0], axis=1)

@@ -212,7 +212,9 @@ def _packed(values: Any) -> dict[str, Any]:
 def _colours(run: Trajectory) -> dict[str, str]:
     palette = [matplotlib.colors.to_hex(f"C{k}") for k in range(10)]
     palette.pop(7)  # the grey of the ground
-    return {name: palette[i % len(palette)] for i, name in enumerate(run.mechanism.bodies)}
+    bodies = run.mechanism.bodies
+    wholes = list(dict.fromkeys(map(bodies.beam_of, bodies)))
+    return {n: palette[wholes.index(bodies.beam_of(n)) % len(palette)] for n in bodies}
 
 
 def _page(run: Trajectory, solids: dict, frames: np.ndarray, told: dict, forces: Pushes) -> str:

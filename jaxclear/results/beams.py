@@ -1,0 +1,63 @@
+"""What a beam does over a run: how it bends, and what its outer fibre bears."""
+
+from typing import TYPE_CHECKING, Any, Literal
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxclear.components.beam import Beam, piece_name
+from jaxclear.ground.arguments import check_known
+from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.laws.section import Rectangle
+
+if TYPE_CHECKING:
+    from jaxclear.results.trajectory import Trajectory
+
+LINES = ("chord", "start")
+
+
+def _beam(run: "Trajectory", name: str) -> Beam:
+    beams = {n: own for n, own in run.mechanism.bodies.items() if isinstance(own, Beam)}
+    check_known("beam", name, beams, " in this mechanism")
+    return beams[name]
+
+
+def deflection(
+    run: "Trajectory", name: str, relative_to: Literal["chord", "start"]
+) -> Float[Array, "time place 3"]:
+    """See `Trajectory.deflection`."""
+    beam = _beam(run, name)
+    check_known("line in relative_to", relative_to, LINES)
+    ends = beam.ends()
+    pieces = [run.body(piece_name(name, i)) for i in range(len(ends) - 1)]
+    tip = pieces[-1].origin + (ends[-1] - ends[-2]) * pieces[-1].rotation[:, :, 0]
+    points = jnp.stack([*(piece.origin for piece in pieces), tip], axis=1)
+    away = points - points[:, :1]
+    axes = pieces[0].rotation
+    if relative_to == "chord":
+        along = away[:, -1] / jnp.linalg.norm(away[:, -1], axis=-1, keepdims=True)
+        across = axes[:, :, 1] - jnp.sum(axes[:, :, 1] * along, axis=-1)[:, None] * along
+        across = across / jnp.linalg.norm(across, axis=-1, keepdims=True)
+        axes = jnp.stack([along, across, jnp.cross(along, across)], axis=-1)
+    seen = jnp.einsum("tji,tpj->tpi", axes, away)
+    return seen - jnp.stack([jnp.asarray(ends), *jnp.zeros((2, len(ends)))], axis=-1)
+
+
+def stress(run: "Trajectory", name: str) -> Float[Array, "time element"]:
+    """See `Trajectory.stress`."""
+    beam = _beam(run, name)
+    fibre, material = beam.section.outer_fibre(), beam.material
+    if fibre is None or material is None:
+        raise ValueError(
+            f'the beam "{name}" has a section given by its stiffness, without an outer fibre; '
+            "give its shape, such as jaxclear.section.Circle, to read its stress."
+        )
+    element = beam.length / beam.segments
+    strain: dict[str, Any] = {"bend_y": 0.0, "bend_z": 0.0, "stretch": 0.0}
+    for kind in {hinge.kind for hinge in beam.hinges(name)} & set(strain):
+        joints = [hinge.joint for hinge in beam.hinges(name) if hinge.kind == kind]
+        strain[kind] = jnp.stack([run.coordinate(joint) for joint in joints], axis=1) / element
+    about_z, about_y = fibre[0] * strain["bend_z"], fibre[1] * strain["bend_y"]
+    corner = isinstance(beam.section, Rectangle)
+    bending = abs(about_z) + abs(about_y) if corner else safe_sqrt(about_z**2 + about_y**2)
+    return material.young_modulus * (bending + abs(strain["stretch"]))
