@@ -20,7 +20,7 @@ def cache(clear: bool = False) -> None:
     if clear:
         click.echo(f"{cache_folder.clear()} files removed from {folder}")
         return
-    files = cache_folder.kept()
+    files = cache_folder.list_files()
     for kind, words in WORDS.items():
         own = [one for one in files if one.path.suffix == f".{kind}"]
         click.echo(f"{len(own):6} {words}, {sum(one.size for one in own) / 1e6:.1f} MB")

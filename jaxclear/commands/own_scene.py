@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.study import DOTS_PER_INCH, report_samples, report_warnings
-from jaxclear.ground.arguments import check_known
-from jaxclear.ground.datasets import told_versions
+from jaxclear.ground.arguments import check_name
+from jaxclear.ground.datasets import library_versions
 from jaxclear.ground.table import as_table
 from jaxclear.plot.canvas import canvas, key, readable, warned
 from jaxclear.plot.overview import draw_forces
@@ -72,7 +72,7 @@ def keep_positions(scene: jc.Scene, found: Any, folder: Path, name: str) -> pand
 def _tell(scene: jc.Scene, folder: Path, told: dict[str, Any]) -> None:
     """Keeps the scene, how it ended, and by which versions."""
     jc.write_scene(scene, folder / SCENE)
-    text = json.dumps(told | {"versions": told_versions()}, indent=1)
+    text = json.dumps(told | {"versions": library_versions()}, indent=1)
     (folder / TOLD).write_text(text, encoding="utf-8")
 
 
@@ -221,7 +221,7 @@ def sensor_of(text: str) -> tuple[str, Any]:
     a_x=accelerometer:slider:x:noise=0.3:bandwidth=1500. Raises `ValueError` with a sentence."""
     column, _, told = text.partition("=")
     kind, *parts = told.split(":")
-    check_known("sensor", kind, SENSORS, f' for signal "{column}"')
+    check_name("sensor", kind, SENSORS, f' for signal "{column}"')
     numbers = dict(part.split("=", 1) for part in parts if "=" in part)
     places = [part for part in parts if "=" not in part]
     if not 1 <= len(places) <= 2:
@@ -232,7 +232,7 @@ def sensor_of(text: str) -> tuple[str, Any]:
     known = ("noise", "bandwidth", "gain", "delay", "sampling")
     found = {}
     for name, value in numbers.items():
-        check_known("number", name, known, f' of the sensor of signal "{column}"')
+        check_name("number", name, known, f' of the sensor of signal "{column}"')
         try:
             found[name] = float(value)
         except ValueError:

@@ -30,13 +30,21 @@ def _as_rows(matrix: Any) -> tuple[Array, ...]:
 
 
 class FrictionContact(AbstractLinearProblem):
-    """Contacts with Coulomb's law: z = r, w = v; `delassus` W [m/s per N s] (a matrix, or its
-    rows), `free_velocity` b [m/s], `mu` [1] one coefficient for each contact.
+    """Contacts with Coulomb's law: z = r, w = v.
 
-    `directions`: unknowns of each contact, 1 (without friction), 2 (planar) or 3 (spatial); left
-    out where all have the same. `active`: which contacts may act at all; one that is not has r = 0,
-    whatever its v. Without spatial contacts the problem is an LCP. Raises `ValueError` for shapes
-    that do not fit and for a negative coefficient.
+    Without spatial contacts the problem is an LCP.
+
+    Args:
+        delassus: matrix W [m/s per N s], an array (m, m) or its rows.
+        free_velocity: velocities b without contact [m/s], an array (m,).
+        mu: coefficient of friction of each contact [1], >= 0, an array (contacts,).
+        directions: number of unknowns of each contact, a tuple: 1 (without friction), 2 (planar) or
+            3 (spatial); left out where all have the same.
+        active: array of flags (contacts,), which contacts may act at all; one that may not has r =
+            0, whatever its v. By default all may.
+
+    Raises:
+        ValueError: if shapes do not fit, or a coefficient is negative.
     """
 
     delassus: Any = eqx.field(converter=_as_rows)
@@ -80,7 +88,14 @@ class FrictionContact(AbstractLinearProblem):
         return np.concatenate([[0], np.cumsum(self.sizes)]).tolist()
 
     def split(self, x: Float[Array, " m"]) -> list[Array]:
-        """The parts of the contacts."""
+        """The parts of a vector that belong to each contact.
+
+        Args:
+            x: an array (m,) in the order of the unknowns.
+
+        Returns:
+            a list with one array a contact.
+        """
         starts = self.starts
         return [x[a:b] for a, b in pairwise(starts)]
 

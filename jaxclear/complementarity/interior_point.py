@@ -94,6 +94,10 @@ class InteriorPoint(AbstractSolver):
     exact, pose a `FrictionContact` and take `ProjectedGaussSeidel`. Below about 1e-12 of the data's
     product, redundant contacts leave the relaxed solution undetermined, and the iterations are used
     up.
+
+    Args:
+        kappa: product z_i w_i of the relaxed problem [unit of z times unit of w], > 0.
+        most_steps: largest number of iterations, a count, >= 1.
     """
 
     kappa: Scalar = quantity(1e-8, "1", "product z_i w_i, in the units of the problem", above=0)

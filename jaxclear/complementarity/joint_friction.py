@@ -50,13 +50,18 @@ class Between(NamedTuple):
 
 
 class JointFriction(AbstractProblem):
-    """z = T, w = s = W T + s_0: `delassus` rows of W [m/s per N], `free_velocity` s_0 [m/s].
+    """Coulomb friction in joints that always touch: z = T, w = s = W T + s_0.
 
-    `ratios`: (a_k, b_k) of each joint [1], `None` for one without friction, `Caught` or `Opposed`
-    of a ball, `Between` of a force whose bounds hang on no reaction. `carried(k, T, ratio)`:
-    the forces that joint k carries at friction T, vectors [N], where `ratio` [1] is T_k over the
-    sum of their sizes as last known. `softest` [m/s per N]: a diagonal entry of W below this is
-    rounding: a drive moves that joint whatever friction does.
+    Args:
+        delassus: rows of W [m/s per N], a sequence.
+        free_velocity: sliding speeds s_0 without friction [m/s], a sequence.
+        ratios: for each joint a pair (a_k, b_k) [1], None without friction, `Caught` or `Opposed`
+            for a ball, or `Between` for a force whose bounds follow no reaction; a tuple.
+        carried: function (k, T, ratio) that returns the forces [N] that joint k carries at friction
+            T, a sequence of vectors; `ratio` [1] is T_k over the last sum of their sizes.
+        softest: least diagonal entries of W [m/s per N], a sequence: below them an entry is
+            rounding, as where a drive moves the joint whatever friction does.
+        places: place of each joint's components in z, a tuple of slices; None: one component each.
     """
 
     delassus: Sequence[Any]
@@ -67,23 +72,57 @@ class JointFriction(AbstractProblem):
     places: tuple[slice, ...] | None = None
 
     def place(self, k: int) -> slice:
-        """Where joint k's friction lies in z: one component, of a ball three."""
+        """Where a joint's friction lies in z: one component, of a ball three.
+
+        Args:
+            k: index of the joint.
+
+        Returns:
+            a slice.
+        """
         return slice(k, k + 1) if self.places is None else self.places[k]
 
     def components(self) -> int:
-        """How many components z has."""
+        """Number of components of z."""
         return self.place(len(self.ratios) - 1).stop if self.ratios else 0
 
     def load(self, k: int, friction: Float[Array, " k"], ratio: Any) -> Any:
-        """N_k [N], of which friction is a share."""
+        """Load of a joint, of which its friction is a share: the sum of the sizes of the forces
+        that it carries.
+
+        Args:
+            k: index of the joint.
+            friction: friction of all joints [N], an array.
+            ratio: friction of the joint over its load [1]; of a ball three components.
+
+        Returns:
+            the load N_k [N].
+        """
         return sp.total(sp.norm(force) for force in self.carried(k, friction, ratio))
 
     def slip(self, i: int, friction: Float[Array, " k"]) -> Any:
-        """Component i of s [m/s]."""
+        """One component of the sliding speeds.
+
+        Args:
+            i: index of the component.
+            friction: friction of all joints [N], an array.
+
+        Returns:
+            the speed [m/s].
+        """
         return self.free_velocity[i] + sp.dot(self.delassus[i], friction)
 
     def shares(self, k: int, friction: Float[Array, " k"], load: Any) -> Any:
-        """Friction of joint k over its load."""
+        """Friction of a joint over its load.
+
+        Args:
+            k: index of the joint.
+            friction: friction of all joints [N], an array.
+            load: load of the joint [N].
+
+        Returns:
+            the ratio [1]; of a ball a tuple of three.
+        """
         place = self.place(k)
         own = [safe_divide(friction[i], load) for i in range(place.start, place.stop)]
         return own[0] if len(own) == 1 else tuple(own)
@@ -91,8 +130,17 @@ class JointFriction(AbstractProblem):
     def improved(
         self, k: int, friction: Float[Array, " k"], load: Any, relaxation: Any
     ) -> tuple[list, Any, Any]:
-        """(components of T_k as the others' friction asks for them, the bound of their size,
-        whether they are within it)."""
+        """Friction of one joint that satisfies its law while that of the others stays.
+
+        Args:
+            k: index of the joint.
+            friction: friction of all joints [N], an array.
+            load: load of the joint [N].
+            relaxation: share of the bound over which friction is rounded [1]; None: exact.
+
+        Returns:
+            components of T_k [N], the bound of their size [N], and whether they are within it.
+        """
         rule, place = self.ratios[k], self.place(k)
         if isinstance(rule, (Caught, Opposed)):
             return self._on_ball(k, friction, rule)
@@ -158,17 +206,20 @@ class JointFriction(AbstractProblem):
 
 
 class BoxedGaussSeidel(AbstractSolver):
-    """Sweeps over the joints, each put into its box with the newest friction of the others, until
-    friction changes by less than `tolerance` of its bound.
+    """Sweeps over the joints, each put into its bounds with the newest friction of the others.
 
     Joints of a loop that stick share what holds it, in no unique way. Their slips agree as well as
     the loop is closed, and sweeps pass that difference on from joint to joint without end: where
     friction within its bounds changes as much as in the sweep before, and moves nothing, they end.
-
-    `relaxation` rounds the corners of the boxes over that share of their width (Chen & Harker 1993,
-    SIAM J. Matrix Anal. Appl. 14, 1168, doi:10.1137/0614081): exact as it vanishes. Plain
-    operations only, so that a time loop with these sweeps stays one kernel; derivatives
+    Plain operations only, so that a time loop with these sweeps stays one kernel; derivatives
     (forward; reverse only where that loop is one kernel) are those of the sweeps.
+
+    Args:
+        tolerance: change of friction relative to its bound at which to stop [1], > 0.
+        most_sweeps: largest number of sweeps over the joints [1], > 0.
+        relaxation: share of the bound over which the corners of the bounds are rounded (Chen &
+            Harker 1993, SIAM J. Matrix Anal. Appl. 14, 1168, doi:10.1137/0614081) [1], > 0; None:
+            exact.
     """
 
     tolerance: Scalar = quantity(
@@ -188,7 +239,15 @@ class BoxedGaussSeidel(AbstractSolver):
         return Solution(found.z, slips, problem.residual(found.z, slips), outcome, found.sweeps)
 
     def iterate(self, problem: JointFriction) -> Iterate:
-        """Friction, its last change relative to the largest bound, and sweeps taken."""
+        """The sweeps themselves, which a time step calls.
+
+        Args:
+            problem: a `JointFriction`.
+
+        Returns:
+            friction, its last change relative to the largest bound, and the number of sweeps, an
+            `Iterate`.
+        """
         start, loads = jnp.zeros(problem.components()), jnp.zeros(len(problem.ratios))
         if all(pair is None for pair in problem.ratios):
             return Iterate(start, jnp.zeros(()), jnp.zeros((), int))

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.ground.outcome import AbstractOutcome
 from jaxclear.ground.printing import AbstractShown
-from jaxclear.ground.quantity import AbstractQuantified, as_given
+from jaxclear.ground.quantity import AbstractQuantified, lenient_converter
 from jaxclear.ground.wording import described
 
 
@@ -69,7 +69,14 @@ def check_shapes(owner: str, expected: dict[str, tuple[Any, tuple[int, ...]]]) -
 
 
 def natural_residual(z: Float[Array, " n"], w: Float[Array, " n"]) -> Float[Array, ""]:
-    """Largest entry of the natural map, max |min(z, w)|: zero exactly at 0 <= z ⟂ w >= 0."""
+    """Largest entry of the natural map, max |min(z, w)|: zero exactly at 0 <= z ⟂ w >= 0.
+
+    Args:
+        z, w: arrays (n,) [their units].
+
+    Returns:
+        the largest entry.
+    """
     return jnp.max(jnp.abs(jnp.minimum(z, w)))
 
 
@@ -84,9 +91,16 @@ def size_of(z: Float[Array, "..."]) -> Float[Array, ""]:
 
 
 class Solution(AbstractShown):
-    """What a solver hands back: `z` [as the problem's z], `w` [as its w], and `residual`, how far
-    they are from a solution [the larger of the two]. Where the outcome is not `SOLVED`, z is the
-    last finite iterate and its derivative is zero.
+    """What a solver returns.
+
+    Where the outcome is not `SOLVED`, z is the last finite iterate and its derivative is zero.
+
+    Args:
+        z: unknowns, an array (n,) [as the problem's z].
+        w: what they are complementary to, an array (n,) [as the problem's w].
+        residual: how far they are from a solution [the larger of the two units].
+        outcome: code of an `Outcome`.
+        iterations: iterations taken, a count.
     """
 
     z: Float[Array, " n"]
@@ -117,7 +131,15 @@ class AbstractProblem(AbstractQuantified):
 
     @abstractmethod
     def residual(self, z: Float[Array, " m"], w: Float[Array, " m"]) -> Float[Array, ""]:
-        """How far (z, w) is from a solution, in the data's units; zero exactly there."""
+        """How far (z, w) is from a solution; zero exactly there.
+
+        Args:
+            z: unknowns, an array (m,) [unit of z].
+            w: what they are complementary to, an array (m,) [unit of w].
+
+        Returns:
+            the residual, in the data's units.
+        """
 
 
 class AbstractLinearProblem(AbstractProblem):
@@ -125,11 +147,22 @@ class AbstractLinearProblem(AbstractProblem):
 
     @abstractmethod
     def to_lcp(self) -> "LCP":
-        """The LCP with the same solutions. Raises `ValueError` where there is none."""
+        """The LCP with the same solutions.
+
+        Raises:
+            ValueError: if there is none.
+        """
 
     @abstractmethod
     def from_lcp(self, z: Float[Array, " n"]) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-        """This problem's (z, w) for a solution z of its LCP."""
+        """This problem's (z, w) for a solution of its LCP.
+
+        Args:
+            z: unknowns of the LCP, an array (n,).
+
+        Returns:
+            z and w of this problem, two arrays (m,).
+        """
 
 
 class AbstractSolver(AbstractQuantified):
@@ -137,18 +170,35 @@ class AbstractSolver(AbstractQuantified):
 
     @abstractmethod
     def solve(self, problem: Any) -> Solution:
-        """One problem; pure, so it maps, compiles and differentiates. Values that cannot be solved
-        end in an outcome; `ValueError` for what is no problem of the solver's kind.
+        """Solve one problem.
+
+        The function is pure, so it maps, compiles and differentiates. Values that cannot be solved
+        end in an outcome.
+
+        Args:
+            problem: a problem of the solver's kind.
+
+        Returns:
+            the `Solution`.
+
+        Raises:
+            ValueError: if it is no problem of the solver's kind.
         """
 
 
 class LCP(AbstractLinearProblem):
-    """w = M z + q with 0 <= z ⟂ w >= 0: `matrix` M [unit of w per unit of z], `offset` q [unit of
-    w].
+    """A linear complementarity problem: w = M z + q with 0 <= z ⟂ w >= 0.
+
+    Args:
+        matrix: M, an array (n, n) [unit of w per unit of z].
+        offset: q, an array (n,) [unit of w].
+
+    Raises:
+        ValueError: if shapes do not fit.
     """
 
-    matrix: Float[Array, "n n"] = eqx.field(converter=as_given(as_floats))
-    offset: Float[Array, " n"] = eqx.field(converter=as_given(as_floats))
+    matrix: Float[Array, "n n"] = eqx.field(converter=lenient_converter(as_floats))
+    offset: Float[Array, " n"] = eqx.field(converter=lenient_converter(as_floats))
 
     def __check_init__(self):
         n = getattr(self.offset, "size", 0)
@@ -166,13 +216,20 @@ class LCP(AbstractLinearProblem):
 
 
 class HorizontalLCP(AbstractLinearProblem):
-    """N w = M z + q with 0 <= z ⟂ w >= 0 and a regular N: `w_matrix` N [unit of q per unit of w],
-    `z_matrix` M [unit of q per unit of z], `offset` q [its own unit].
+    """A horizontal complementarity problem: N w = M z + q with 0 <= z ⟂ w >= 0 and a regular N.
+
+    Args:
+        w_matrix: N, an array (n, n) [unit of q per unit of w].
+        z_matrix: M, an array (n, n) [unit of q per unit of z].
+        offset: q, an array (n,) [its own unit].
+
+    Raises:
+        ValueError: if shapes do not fit.
     """
 
-    w_matrix: Float[Array, "n n"] = eqx.field(converter=as_given(as_floats))
-    z_matrix: Float[Array, "n n"] = eqx.field(converter=as_given(as_floats))
-    offset: Float[Array, " n"] = eqx.field(converter=as_given(as_floats))
+    w_matrix: Float[Array, "n n"] = eqx.field(converter=lenient_converter(as_floats))
+    z_matrix: Float[Array, "n n"] = eqx.field(converter=lenient_converter(as_floats))
+    offset: Float[Array, " n"] = eqx.field(converter=lenient_converter(as_floats))
 
     def __check_init__(self):
         n = getattr(self.offset, "size", 0)

@@ -35,8 +35,12 @@ SWEEPS, LARGEST_ELIMINATED = 2, 24
 
 
 class Iterate(NamedTuple):
-    """Where an iteration ended: `z` [as the problem's z], its `residual` relative to the data [1],
-    sweeps taken.
+    """Where an iteration ended.
+
+    Args:
+        z: unknowns, an array (m,) [as the problem's z].
+        residual: residual relative to the data [1].
+        sweeps: number of sweeps taken, a count.
     """
 
     z: Float[Array, " m"]
@@ -52,6 +56,10 @@ class ProjectedGaussSeidel(AbstractSolver):
     too redundant. Derivatives of `solve` keep the state of every contact. Between two states they
     are one-sided: a contact that touches without force stays open, one at the edge of its cone
     without slip sticks. Of redundant contacts they are the least.
+
+    Args:
+        tolerance: residual relative to the largest velocity at which to stop [1], > 0.
+        most_sweeps: largest number of sweeps over the contacts [1], > 0.
     """
 
     tolerance: Scalar = quantity(
@@ -87,9 +95,18 @@ class ProjectedGaussSeidel(AbstractSolver):
     def iterate(
         self, problem: FrictionContact, start: Array | None = None, sweep: bool = False
     ) -> Iterate:
-        """The iteration itself, from `start` or from rest: what a time step calls. Its derivatives
-        (forward) are those of the sweeps; where `start` is a solution there are none, unless one
-        `sweep` is taken all the same.
+        """The iteration itself, which a time step calls.
+
+        Its derivatives (forward) are those of the sweeps; where `start` is a solution there are
+        none, unless one `sweep` is taken all the same.
+
+        Args:
+            problem: a `FrictionContact`.
+            start: reactions to begin with, an array (m,) [as the problem's z]; None: zero.
+            sweep: whether to take one sweep in any case.
+
+        Returns:
+            the last `Iterate`.
         """
         return self._iterate(problem, start, in_kernel=True, sweep=sweep)
 

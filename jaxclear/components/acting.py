@@ -18,8 +18,14 @@ class AbstractLoad(AbstractQuantified):
 
 
 class LoadState(NamedTuple):
-    """A state of a load: its `name`, `unit`, the number with which a run begins, and the size
-    `most` at which it stands still (None: it has none): steps end within it."""
+    """A state of a load, which the integrators carry beside the motion.
+
+    Args:
+        name: name of the state, a text.
+        unit: unit of the state, a text.
+        start: value at the beginning of a run [its unit].
+        most: size at which the state stands still [its unit], where steps end; None: no such bound.
+    """
 
     name: str
     unit: str = "1"
@@ -28,8 +34,15 @@ class LoadState(NamedTuple):
 
 
 class CoordinateEffect(NamedTuple):
-    """What a load on coordinates does at one instant: the generalised force [N m, N] on each, the
-    rate of each of its states; energy in J, powers in W, `external` power enters the mechanism."""
+    """What a load on coordinates does at one instant.
+
+    Args:
+        forces: generalised force on each coordinate [N m; N for a sliding joint], a tuple.
+        rates: rate of each state [unit of the state per s], a tuple.
+        stored: stored energy [J].
+        dissipated: dissipated power [W].
+        external: power that enters the mechanism [W].
+    """
 
     forces: tuple
     rates: tuple
@@ -39,21 +52,43 @@ class CoordinateEffect(NamedTuple):
 
 
 class Side(NamedTuple):
-    """One side of a `stop` (a `JointStop`): the coordinate is held where `sign` times it is above
-    `sign` times the `place` [rad, m]."""
+    """One side of a stop of a coordinate.
+
+    The coordinate is stopped where `sign` times it is below `sign` times `place`.
+
+    Args:
+        sign: 1 for a lower stop, -1 for an upper one [1].
+        place: coordinate of the stop [rad; m for a sliding joint].
+        stop: the `JointStop` that it belongs to.
+    """
 
     sign: float
     place: Any
     stop: Any
 
     def beyond(self, position: Any) -> Any:
-        """How far the coordinate is beyond it [rad, m]."""
+        """How far the coordinate is beyond the stop, positive where it presses.
+
+        Args:
+            position: coordinate [rad; m for a sliding joint].
+
+        Returns:
+            the depth [rad; m for a sliding joint].
+        """
         return self.sign * (self.place - position)
 
 
 class MotorEnd(AbstractQuantified):
-    """The motor behind a joint: its `coordinate`, which is `ratio` times that of the joint and an
-    `offset` (None: 0) where nothing lies between."""
+    """The motor behind a joint.
+
+    Where nothing lies between them, the motor's coordinate is `ratio` times that of the joint plus
+    `offset`.
+
+    Args:
+        coordinate: name of the motor's coordinate.
+        ratio: turns of the motor for one of the joint [1].
+        offset: angle of the motor where the joint's is 0 [rad]; None: 0.
+    """
 
     coordinate: str = eqx.field(static=True)
     ratio: Scalar = quantity(unit="1", meaning="turns of the motor for one of the joint")
@@ -83,8 +118,18 @@ class AbstractStateLoad(AbstractLoad):
     def effect(
         self, time: Scalar, positions: tuple, speeds: tuple, states: tuple
     ) -> CoordinateEffect:
-        """What it does at an instant, from the coordinates [rad, m] and their speeds, child against
-        parent, in the order of `coordinates`, and its states."""
+        """What the load does at an instant.
+
+        Args:
+            time: time [s].
+            positions: coordinates [rad; m for a sliding joint], child against parent, a tuple in
+                the order of `coordinates`.
+            speeds: their speeds [rad/s; m/s for a sliding joint], a tuple.
+            states: values of the load's states, a tuple in the order of `states`.
+
+        Returns:
+            forces, rates of the states, energy and powers, a `CoordinateEffect`.
+        """
 
     def reads_position(self) -> bool:
         """Whether it depends on the coordinates, not only on their speeds; it does unless
@@ -111,8 +156,20 @@ class AbstractStateLoad(AbstractLoad):
         return None
 
     def sampled(self, time: Scalar, positions: tuple, speeds: tuple, states: tuple) -> tuple:
-        """Its states from an instant of its period on; their rates are 0 in between. As they are
-        unless overridden."""
+        """States from a sampling instant on; their rates are 0 between sampling instants.
+
+        Unless overridden, states are left as they are.
+
+        Args:
+            time: time [s].
+            positions: coordinates [rad; m for a sliding joint], a tuple in the order of
+                `coordinates`.
+            speeds: their speeds [rad/s; m/s for a sliding joint], a tuple.
+            states: values of the states before the instant, a tuple.
+
+        Returns:
+            values of the states after it, a tuple.
+        """
         return states
 
     def motor_of(self) -> str | None:
@@ -125,8 +182,15 @@ class AbstractStateLoad(AbstractLoad):
         return False
 
     def behind(self, motors: dict[str, MotorEnd]) -> "AbstractStateLoad":
-        """Itself where couplings turn joints, by name, by these motors; the same unless
-        overridden."""
+        """The load in a mechanism whose couplings turn joints by motors; the same unless
+        overridden.
+
+        Args:
+            motors: a dict of `MotorEnd` by the name of the joint.
+
+        Returns:
+            the load that acts there.
+        """
         return self
 
     def sides(self) -> tuple[Side, ...]:
@@ -146,8 +210,17 @@ class AbstractStateLoad(AbstractLoad):
         return False
 
     def for_inertia(self, inertia: Scalar, delay: Scalar, times: Any) -> "AbstractStateLoad":
-        """Itself with these numbers, for an inertia [kg m^2, kg], a `delay` [s] that steps resolve
-        and the saving times [s] of the run; the same unless overridden."""
+        """The load with the numbers that follow from the inertia; the same unless overridden.
+
+        Args:
+            inertia: inertia along the load's only coordinate where a run starts [kg m^2; kg for a
+                sliding joint].
+            delay: time that steps resolve [s].
+            times: saving times of the run [s], an array (n,).
+
+        Returns:
+            the load with these numbers.
+        """
         return self
 
     def pressed_by(self) -> str | None:
@@ -156,20 +229,40 @@ class AbstractStateLoad(AbstractLoad):
         return None
 
     def under(self, force: Scalar) -> "AbstractStateLoad":
-        """Itself as it is where that one gives this force [N m, N]; the same unless overridden."""
+        """The load while the load or coupling that presses it gives a force; the same unless
+        overridden.
+
+        Args:
+            force: that force [N m, N].
+
+        Returns:
+            the load under it.
+        """
         return self
 
 
 class AbstractCoordinateLoad(AbstractStateLoad):
-    """Acts on the single coordinate of a joint, child against parent, an angle or a displacement,
-    or of a motor, by its position and speed alone: the simple case of `AbstractStateLoad`.
+    """Acts on the single coordinate of a joint or of a motor by its position and speed alone: the
+    simple case of `AbstractStateLoad`.
+
+    The coordinate is an angle or a displacement, child against parent.
     """
 
     connection: eqx.AbstractVar[str]
 
     @abstractmethod
     def force(self, time: Scalar, position: Scalar, speed: Scalar) -> tuple[Any, Any, Any, Any]:
-        """(generalised force, stored energy, dissipated power, external power)."""
+        """Force and energies at an instant.
+
+        Args:
+            time: time [s].
+            position: coordinate [rad; m for a sliding joint], child against parent.
+            speed: its speed [rad/s; m/s for a sliding joint].
+
+        Returns:
+            generalised force [N m; N for a sliding joint], stored energy [J], dissipated power [W],
+            external power [W].
+        """
 
     def coordinates(self):
         return (self.connection,)

@@ -53,10 +53,18 @@ def _inertia(value: Any) -> Any:
 
 
 class Body(AbstractQuantified):
-    """A rigid body: mass [kg], centre of mass [m] in the body frame (2 or 3 numbers, absent: the
-    origin), and inertia [kg m2] about the centre of mass in body axes: 1 number (about z, for
-    planar motion), 3 (xx, yy, zz) or 6 (xx, yy, zz, xy, xz, yz; products as elements of the matrix,
-    so xy = -integral of x y dm).
+    """A rigid body.
+
+    Args:
+        mass: mass [kg], > 0.
+        inertia: inertia about the centre of mass in body axes [kg m^2]: 1 number (about z, for
+            planar motion), 3 (xx, yy, zz) or 6 (xx, yy, zz, xy, xz, yz). Products are elements of
+            the matrix: xy = -integral of x y dm.
+        com: centre of mass in the body frame [m], 2 or 3 numbers; by default the origin.
+
+    Raises:
+        ValueError: if the inertia is not positive, or one principal moment is larger than the sum
+            of the others.
     """
 
     mass: Scalar = quantity(unit="kg", meaning="mass", above=0)
@@ -113,7 +121,7 @@ class Marker(AbstractQuantified):
         at: origin [m], 2 or 3 numbers; the body's origin by default.
         axis: "x", "y", "z", "-x", "-y" or "-z" (known before tracing, costs nothing), or the
             direction as numbers of any length: 2 in the x-y plane, or 3. "z" by default.
-        quaternion: the whole orientation (w, x, y, z), in place of an axis.
+        quaternion: the whole orientation (w, x, y, z) [1], in place of an axis.
         angle: turns the frame about the body's z axis [rad], so that an inclination is one number
             that can vary; None by default, which costs nothing.
 
@@ -204,9 +212,23 @@ def _(marker: Marker, unit: Any = None) -> str:
 class Connection(AbstractQuantified):
     """A joint between a marker on the parent and a marker on the child.
 
-    A body's name stands for a marker: on the parent at `at` [m, parent's frame], on the child at
-    the child's origin, both with the same `axis`; beside a marker it is turned as that one is.
-    Coordinates measure the child relative to the parent.
+    Coordinates measure the child relative to the parent. A body's name stands for a marker with the
+    axis of the other side's marker, or with `axis` where both sides are names.
+
+    Args:
+        joint: ideal joint, one of `jaxclear.joint`, or joint with clearance, one of
+            `jaxclear.clearance`.
+        parent: name of the parent body, "ground", or a `Marker` on it.
+        child: name of the child body, "ground", or a `Marker` on it; a name: at the origin of the
+            child.
+        at: place on the parent [m], 2 or 3 numbers in its frame, where `parent` is a name; by
+            default the origin.
+        axis: z axis of the joint where both sides are names: "x", "y", "z", "-x", "-y", "-z", or a
+            direction of 2 or 3 numbers [1]; "z" by default.
+
+    Raises:
+        ValueError: if a side is neither a name nor a marker, or if `at` or `axis` is given beside a
+            marker that already says it.
     """
 
     joint: AnyJoint

@@ -32,11 +32,23 @@ class AbstractDrive(AbstractQuantified):
 
     @abstractmethod
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
-        """(position, speed, acceleration) at `time` [s]."""
+        """The prescribed motion at an instant.
+
+        Args:
+            time: time [s].
+
+        Returns:
+            position [rad; m for a sliding joint], speed and acceleration [per s, per s^2], a tuple.
+        """
 
 
 class ConstantSpeed(AbstractDrive):
-    """q = start + speed t."""
+    """A constant speed from time zero on: q = start + speed t.
+
+    Args:
+        speed: constant speed [rad/s; m/s for a sliding joint].
+        start: position at time zero [rad; m for a sliding joint].
+    """
 
     speed: Scalar = quantity(unit="rad/s", meaning="constant speed (m/s for a sliding joint)")
     start: Scalar = quantity(0.0, "rad", "position at time zero (m for a sliding joint)")
@@ -46,7 +58,11 @@ class ConstantSpeed(AbstractDrive):
 
 
 class Held(AbstractDrive):
-    """q = position, at rest."""
+    """A coordinate that does not move: q = position.
+
+    Args:
+        position: the coordinate [rad; m for a sliding joint].
+    """
 
     position: Scalar = quantity(unit="rad", meaning="position (m for a sliding joint)")
 
@@ -55,7 +71,14 @@ class Held(AbstractDrive):
 
 
 class Harmonic(AbstractDrive):
-    """q = offset + amplitude sin(2 pi frequency t + phase)."""
+    """q = offset + amplitude sin(2 pi frequency t + phase).
+
+    Args:
+        amplitude: amplitude [rad; m for a sliding joint].
+        frequency: frequency [Hz], >= 0.
+        phase: phase at time zero [rad].
+        offset: mean position [rad; m for a sliding joint].
+    """
 
     amplitude: Scalar = quantity(unit="rad", meaning="amplitude (m for a sliding joint)")
     frequency: Scalar = quantity(unit="Hz", meaning="frequency", at_least=0)
@@ -70,8 +93,13 @@ class Harmonic(AbstractDrive):
 
 
 class RampUp(AbstractDrive):
-    """Starts at rest and reaches a constant speed after `duration`, the speed following a cubic
-    step; ConstantSpeed has no ramp.
+    """A speed that grows from 0 to a constant along a cubic step in time; `ConstantSpeed` has no
+    ramp.
+
+    Args:
+        speed: final speed [rad/s; m/s for a sliding joint].
+        duration: time until the final speed is reached [s], > 0.
+        start: position at time zero [rad; m for a sliding joint].
     """
 
     speed: Scalar = quantity(unit="rad/s", meaning="final speed (m/s for a sliding joint)")
@@ -89,8 +117,16 @@ class RampUp(AbstractDrive):
 
 
 class Position(AbstractDrive):
-    """Any twice differentiable function of time, a JAX function or a module with numbers of its
-    own: q = function(t).
+    """A position as a function of time: q = function(t).
+
+    Args:
+        function: JAX function (or module with numbers of its own) of a time [s], twice
+            differentiable, that returns the position [rad; m for a sliding joint]; or a
+            `TimeTable`.
+
+    Raises:
+        ValueError: if the function fails at a time, returns something else, or is a table whose
+            speed jumps.
     """
 
     function: Callable = eqx.field(converter=opened)
@@ -110,11 +146,17 @@ class Position(AbstractDrive):
 
 
 class Speed(AbstractDrive):
-    """A speed given as a function of time; the position is its integral from time zero.
+    """A speed as a function of time; the position is its integral from time zero.
 
-    The integral is taken by Gauss-Legendre quadrature over [0, t] in `pieces` pieces, so that the
-    drive stays a pure function of time; error below 1e-12 relative where the speed is smooth on the
-    scale t / pieces. That of a `TimeTable` is exact.
+    The integral is taken by Gauss-Legendre quadrature over [0, t], so that the drive stays a pure
+    function of time; error below 1e-12 relative where the speed is smooth on the scale t / pieces.
+    That of a `TimeTable` is exact.
+
+    Args:
+        function: JAX function of a time [s] that returns the speed [rad/s; m/s for a sliding
+            joint]; or a `TimeTable`.
+        start: position at time zero [rad; m for a sliding joint].
+        pieces: pieces of the quadrature, a count, >= 1.
     """
 
     function: Callable = eqx.field(converter=opened)

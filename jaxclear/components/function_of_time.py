@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.ground.columns import columns_of
 from jaxclear.ground.quantity import (
     AbstractQuantified,
@@ -28,19 +28,27 @@ from jaxclear.ground.quantity import (
     is_traced,
     quantity,
 )
-from jaxclear.ground.warning import asked, shape_of
+from jaxclear.ground.warning import call_user_function, shape_of
 from jaxclear.ground.wording import described, public_name
 
 
 class AbstractFunctionOfTime(AbstractQuantified):
-    """A function of time [s] that is told by its numbers, so that a file can hold it."""
+    """A function of time [s] that is defined by numbers, so that a file can hold it."""
 
     @abstractmethod
     def __call__(self, time: Scalar) -> Any:
         """Its value, or several, at a time [s]."""
 
     def integral(self, time: Scalar) -> Any:
-        """Its integral from 0 to a time [s]; None where it knows none, as unless overridden."""
+        """Integral of the function from 0 to a time.
+
+        Args:
+            time: time [s].
+
+        Returns:
+            the integral [unit of the function times s]; None, as unless overridden, where it is not
+            available.
+        """
         return None
 
     def check_motion(self) -> None:
@@ -60,7 +68,7 @@ def check_function_of_time(part: Any, field: str, counts: tuple[int, ...] = (1,)
     owner = f"{public_name(type(part))} has {field} = {described(function)}"
     answers = lambda at: jax.tree.map(jnp.asarray, function(at))
     found = shape_of(
-        lambda at: asked(f"{owner}, which", answers, at, wanted=f"It {wanted}."),
+        lambda at: call_user_function(f"{owner}, which", answers, at, requirement=f"It {wanted}."),
         jax.ShapeDtypeStruct((), jnp.float64),
     )
     shapes = [leaf.shape for leaf in jax.tree.leaves(found)]
@@ -124,17 +132,15 @@ REST = 1e-6
 class TimeTable(AbstractFunctionOfTime):
     """A function of time through a table of numbers, for a drive or a load.
 
-    `times` (n,) [s], rising; `values` (n,) or (n, columns), in the unit of what the table serves.
-    `interpolation`: "cubic" (a spline, two continuous derivatives), "monotone" (PCHIP: no
-    overshoot, one continuous derivative) or "linear". `beyond` the first and last time it is "held"
-    there, goes "straight" on, or is "repeated". `factor` [1] multiplies it. JAX differentiates it
-    by time, `factor` and, where it is not monotone, by `values`. Between two times stands a
-    polynomial with `coefficients` [unit of the values/s^k]; `areas` [s times that unit] are its
-    integrals. Raises `ValueError` for a table that is none. A drive refuses one that jumps in its
-    speed.
-
-    Source of "monotone": Fritsch & Butland 1984, SIAM J. Sci. Stat. Comput. 5, 300,
-    doi:10.1137/0905021.
+    Args:
+        times: times [s], increasing, an array (n,) with n >= 2.
+        values: values at these times [unit of what the table serves], an array (n,) or (n,
+            columns).
+        interpolation: "cubic" (a spline, two continuous derivatives), "monotone" (PCHIP: no
+            overshoot, one continuous derivative) or "linear", a text.
+        beyond: a text: before the first and after the last time the function is "held" there, goes
+            "straight" on, or is "repeated".
+        factor: factor of all values [1].
     """
 
     times: Float[Array, " n"]
@@ -154,8 +160,8 @@ class TimeTable(AbstractFunctionOfTime):
         beyond: str = "held",
         factor: Any = 1.0,
     ):
-        check_known("interpolation of a TimeTable", interpolation, INTERPOLATIONS)
-        check_known("way beyond a TimeTable", beyond, BEYOND)
+        check_name("interpolation of a TimeTable", interpolation, INTERPOLATIONS)
+        check_name("way beyond a TimeTable", beyond, BEYOND)
         known = _known_times(times)
         values = _checked(values, known, beyond)
         self.times, self.values, self.factor = jnp.asarray(known), values, factor
@@ -173,8 +179,17 @@ class TimeTable(AbstractFunctionOfTime):
         interpolation: str = "cubic",
         **further: Any,
     ) -> "TimeTable":
-        """The table of a function of time at `times` [s]: how a function of one's own becomes data.
-        `further`: `beyond`, `factor`."""
+        """Make a table of a function of time, so that it becomes data.
+
+        Args:
+            function: function of a time [s] that returns a number or an array.
+            times: times of the table [s], an array (n,).
+            interpolation: as of `TimeTable`, a text.
+            **further: `beyond` and `factor`, options of `TimeTable`.
+
+        Returns:
+            the table, a `TimeTable`.
+        """
         at = jnp.asarray(_known_times(times))
         values = jax.vmap(lambda time: jnp.asarray(function(time), float))(at)
         return cls(at, values, interpolation, **further)
@@ -183,8 +198,21 @@ class TimeTable(AbstractFunctionOfTime):
     def from_csv(
         cls, path: Any, time: str, values: Any, interpolation: str = "cubic", **further: Any
     ) -> "TimeTable":
-        """The table in columns of a CSV file with a line of names: `time` [s], and `values`, one
-        name or several. `further`: `beyond`, `factor`. Raises `ValueError` with a sentence."""
+        """Read a table from columns of a CSV file whose first line has their names.
+
+        Args:
+            path: path of the file.
+            time: name of the column of times [s].
+            values: name of the column of values, or a list of names.
+            interpolation: as of `TimeTable`, a text.
+            **further: `beyond` and `factor`, options of `TimeTable`.
+
+        Returns:
+            the table, a `TimeTable`.
+
+        Raises:
+            ValueError: if the file or a column of it cannot be read.
+        """
         names = [values] if isinstance(values, str) else list(values)
         columns = columns_of(path, [time, *names])
         found = np.stack(columns[1:], axis=-1) if not isinstance(values, str) else columns[1]

@@ -77,7 +77,13 @@ def check_acts(spring: Any) -> None:
 
 
 class MarkerMotion(NamedTuple):
-    """A marker as a load sees it: pose in the ground frame, velocity and spin in ground axes."""
+    """Motion of a marker, as a load sees it.
+
+    Args:
+        pose: pose in the ground frame.
+        velocity: velocity of its origin [m/s], in ground axes.
+        spin: angular velocity [rad/s], in ground axes.
+    """
 
     pose: Pose
     velocity: sp.Vec
@@ -85,16 +91,32 @@ class MarkerMotion(NamedTuple):
 
 
 class Action(NamedTuple):
-    """Force [N] through the origin of one of the load's markers and torque [N m] on its body, in
-    ground axes."""
+    """Force through the origin of one of the load's markers and torque on its body, in ground axes.
+
+    Args:
+        marker: one of the markers of the load, a `Marker`.
+        force: force [N], 3 components.
+        torque: torque [N m], 3 components.
+    """
 
     marker: Marker
     force: sp.Vec
     torque: sp.Vec
 
     def place_among(self, markers: tuple[Marker, ...], order: int) -> int:
-        """Which of the markers it acts on: that one, else an equal one, else one on its body;
-        `order`: its place among the actions, which decides between several."""
+        """Index of the marker on which the action acts: the same object, else an equal marker, else
+        one on its body.
+
+        Args:
+            markers: markers of the load, a tuple of `Marker`.
+            order: index of the action among the actions, which decides between several markers.
+
+        Returns:
+            the index into `markers`.
+
+        Raises:
+            ValueError: if no marker matches, or several do.
+        """
         alike = (lambda own: own is self.marker, self._equals, self._shares_body)
         matches = ([i for i, own in enumerate(markers) if test(own)] for test in alike)
         places = next(filter(None, matches), [])
@@ -118,8 +140,13 @@ class Action(NamedTuple):
 
 
 class Effect(NamedTuple):
-    """What a load does at one instant; energies in J, power in W. `external` power enters the
-    mechanism.
+    """What a load on bodies does at one instant.
+
+    Args:
+        actions: forces and torques, a tuple of `Action`.
+        stored: stored energy [J].
+        dissipated: dissipated power [W].
+        external: power that enters the mechanism [W].
     """
 
     actions: tuple[Action, ...]
@@ -137,7 +164,15 @@ class AbstractBodyLoad(AbstractLoad):
 
     @abstractmethod
     def effect(self, time: Scalar, motions: tuple[MarkerMotion, ...]) -> Effect:
-        """Forces and energies at an instant, from the motions of its markers in their order."""
+        """Forces and energies at an instant.
+
+        Args:
+            time: time [s].
+            motions: motions of the load's markers in their order, a tuple of `MarkerMotion`.
+
+        Returns:
+            forces, energy and powers, an `Effect`.
+        """
 
 
 # A hundred times that of the Earth.
@@ -145,7 +180,11 @@ USUAL_GRAVITY = (-1e3, 1e3, "is it in mm/s^2? Accelerations are in m/s^2.")
 
 
 class Gravity(AbstractLoad):
-    """Uniform gravity on all bodies, as an acceleration in the ground frame."""
+    """Uniform gravity on all bodies.
+
+    Args:
+        acceleration: acceleration of free fall [m/s^2], 2 or 3 numbers in the ground frame.
+    """
 
     acceleration: tuple = vector(
         (0.0, -9.81), "m/s^2", "free fall, ground frame", counts=(2, 3), usual=USUAL_GRAVITY
@@ -156,8 +195,12 @@ class Gravity(AbstractLoad):
 
 
 class Force(AbstractBodyLoad):
-    """A force at a marker: 2 or 3 numbers [N] or a function of time, in ground axes, or in the
-    marker's if `follows`.
+    """A force at a marker.
+
+    Args:
+        marker: where it acts, a `Marker`.
+        value: force [N], 2 or 3 numbers, or a function of time [s] that returns as many.
+        follows: whether the axes are those of the marker, a flag; by default those of the ground.
     """
 
     marker: Marker
@@ -188,8 +231,13 @@ class Force(AbstractBodyLoad):
 
 
 class Torque(AbstractBodyLoad):
-    """A torque on a body: 1 number (about z), 3 numbers [N m] or a function of time; axes as in
-    `Force`.
+    """A torque on a body.
+
+    Args:
+        marker: marker on the body, a `Marker`.
+        value: torque [N m], 1 number (about z) or 3, or a function of time [s] that returns as
+            many.
+        follows: whether the axes are those of the marker, a flag; by default those of the ground.
     """
 
     marker: Marker
@@ -222,10 +270,17 @@ class Torque(AbstractBodyLoad):
 
 
 class MotorTorque(AbstractBodyLoad):
-    """A torque [N m] on the body of `journal` about the z axis of `bearing`, and its reaction on
-    the body of `bearing`: a motor between two bodies that no joint need join. A number or function
-    of time. Equal and opposite however the journal leans; for a joint prefer JointTorque, which
-    takes its name.
+    """A torque between two bodies, about the z axis of one of them: a motor between bodies that no
+    joint need join.
+
+    Equal and opposite however the journal leans; for a joint prefer `JointTorque`, which takes its
+    name.
+
+    Args:
+        bearing: marker on the body that takes the reaction, a `Marker`; the torque is about its z
+            axis.
+        journal: marker on the body that the torque turns, a `Marker`.
+        value: torque [N m], a number or a function of time [s].
     """
 
     bearing: Marker
@@ -253,6 +308,15 @@ class MotorTorque(AbstractBodyLoad):
 class Spring(AbstractBodyLoad):
     """Spring and damper between two markers, along the line between them: F = k (l - l0) + d dl/dt,
     positive in tension.
+
+    Args:
+        start, end: the two ends, each a `Marker`.
+        stiffness: stiffness [N/m], >= 0; none by default.
+        free_length: length without force [m], >= 0.
+        damping: viscous damping [N s/m], >= 0; none by default.
+
+    Raises:
+        ValueError: if neither stiffness nor damping is given.
     """
 
     start: Marker
@@ -291,9 +355,18 @@ class Spring(AbstractBodyLoad):
 
 
 class JointSpring(AbstractCoordinateLoad):
-    """Spring and damper on the coordinate of a joint that turns or slides, ideal or with clearance
-    (N m/rad, N m s/rad; N/m, N s/m if sliding). Angles count over whole turns, as
-    `AbstractCoordinateLoad` says.
+    """Spring and damper on the coordinate of a joint that turns or slides, ideal or with clearance.
+
+    Angles count over whole turns, as `AbstractStateLoad` says.
+
+    Args:
+        connection: name of the joint.
+        stiffness: stiffness [N m/rad; N/m for a sliding joint], >= 0; none by default.
+        rest: coordinate without force [rad; m for a sliding joint].
+        damping: viscous damping [N m s/rad; N s/m for a sliding joint], >= 0; none by default.
+
+    Raises:
+        ValueError: if neither stiffness nor damping is given.
     """
 
     connection: str = eqx.field(static=True)
@@ -322,8 +395,12 @@ class JointSpring(AbstractCoordinateLoad):
 
 
 class JointTorque(AbstractCoordinateLoad):
-    """A torque [N m] (force [N] if sliding) on the coordinate of a joint, ideal or with clearance,
-    child against parent: a number or function of time.
+    """A torque or force on the coordinate of a joint, ideal or with clearance, child against
+    parent.
+
+    Args:
+        connection: name of the joint.
+        value: torque [N m; force N for a sliding joint], a number or a function of time [s].
     """
 
     connection: str = eqx.field(static=True)
@@ -351,6 +428,11 @@ class RotorInertia(AbstractCoordinateLoad):
     It adds to the joint's own entry of the mass matrix and to the kinetic energy; the rotor's
     gyroscopic torques on the bodies, i J times their turning, are left out, as is its mass. The
     joint must be ideal, without a drive, and carried by the tree.
+
+    Args:
+        connection: name of the joint.
+        reflected_inertia: inertia of the rotor times the square of the gear's ratio [kg m^2; kg for
+            a sliding joint], >= 0.
 
     Source: Featherstone 2008, Rigid Body Dynamics Algorithms, chapter 9, "Gears",
     doi:10.1007/978-1-4899-7560-7.

@@ -17,7 +17,7 @@ from jaxclear.components.function_of_time import (
     number_or_function,
     value_at,
 )
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, count, quantity
 from jaxclear.ground.tangents import derived, moved
@@ -26,23 +26,37 @@ ENCODERS = ("motor", "load")
 
 
 class Servo(AbstractStateLoad):
-    r"""A controller that brings the coordinate q of a joint to a `reference` r, a number or a
-    function of time,
+    r"""A controller that brings the coordinate q of a joint to a reference r.
 
     .. math:: \tau = k_p e + k_i \int e\,dt + k_d \dot e + \tau_0(t), \qquad e = r - q,
 
     on the motor of the joint where a coupling drives it by one that twists or has play, and on the
-    joint itself elsewhere. `encoder`: q is read at the "motor", as its angle by the ratio (what
-    lies between is not seen), or at the "load", the joint; None: at the motor where there is one.
+    joint itself elsewhere. The integral stands still while the torque is at its limit and the error
+    drives it further (conditional integration), so that it does not wind up. Derivatives of runs
+    that have been there are nan, except with a `period`.
 
-    `torque_limit` limits it to both sides; the integral stands still while the torque is at its
-    limit and the error drives it further (conditional integration), so that it does not wind up.
-    Derivatives of runs that have been there are nan, but with a `period`.
-    `feedforward` is :math:`\tau_0`.
+    With a `period` T it is a digital controller: it samples the joint at 0, T, 2 T ..., gives a
+    torque that is constant from one instant to the next, and sums errors by the rectangle rule.
+    Steps end at its instants.
 
-    With a `period` T it is a digital controller: it looks at the joint at 0, T, 2 T ..., gives a
-    torque that it holds from one instant to the next (`delay`: so many instants later), and sums
-    errors by the rectangle rule. Steps end at its instants.
+    Args:
+        joint: name of the joint.
+        reference: wanted coordinate [rad; m for a sliding joint], a number or a function of time
+            [s].
+        kp: gain k_p of the error [N m/rad; N/m for a sliding joint], >= 0.
+        ki: gain k_i of its integral [N m/rad/s; N/m/s for a sliding joint], >= 0; none by default.
+        kd: gain k_d of its rate [N m s/rad; N s/m for a sliding joint], >= 0; none by default.
+        encoder: where q is read, a text: "motor", as the motor's angle by the ratio (what lies
+            between is not seen), or "load", the joint; None: at the motor where there is one.
+        torque_limit: largest torque to both sides, at the joint [N m; N for a sliding joint], > 0;
+            no limit by default.
+        feedforward: torque that is added [N m; N for a sliding joint], a number or a function of
+            time [s]; none by default.
+        period: sampling period [s], > 0; None: a continuous controller.
+        delay: sampling periods from reading to acting, a count, >= 0; needs a period.
+
+    Raises:
+        ValueError: for an unknown encoder, or for a delay without a period.
 
     Source: Åström & Hägglund 2006, Advanced PID Control, chapter 3 ("Integrator windup");
     Franklin, Powell & Workman 1998, Digital Control of Dynamic Systems, 3rd ed., chapter 3.
@@ -89,7 +103,7 @@ class Servo(AbstractStateLoad):
         check_function_of_time(self, "reference")
         check_function_of_time(self, "feedforward")
         if self.encoder is not None:
-            check_known("encoder of a Servo", self.encoder, ENCODERS)
+            check_name("encoder of a Servo", self.encoder, ENCODERS)
         if self.delay and self.period is None:
             raise ValueError(
                 "load.Servo has a delay without a period; it is counted in periods: give one."
@@ -128,8 +142,17 @@ class Servo(AbstractStateLoad):
         return self if end is None else _ServoOnMotor(self, end)
 
     def acting(self, time: Scalar, position: Any, speed: Any, states: tuple) -> tuple[Any, tuple]:
-        """(torque at the joint [N m], rates of the states) where the encoder reads a position and a
-        speed."""
+        """Torque and rates of the states at an instant.
+
+        Args:
+            time: time [s].
+            position: coordinate that the encoder reads [rad; m for a sliding joint].
+            speed: its speed [rad/s; m/s for a sliding joint].
+            states: values of the states, a tuple.
+
+        Returns:
+            torque at the joint [N m; N for a sliding joint], and the rates of the states, a tuple.
+        """
         if self.period is not None:
             return states[len(states) - 1 - self.delay], (0.0,) * len(states)
         torque, error = self._asked(time, position, speed, states)

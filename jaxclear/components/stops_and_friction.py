@@ -52,6 +52,20 @@ class JointStop(AbstractCoordinateLoad):
     less deep damps less. A stiff stop needs short steps; `MoreauJean` and `NonColliding` take one
     as rigid that their steps do not resolve.
 
+    Args:
+        connection: name of the joint.
+        lower: least coordinate [rad; m for a sliding joint]; none by default.
+        upper: largest coordinate [rad; m for a sliding joint]; none by default.
+        stiffness: stiffness k [N m/rad; N/m for a sliding joint], > 0; none by default.
+        damping: damping d [N m s/rad; N s/m for a sliding joint], >= 0; none by default.
+        restitution: share of the speed that comes back [1], >= 0 and <= 1; none by default.
+        depth: way over which damping sets in [rad; m for a sliding joint], > 0; None: by the
+            spring's own force.
+
+    Raises:
+        ValueError: if neither lower nor upper is given, or lower is not below upper; if neither
+            stiffness nor restitution is given; for a depth without a damping.
+
     Source: the bounded damper of Modelica's ElastoBacklash2 (Modelica Standard Library 4.0).
     """
 
@@ -107,8 +121,18 @@ class JointStop(AbstractCoordinateLoad):
         return force, stored, dissipated, 0
 
     def push(self, beyond: Any, rate: Any) -> tuple[Any, Any, Any]:
-        """Force of one side that the coordinate is so far `beyond` [rad, m] at this rate, its
-        stored energy and dissipated power."""
+        """Force of one side of the stop.
+
+        Args:
+            beyond: how far the coordinate is beyond the stop [rad; m for a sliding joint].
+            rate: its rate [rad/s; m/s for a sliding joint].
+
+        Returns:
+            force [N m; N for a sliding joint], stored energy [J], dissipated power [W].
+
+        Raises:
+            ValueError: if the stop has no stiffness.
+        """
         if self.stiffness is None:
             raise ValueError(
                 f'load.JointStop on joint "{self.connection}" has no stiffness: it is rigid, for '
@@ -176,6 +200,16 @@ class JointFriction(AbstractStateLoad):
     `joint.Slideway`. In closed loops what each of several such loads holds at rest is not unique
     (Wojtyra 2017, Multibody Syst. Dyn. 39, 337, doi:10.1007/s11044-016-9535-6): one of the many
     answers is told.
+
+    Args:
+        connection: name of the joint.
+        torque: friction when it slides, or a function of time [N m; N for a sliding joint], >= 0.
+        transition_speed: speed v_0 at which three quarters of the friction act [rad/s; m/s for a
+            sliding joint], > 0; None: it holds.
+        presliding: deflection z_0 at which the bristle yields [rad; m for a sliding joint], > 0;
+            None: from the inertia.
+        settling_time: damping time t_0 of the bristle [s], > 0; None: 0.01 beside a presliding,
+            else from the inertia.
 
     Source: Prandtl 1928, Z. angew. Math. Mech. 8, 85, doi:10.1002/zamm.19280080202 (elastic, then
     perfectly plastic: it does not drift as Dahl's and LuGre's bristles do, Dupont et al. 2002, IEEE

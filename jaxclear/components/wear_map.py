@@ -218,18 +218,27 @@ REACH = 0.6
 
 
 class Wearing(AbstractQuantified):
-    """A surface that wears: its law (of this surface alone), and the number of cells around and
-    along (azimuth and elevation on a sphere; of a guide and its slider only along). A scar narrower
-    than a few of them has too small a depth, and the run says so; the tilted journal of a
-    `JournalBearing` takes some hundred along.
+    """A surface that wears.
 
-    `acceleration` multiplies the worn volume: one simulated cycle standing for many (linear
-    extrapolation, as in cycle-jump schemes). `worn_radius`: whether what the contact law takes from
-    the geometry, its stiffness say, is that of the radius as worn at the contact, not as made.
     The surface is updated whenever a contact has moved by half a cell, and at the saving times;
-    companion runs halve that path, so that its error is part of the estimate. `updates`: the most
-    updates of the surface in a run (None: no bound); a depth may then be wrong by more than the
-    estimate. A run whose steps are counted (`steps_per_save`) updates it at each saving time.
+    companion runs halve that path, so that its error is part of the estimate. A scar narrower than
+    a few cells has too small a depth, and the run says so; the tilted journal of a `JournalBearing`
+    takes some hundred along. A run whose steps are counted (`steps_per_save`) updates the surface
+    at each saving time.
+
+    Args:
+        law: wear law of this surface alone, one of `jaxclear.wear`.
+        cells: number of cells around and along, 2 counts, at least 4 and 1: azimuth and elevation
+            on a sphere; of a guide and its slider only the number along is used.
+        acceleration: factor of the worn volume [1], >= 0: one simulated cycle stands for so many
+            (linear extrapolation, as in cycle-jump schemes).
+        worn_radius: whether what the contact law takes from the geometry, such as its stiffness,
+            follows the radius as worn at the contact, not as made.
+        updates: largest number of updates of the surface in a run, a count, >= 1; None: no bound.
+            With a bound a depth may be wrong by more than the estimate.
+
+    Raises:
+        ValueError: for fewer than 4 cells around or 1 along.
     """
 
     law: AbstractWearLaw
@@ -278,31 +287,70 @@ class AbstractWearMap(AbstractQuantified):
         """Area of each cell [m2]."""
 
     def path(self, features: Float[Array, " n"]) -> Any:
-        """How far [cells] a contact has moved in an event with these location features."""
+        """How far a contact has moved in an event.
+
+        Args:
+            features: location features of the event, an array (n,).
+
+        Returns:
+            the path [cells].
+        """
         return 0.0
 
     def over_three(self, depth: Float[Array, "around along"]) -> Float[Array, "around along"]:
-        """Mean depth over each cell and those beside it, three to a side; beyond a last row it is
-        as deep as there."""
+        """Mean depth over each cell and its neighbours, three to a side; beyond the last row the
+        depth is that of the row.
+
+        Args:
+            depth: worn depth of each cell [m], an array (around, along).
+
+        Returns:
+            the means [m], an array (around, along).
+        """
         around = (jnp.roll(depth, 1, 0) + depth + jnp.roll(depth, -1, 0)) / 3
         return mean_along(around)
 
     @abstractmethod
     def reading(self, depth):
-        """The depth in the form in which the gap reads it; made once for as long as the depth stays
-        as it is.
+        """The depth in the form in which the gap reads it, made once for as long as the depth does
+        not change.
+
+        Args:
+            depth: worn depth of each cell [m], an array (around, along).
+
+        Returns:
+            an array, for the methods that read the depth.
         """
 
     @abstractmethod
     def deposit(self, depth, volume, features):
-        """Depth after losing `volume` (events,) [m3] at `features` (events, n): means of each
-        event's location, weighted by what was lost there.
+        """Depth after a loss.
+
+        Args:
+            depth: worn depth of each cell before [m], an array (around, along).
+            volume: volume lost in each event [m^3], an array (events,).
+            features: location features of each event, an array (events, n): means weighted by what
+                was lost there.
+
+        Returns:
+            worn depth of each cell [m], an array (around, along).
         """
 
     def deposit_in_turn(self, depth, reading, pressures, volume, features):
-        """(depth, its reading, `pressures`) after such a loss, within a kernel: of many cells, cell
-        by cell, and only those that are touched. `reading`: None where no gap reads it.
-        `pressures`: an array like the depth for each event, to be written over."""
+        """The same within a kernel: cell by cell where there are many, and only those that are
+        touched.
+
+        Args:
+            depth: worn depth of each cell before [m], an array (around, along).
+            reading: the form in which the gap reads the depth, an array; None where no gap reads
+                it.
+            pressures: workspace, an array like the depth for each event, which is overwritten.
+            volume: volume lost in each event [m^3], an array (events,).
+            features: location features of each event, an array (events, n).
+
+        Returns:
+            the depth, its reading, and the workspace, a tuple.
+        """
         depth = self.deposit(depth, volume, features)
         return depth, None if reading is None else self.reading(depth), pressures
 

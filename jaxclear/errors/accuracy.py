@@ -10,7 +10,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.errors.observables import Apart, Observables, apart, observed
-from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.printing import in_a_line
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import described, public_name
@@ -55,7 +55,7 @@ class Asked(NamedTuple):
             rows.append(Apart(*row))
         known = {name for row in rows for name in (row.answer, row.name)}
         for name, _ in self.units:
-            check_known("answer", name, sorted(known), " of this run")
+            check_name("answer", name, sorted(known), " of this run")
         return rows
 
     def allowed(self, row: Apart) -> float | None:

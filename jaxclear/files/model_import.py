@@ -25,7 +25,7 @@ from jaxclear.files.mujoco_model import (
     not_taken_over,
 )
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.exchange import without_loads_on
@@ -36,16 +36,30 @@ from jaxclear.results.solids import Triangles
 
 
 class NotImported(UserWarning):
-    """Something in a model that the mechanism does not have."""
+    """Warning: parts of a model file that the mechanism does not contain."""
 
 
 class ImportedSoft(UserWarning):
-    """Something in a model that gives way under the model's own weight."""
+    """Warning: parts of a model file that deflect under the model's own weight."""
 
 
 @answering
 def read_urdf(path: Any, *, floating: bool = False, stops: str = "steady") -> Mechanism:
-    """The mechanism in a URDF file, root fixed in the ground, or `floating`; as `read_mjcf`."""
+    """Read a mechanism from a URDF file.
+
+    The mechanism contains what `read_mjcf` lists.
+
+    Args:
+        path: path of the file.
+        floating: whether the root gets a free joint; False (default) fixes it to the ground.
+        stops: stiffness of joint limits, "steady" (default) or "impact", as of `read_mjcf`.
+
+    Returns:
+        The `Mechanism`.
+
+    Raises:
+        ValueError: if the file is invalid or has no body with mass.
+    """
     return _mechanism(compiled(path, floating=floating), stops)
 
 
@@ -53,38 +67,44 @@ def read_urdf(path: Any, *, floating: bool = False, stops: str = "steady") -> Me
 def read_mjcf(
     path: Any, *, floating: bool = False, stops: str = "steady", keyframe: str | None = None
 ) -> Mechanism:
-    """The mechanism in a file of MJCF (or URDF), with the names of the file.
+    """Read a mechanism from a file of MJCF (or URDF), with the names of the file.
 
     Bodies have the frames, inertias and joints of the model: hinges are `Revolute`, slides
     `Prismatic`, balls `Spherical`, free joints `Free`, welds `Fixed`; coordinates count from the
-    model's reference configuration. Gravity becomes a load; of hinges and slides damping and
-    stiffness a `JointSpring`, armature a `RotorInertia`, dry friction a `JointFriction`, limits a
-    `JointStop`. Active equalities `connect` are `Spherical` joints and `weld` `Fixed` ones that
-    close loops, linear ones between joints (URDF's `mimic`) a `Ratio`; a joint that one holds alone
-    is driven (`drive.Held`). Bodies without inertia that are welded become part of what they are
-    welded to. Several joints of one body get bodies between them, of 1e-12 of its mass. Geometries
-    and their names are read by `read_shapes`.
+    model's reference configuration. Gravity becomes a load; damping and stiffness of hinges and
+    slides a `JointSpring`, armature a `RotorInertia`, dry friction a `JointFriction` (it holds what
+    is driven by less; in MuJoCo it creeps), limits a `JointStop`. Active equalities `connect` and
+    `weld` are `Spherical` and `Fixed` joints that close loops, linear ones between joints (URDF's
+    `mimic`) a `Ratio`; a joint with an equality of its own is driven (`drive.Held`). Welded bodies
+    without inertia become part of their parent. Several joints of one body get bodies between them,
+    of 1e-12 of its mass. `read_shapes` reads geometries.
 
-    - `path`: of the file. `jaxclear[import]` installs MuJoCo, which reads it.
-    - `floating`: roots without a joint get a free one.
-    - `stops`: what limits, soft constraints in MuJoCo and springs here, have of it. "steady": under
-      weight and springs of the model's tree they give way as far. "impact": they stop what runs
-      into them over the same way and time, and give way 1 / (1 - d) times as far under a steady
-      load, for MuJoCo's impedance d (20 times by default).
-    - `keyframe`: that of the file in which it starts, by its name; by default the reference. What
-      closes loops from there is the nearest place; speeds and controls are not taken over.
+    A `NotImported` warning names what is missing: contacts, actuators, tendons, other equalities, a
+    reference configuration that is not kept, and the above of balls and free joints. An
+    `ImportedSoft` warning names what deflects under weight and springs, and by how much.
 
-    Dry friction holds what is driven by less; in MuJoCo it creeps. A `NotImported` warning names
-    what is not taken over: contacts, actuators, tendons, other equalities, a reference
-    configuration that is not kept, and what a ball or a free joint has of the above. An
-    `ImportedSoft` warning says what gives way under weight and springs, and by how much. Raises
-    `ValueError` with a sentence.
+    Args:
+        path: path of the file. `pip install "jaxclear[import]"` installs MuJoCo, which reads it.
+        floating: whether roots without a joint get a free one; False by default.
+        stops: what the springs of joint limits have in common with MuJoCo's soft constraints.
+            "steady" (default): the deflection under weight and springs of the model's tree.
+            "impact": distance and time in which they stop a moving part; under a steady load they
+            deflect 1 / (1 - d) times as far, for MuJoCo's impedance d (20 times by default).
+        keyframe: name of the keyframe of the file in which the mechanism starts; None (default) for
+            the reference configuration. Loops are closed from there; speeds and controls are
+            ignored.
+
+    Returns:
+        The `Mechanism`.
+
+    Raises:
+        ValueError: if the file is invalid, has no body with mass, or no such keyframe.
     """
     return _mechanism(compiled(path, floating=floating), stops, keyframe)
 
 
 def _mechanism(read: Compiled, stops: str, keyframe: str | None = None) -> Mechanism:
-    check_known("stops", stops, STOPS)
+    check_name("stops", stops, STOPS)
     model = read.model
     bodies, joints = names_of(model)
     tree = Tree(model, bodies, joints)
@@ -147,16 +167,24 @@ SHOWN = 2
 
 @answering
 def read_shapes(path: Any, *, floating: bool = False) -> dict[str, dict[str, Triangles]]:
-    """The geometries in a file of URDF or MJCF by body and name, each as (points (n, 3) [m],
-    triangles (m, 3)) in the frame of the body that `read_urdf` and `read_mjcf` make of it; those
-    of the world by "ground". `plot.animate(run, meshes=...)` and `run.to_vtk` draw bodies with
-    them.
+    """Read the geometries of a URDF or MJCF file, to draw bodies with.
 
-    Boxes, cylinders, capsules, spheres, ellipsoids and meshes; planes and height fields are left
-    out. A body is drawn by what is to be seen of it (a URDF's visual geometries, an MJCF's groups 0
-    to 2), where there is nothing else by what it collides with. Of a file that names meshes of
-    which one cannot be read all meshes are left out. Needs `pip install "jaxclear[import]"`. Raises
-    `ValueError` with a sentence.
+    Boxes, cylinders, capsules, spheres, ellipsoids and meshes are read; planes and height fields
+    are not. A body is drawn by its visible geometries (a URDF's visual ones, an MJCF's groups 0 to
+    2), where there are none by those for collisions. Where one of a file's meshes cannot be read,
+    all meshes are left out. Needs `pip install "jaxclear[import]"`.
+
+    Args:
+        path: path of the file.
+        floating: whether roots without a joint get a free one, as of `read_mjcf`; False by default.
+
+    Returns:
+        By body and name (points [m], shape (n, 3); triangles, shape (m, 3)), in the frame of the
+        body that `read_urdf` and `read_mjcf` make; those of the world by "ground". They are
+        `meshes` of `plot.animate` and `run.to_vtk`.
+
+    Raises:
+        ValueError: if the file is invalid.
     """
     model = compiled(path, floating=floating, seen=True).model
     urdf = "<robot" in Path(path).read_text("utf-8", "ignore")

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxclear.ground.arguments import check_flags, check_known
+from jaxclear.ground.arguments import check_flags, check_name
 from jaxclear.ground.wording import described, listed
 
 # Of mjtJoint; slides and hinges come after balls.
@@ -211,7 +211,7 @@ def coordinates_at(model: Any, joints: list[str], keyframe: str) -> dict[str, tu
     """The coordinates of joints at a keyframe, from the reference on; of balls and free joints as
     they are. Raises `ValueError` for another name."""
     known = keyframes(model)
-    check_known("keyframe", keyframe, known)
+    check_name("keyframe", keyframe, known)
     own, found = model.key_qpos[known.index(keyframe)], {}
     sizes = {FREE: 7, SPHERICAL: 4}
     for k, name in enumerate(joints):

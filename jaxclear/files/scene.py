@@ -38,7 +38,7 @@ from jaxclear.files.parts import Part, mapping
 from jaxclear.files.places import NumberPlaces, check_numbers
 from jaxclear.files.text import JSON, YAML, Misread, Node, misread, parsed, text_of
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_flags, check_known, expect
+from jaxclear.ground.arguments import check_flags, check_name, expect
 from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.ground.wording import described, listed, unknown
 from jaxclear.integrators import AbstractIntegrator
@@ -60,15 +60,28 @@ SEATED = "seated"
 
 
 class Scene(AbstractQuantified):
-    """A mechanism, how it is run, and what is asked of it: what a scene file holds.
+    """A mechanism, how it is run, and what is to be computed: the content of a scene file.
 
-    Either a run over time: `duration` [s]; `integrator`, `save` and `state` as of `simulate` and
-    `Problem`, their own defaults where None; `state` may be the word "seated" for a start at which
-    journals lie as `jaxclear.seated` says. Or `positions` [rad, m] by joint, without time, and
-    `both_ways`, as of `jaxclear.positions` and `PositionProblem`. `variables` and `responses` by
-    name, and `correlation`, are those of the problem. `jaxclear.read_scene` and
-    `jaxclear.write_scene` keep it as a file. Raises `ValueError` with a sentence for what is none
-    of these.
+    It describes either a run over time (`duration`) or positions without time (`positions`).
+    `jaxclear.read_scene` and `jaxclear.write_scene` read and write it.
+
+    Args:
+        mechanism: the `Mechanism`.
+        duration: duration of the run [s], > 0; None (default) for none.
+        integrator: integrator of the run; None (default) for that of `simulate`.
+        save: saving times of the run, as of `simulate`; None (default) for its default.
+        state: initial state of the run, a `State`, or "seated" for that of `jaxclear.seated`; None
+            (default) for the mechanism's own.
+        variables: variables of the problem, by name; {} by default.
+        responses: responses of the problem, by name; {} by default.
+        correlation: correlation of the variables [1], as of `Problem`; None (default) for none.
+        description: a text; "" by default.
+        positions: coordinates of the drives [rad, m], by joint, as of `jaxclear.positions`; None
+            (default) for none.
+        both_ways: whether positions are computed under reversed loads too; False by default.
+
+    Raises:
+        ValueError: if an argument is out of range, or a run and positions are given together.
     """
 
     mechanism: Mechanism
@@ -99,7 +112,7 @@ class Scene(AbstractQuantified):
         if self.duration is not None:
             check_duration(self.duration)
         if isinstance(self.state, str):
-            check_known("start of a Scene, beside a jaxclear.State", self.state, [SEATED])
+            check_name("start of a Scene, beside a jaxclear.State", self.state, [SEATED])
         by_name("variables", self.variables)
         expect(self.responses, Mapping, "responses of a Scene", "a dictionary from names")
 
@@ -127,7 +140,21 @@ class Scene(AbstractQuantified):
         throw: bool = True,
         verify: bool | None = None,
     ) -> Trajectory:
-        """The run that the scene describes; arguments and errors as of `jaxclear.simulate`."""
+        """Run the scene.
+
+        Args:
+            balance: whether to track energies, as of `jaxclear.simulate`; False by default.
+            progress_bar: whether to show the progress; False by default.
+            throw: whether a run that fails raises an error; True by default.
+            verify: whether to estimate numerical errors by companion runs, as of
+                `jaxclear.simulate`; None by default.
+
+        Returns:
+            The `Trajectory`.
+
+        Raises:
+            ValueError: if the scene has positions or no duration.
+        """
         if self.positions is not None:
             raise ValueError(
                 "this scene states positions, without time: ask scene.stand(), or give it a "
@@ -139,14 +166,27 @@ class Scene(AbstractQuantified):
         return simulate(self.mechanism, integrator=self.integrator, **given, **flags)
 
     def stand(self) -> Positions:
-        """The mechanism at the positions that the scene states, as `jaxclear.positions` has it."""
+        """The mechanism at the positions of the scene, as `jaxclear.positions` computes it.
+
+        Returns:
+            The `Positions`.
+
+        Raises:
+            ValueError: if the scene has no positions.
+        """
         if self.positions is None:
             raise ValueError("this scene states no positions; give it some, or ask for its run.")
         return positions(self.mechanism, self.positions, both_ways=self.both_ways)
 
     def problem(self) -> Problem | PositionProblem:
-        """The question that the scene asks. Raises `ValueError` where it lacks variables or
-        responses."""
+        """The problem of the scene, for studies.
+
+        Returns:
+            A `Problem` for a run, a `PositionProblem` for positions.
+
+        Raises:
+            ValueError: if the scene has no variables or no responses.
+        """
         for what, own in (("variables", self.variables), ("responses", self.responses)):
             if not own:
                 raise ValueError(f"this scene states no {what}; a problem needs some.")
@@ -174,7 +214,12 @@ DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
 @dataclass(frozen=True)
 class Correlated:
-    """Two variables and the `coefficient` [1] of correlation of their normal scores."""
+    """Correlation of two variables in a scene file.
+
+    Args:
+        between: names of both variables.
+        coefficient: correlation of their normal scores [1].
+    """
 
     between: tuple[str, str]
     coefficient: float
@@ -204,12 +249,20 @@ RUN: dict[str, AbstractForm] = {
 
 @answering
 def read_scene(path: Any) -> Scene:
-    """The scene in a file of YAML (.yaml, .yml) or JSON (.json); numbers in SI units.
+    """Read a scene from a file of YAML or JSON.
 
-    A file holds data, never code: nothing in it is run or imported, and what it may name are
-    classes that the process knows already. Files that it names itself (tables as CSV) are looked
-    for beside it. `jaxclear.scene_schema()` is its JSON schema. Raises `ValueError` with a sentence
-    that names line and place for what cannot be.
+    A file holds data in SI units, never code: nothing in it is executed or imported, and it names
+    only classes that are already loaded. Paths in it (tables as CSV) are relative to its folder.
+    `jaxclear.scene_schema()` is its JSON schema.
+
+    Args:
+        path: path of the file, ending in .yaml, .yml or .json.
+
+    Returns:
+        The `Scene`.
+
+    Raises:
+        ValueError: if the file is invalid, with line and place.
     """
     path = _as_path(path)
     try:
@@ -220,9 +273,15 @@ def read_scene(path: Any) -> Scene:
 
 @answering
 def write_scene(scene: Scene | Mechanism, path: Any) -> None:
-    """Writes a scene, or a mechanism alone, to a file of YAML or JSON, by its ending; every number
-    with all its digits. Raises `ValueError` with a sentence for what is code (a function of one's
-    own) or being traced; nothing is written then.
+    """Write a scene to a file of YAML or JSON, every number with all digits.
+
+    Args:
+        scene: a `Scene`, or a `Mechanism` alone.
+        path: path of the file, ending in .yaml, .yml or .json.
+
+    Raises:
+        ValueError: if the path ends otherwise, or the scene holds code (a function of the user) or
+            a traced number; no file is written then.
     """
     path = _as_path(path)
     scene = Scene(scene) if isinstance(scene, Mechanism) else scene
@@ -234,7 +293,15 @@ def write_scene(scene: Scene | Mechanism, path: Any) -> None:
 
 
 def scene_text(scene: Scene, ending: str = ".yaml") -> str:
-    """The text of a scene's file."""
+    """The text of a scene's file.
+
+    Args:
+        scene: the `Scene`.
+        ending: ".yaml" (default), ".yml" or ".json".
+
+    Returns:
+        The text.
+    """
     values = _values_of(scene)
     if ending in JSON:
         return json.dumps(values, indent=1, ensure_ascii=False) + "\n"
@@ -377,9 +444,14 @@ def _program() -> str:
 
 
 def scene_schema() -> Schema:
-    """The JSON schema (draft 2020-12) of the files that `jaxclear.read_scene` reads, as a
-    dictionary, from the same forms by which these are read; classes of one's own are not in it. It
-    tells kinds, names, units and ranges; how numbers bound each other only reading tells."""
+    """The JSON schema (draft 2020-12) of scene files.
+
+    It gives kinds, names, units and ranges. Classes of the user are not in it, and relations
+    between numbers are checked only when a file is read.
+
+    Returns:
+        The schema as a dictionary.
+    """
     known: dict[str, Schema] = {}
     of = lambda forms: {name: form.schema(known) for name, form in forms.items()}
     properties = of(TOP) | {HEAD: {"const": FORMAT}, "run": mapping(of(RUN), [])}

@@ -23,13 +23,19 @@ from jaxclear.multibody.system import System, prepare
 
 
 class ContactReport(NamedTuple):
-    """A joint with contacts at an instant, in the axes of its bearing (the parent's marker); SI
-    units.
+    """A joint with contacts at an instant, in the axes of its bearing (the parent's marker).
 
-    `offset` from the bearing's centre to the journal's and `axis`, the journal's z axis; per
-    contact the `indentation` (positive in contact), `normal_force`, `slip_speed`, `traction`
-    (magnitude of friction) and `place` of touch; `force` and `torque` on the journal (the child),
-    about its marker. `ends`: where the gap carries, of a joint that always touches.
+    Args:
+        offset: vector from the bearing's centre to the journal's [m].
+        axis: the journal's z axis [1].
+        indentation: indentation of each contact [m], positive in contact, a tuple.
+        normal_force: normal force of each contact [N], a tuple.
+        slip_speed: sliding speed of each contact [m/s], a tuple.
+        traction: size of the friction force of each contact [N], a tuple.
+        place: place of touch of each contact [m], a tuple.
+        force: force on the journal (the child) [N].
+        torque: torque on the journal about its marker [N m].
+        ends: where the gap carries, of a joint that always touches, a tuple of `CarryingEnd`.
     """
 
     offset: Any
@@ -47,8 +53,9 @@ class ContactReport(NamedTuple):
 class AbstractFormulation(eqx.Module):
     """How contact enters the equations of motion. An integrator holds one.
 
-    `forces_are_means`: the forces of contacts are no functions of the state; states hold the
-    impulses of all their components, and what is reported are means over the saving intervals.
+    Class attribute of a member: `forces_are_means`, whether the forces of contacts are no functions
+    of the state; states then hold the impulses of all their components, and what is reported are
+    means over the saving intervals.
     """
 
     forces_are_means: eqx.AbstractClassVar[bool]
@@ -60,42 +67,109 @@ class AbstractFormulation(eqx.Module):
 
     @abstractmethod
     def check(self, mechanism: Mechanism, integrator: str) -> None:
-        """Raises `ValueError` with a sentence where a law cannot serve this formulation;
-        `integrator`: its name for the sentence."""
+        """Refuse a mechanism with a law that cannot serve this formulation.
+
+        Args:
+            mechanism: the mechanism.
+            integrator: name of the integrator, a text for the sentence.
+
+        Raises:
+            ValueError: with a sentence that names the joint, load or coupling.
+        """
 
     @abstractmethod
     def seen(self, mechanism: Mechanism) -> Mechanism:
-        """The mechanism as it is in this formulation (with other joints, say)."""
+        """The mechanism as it is in this formulation, with other joints for example.
+
+        Args:
+            mechanism: the mechanism.
+
+        Returns:
+            the mechanism that is simulated.
+        """
 
     def prepared(self, system: System) -> System:
-        """The system as its steps take it (with other loads, say); as it is unless overridden."""
+        """The system as its steps take it, with other loads for example; unchanged unless
+        overridden.
+
+        Args:
+            system: the prepared mechanism, a `System`.
+
+        Returns:
+            a `System`.
+        """
         return system
 
     @abstractmethod
     def impulses(self, system: System) -> tuple[tuple[str, int], ...]:
-        """Joints whose impulses since the start the state holds [N s, N m s], each with how many
-        components."""
+        """Joints whose impulses since the start the state holds [N s, N m s].
+
+        Args:
+            system: the prepared mechanism, a `System`.
+
+        Returns:
+            a tuple of (name of the joint, number of components).
+        """
 
     @abstractmethod
     def normal_impulses(self, system: System, name: str) -> tuple[int, ...]:
-        """Which of a joint's components of `impulses` are those of its normal forces; their sum is
-        that of all its contacts."""
+        """Which of a joint's components of `impulses` belong to normal forces; their sum is that of
+        all its contacts.
+
+        Args:
+            system: the prepared mechanism, a `System`.
+            name: name of the joint.
+
+        Returns:
+            indices of the components, a tuple.
+        """
 
     @abstractmethod
     def contact_joints(self, mechanism: Mechanism) -> tuple[str, ...]:
-        """Joints of whose contacts it tells."""
+        """Joints whose contacts are reported.
+
+        Args:
+            mechanism: the mechanism.
+
+        Returns:
+            names of the joints, a tuple.
+        """
 
     @abstractmethod
     def forces(self, instant: Instant) -> Forces:
-        """Everything that acts at a saved instant."""
+        """Everything that acts at a saved instant.
+
+        Args:
+            instant: the saved state, an `Instant`.
+
+        Returns:
+            forces and reports of joints, a `Forces`.
+        """
 
     @abstractmethod
     def contact(self, instant: Instant, name: str) -> ContactReport:
-        """The contacts of a joint at a saved instant."""
+        """The contacts of a joint at a saved instant.
+
+        Args:
+            instant: the saved state, an `Instant`.
+            name: name of the joint.
+
+        Returns:
+            a `ContactReport`.
+        """
 
 
 def clearance_contact(instant: Instant, report: JointReport, name: str) -> ContactReport:
-    """The contacts of a clearance joint, from its report."""
+    """The contacts of a clearance joint, from its report.
+
+    Args:
+        instant: the saved state, an `Instant`.
+        report: report of the joint's forces and points, a `JointReport`.
+        name: name of the joint.
+
+    Returns:
+        a `ContactReport`.
+    """
     pose = instant.pose(name)
     points = report.points
     return ContactReport(
@@ -161,8 +235,16 @@ def check_lossless(name: str, coupling: AbstractCoupling, why: str) -> None:
 def model_of(
     mechanism: Mechanism, formulation: AbstractFormulation, balance: bool = False
 ) -> Model:
-    """The model of a mechanism whose surfaces are new, in a formulation; `balance`: with the
-    energies of its balance in the state."""
+    """The model of a mechanism whose surfaces are new, in a formulation.
+
+    Args:
+        mechanism: the mechanism.
+        formulation: the formulation, an `AbstractFormulation`.
+        balance: whether the state holds the energies of the balance.
+
+    Returns:
+        a `Model`.
+    """
     system = formulation.prepared(prepare(mechanism))
     layout = lay_out(system, balance, formulation.impulses(system))
     return Model(system, {}, mechanism.baumgarte, layout, mechanism.projects)

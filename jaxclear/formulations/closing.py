@@ -24,10 +24,20 @@ MOST = 0.2
 
 
 def closed(model: Model, time: Any, state: State, length: Any = None) -> State:
-    """The state at the end of a step at this `time` [s], its loops closed anew where they are to
-    be: to the square of how far off they were. `length` of the step [s]: by it is known what is no
-    error of the step (None: everything is one, also at a singular position). What stands still at a
-    bound stands there.
+    """The state at the end of a step with its loops closed anew, where the mechanism's loops are to
+    be.
+
+    The residual falls to its square. States that are at a bound stay there.
+
+    Args:
+        model: the mechanism, a `Model`.
+        time: time at the end of the step [s].
+        state: the state, an array (n,).
+        length: length of the step [s], which limits what counts as an error of the step; None: no
+            limit, also at a singular position.
+
+    Returns:
+        the state, an array (n,).
     """
     state = within_bounds(model.system, model.layout, state)
     if not model.projects:

@@ -29,7 +29,7 @@ from jaxclear.formulations.midpoint_step import ImplicitSettings, WarmStart
 from jaxclear.formulations.model import Instant, Model, State
 from jaxclear.formulations.permanent_reactions import REACTION, Reaction, slips_of, touching
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import map_alike
+from jaxclear.ground.compiling import map_grouped
 from jaxclear.ground.grouping import unstacked
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.damped_stops import forces_at, with_damping_ratios
@@ -157,8 +157,19 @@ class CompliantContact(AbstractFormulation):
         self, model: Model, time: Any, state: State, shares: Any = None, flanks: Any = None
     ) -> tuple[State, ContactMotion]:
         """Rate of the state, and the motion of every possible contact, from one evaluation.
-        `shares`: of every possible contact that which acts, 1 where it counts as closed, 0 where as
-        apart (None: as its indentation has it); `flanks`: the same of the flanks of play alone."""
+
+        Args:
+            model: the mechanism, a `Model`.
+            time: time [s].
+            state: the state, an array (n,).
+            shares: for every possible contact 1 where it counts as closed and 0 where as open [1],
+                an array; None: as its indentation says.
+            flanks: the same for the flanks of play alone [1], an array; None: as their positions
+                say.
+
+        Returns:
+            the rate, an array (n,), and a `ContactMotion`.
+        """
         system, layout, entries = model.system, model.layout, model.entries(state)
         if shares is not None:
             flanks = shares[layout.joint_contacts :]
@@ -180,10 +191,20 @@ class CompliantContact(AbstractFormulation):
     def contacts(
         self, model: Model, time: Any, state: State, flanks: Any = None, exact: bool = False
     ) -> ContactMotion:
-        """Indentation and its rate of every possible contact, from the geometry alone; of the
-        flanks of play behind them depth and rate [rad, m]. `flanks`: which count as pressing (None:
-        as their places have it); `exact`: the rates of those that are left by their torque are
-        those of their depth, for which the equations of motion are solved."""
+        """Indentation and its rate of every possible contact, from the geometry alone; behind them
+        depth and rate [rad, m] of the flanks of play.
+
+        Args:
+            model: the mechanism, a `Model`.
+            time: time [s].
+            state: the state, an array (n,).
+            flanks: which flanks count as pressing [1], an array; None: as their positions say.
+            exact: whether the rates of flanks that are left by their torque are those of their
+                depth, for which the equations of motion are solved.
+
+        Returns:
+            a `ContactMotion`.
+        """
         motion = unpack_motion(model.system, model.entries(state))
         motions = kinematics.link_motions(model.system, *motion, time)
         bearings = model.system.bearings
@@ -192,7 +213,7 @@ class CompliantContact(AbstractFormulation):
             (bearing.joint, own, model.worn.get(name, {}))
             for (name, bearing), own in zip(bearings.items(), relative, strict=True)
         ]
-        found = map_alike(contact_point.indentation_rates, calls)
+        found = map_grouped(contact_point.indentation_rates, calls)
         points = [point for joint in found for point in joint]
         if not model.layout.plays:
             return _stacked(points)
@@ -208,12 +229,25 @@ class CompliantContact(AbstractFormulation):
         return ContactMotion(*map(jnp.concatenate, zip(joints, own, strict=True)))
 
     def damped(self, model: Model) -> bool:
-        """True where some contact damps, so that its depth does not tell how hard it is
-        pressed; flanks of play may."""
+        """Whether some contact damps, so that its depth does not determine its force; flanks of
+        play may.
+
+        Args:
+            model: the mechanism, a `Model`.
+        """
         return bool(model.layout.plays) or contacts_over_step.damped(model.system)
 
     def normal_forces(self, model: Model, state: State, motion: ContactMotion) -> Any:
-        """Normal force [N] of every possible contact that damps; of flanks of play the torque."""
+        """Normal force of every possible contact that damps; of flanks of play the torque.
+
+        Args:
+            model: the mechanism, a `Model`.
+            state: the state, an array (n,).
+            motion: indentations and rates, a `ContactMotion`.
+
+        Returns:
+            forces [N; N m of flanks], an array.
+        """
         if not model.layout.plays:
             return contacts_over_step.normal_forces(model, state, motion)
         count, found = model.layout.joint_contacts, []
@@ -227,8 +261,17 @@ class CompliantContact(AbstractFormulation):
         return jnp.concatenate(found)
 
     def slips(self, model: Model, time: Any, state: State) -> Float[Array, "contacts 3"]:
-        """Sliding velocity [m/s] of every possible contact along its sliding directions, from the
-        geometry alone; 0 where nothing rubs."""
+        """Sliding velocity of every possible contact along its sliding directions, from the
+        geometry alone; 0 where nothing rubs.
+
+        Args:
+            model: the mechanism, a `Model`.
+            time: time [s].
+            state: the state, an array (n,).
+
+        Returns:
+            velocities [m/s], an array (contacts, 3).
+        """
         motion = unpack_motion(model.system, model.entries(state))
         motions = kinematics.link_motions(model.system, *motion, time)
         found = []
@@ -243,26 +286,58 @@ class CompliantContact(AbstractFormulation):
         return jnp.stack(found)
 
     def coordinate_rates(self, model: Model, state: State) -> Float[Array, " q"]:
-        """Rates of the coordinates alone: they follow from coordinates and speeds."""
+        """Rates of the coordinates alone, which follow from coordinates and speeds.
+
+        Args:
+            model: the mechanism, a `Model`.
+            state: the state, an array (n,).
+
+        Returns:
+            rates [m/s, rad/s, 1/s], an array (coordinates,).
+        """
         motion = unpack_motion(model.system, model.entries(state))
         return sp.stack(state_rate.coordinate_rates(model.system, *motion))
 
     def energy_rates(self, model: Model, time: Any, state: State, mean: Any) -> Float[Array, " e"]:
-        """Rates of the energies of the balance but its input, for the forces at a state and the
-        mean speeds of the step that begins there."""
+        """Rates of the energies of the balance except its input, for a step.
+
+        Args:
+            model: the mechanism, a `Model`.
+            time: time at the beginning of the step [s].
+            state: the state there, an array (n,), whose forces are taken.
+            mean: mean speeds of the step [m/s, rad/s], an array.
+
+        Returns:
+            powers [W], an array.
+        """
         speeds = [mean[i] for i in range(model.layout.speeds)]
         return sp.stack(_work_rates(model, time, model.entries(state), speeds))
 
     def remembers(self, model: Model) -> bool:
-        """True where some contact remembers its impact speed, or a shaft the end of its gap."""
+        """Whether some contact remembers its impact speed, or a shaft the end of its gap.
+
+        Args:
+            model: the mechanism, a `Model`.
+        """
         speeds = any(place is not None for place in impact_speed_places(model.layout))
         return speeds or any(own.has_twist for own in model.system.transmissions.values())
 
     def remember(
         self, model: Model, state: State, before: ContactMotion, after: ContactMotion, length: Any
     ) -> State:
-        """The state at the end of a step of `length` [s] with the impact speeds of contacts that
-        have closed or parted in it."""
+        """The state at the end of a step with the impact speeds of contacts that have closed or
+        parted in it.
+
+        Args:
+            model: the mechanism, a `Model`.
+            state: the state at the end of the step, an array (n,).
+            before: motion of the contacts at its beginning, a `ContactMotion`.
+            after: motion of the contacts at its end, a `ContactMotion`.
+            length: length of the step [s].
+
+        Returns:
+            the state, an array (n,).
+        """
         entries, places = model.entries(state), impact_speed_places(model.layout)
         # Of shafts: their far ends do not leave the gap. Derivatives know where they have been met.
         entries = within_gaps(model.system, model.layout, entries)
@@ -279,8 +354,16 @@ class CompliantContact(AbstractFormulation):
         return sp.stack(entries)
 
     def warm_start(self, model: Model, time: Any, state: State) -> Float[Array, " h"]:
-        """What the first implicit step is handed: no accelerations, and the contacts as they
-        are."""
+        """Warm start of the first implicit step: no accelerations, and the contacts as they are.
+
+        Args:
+            model: the mechanism, a `Model`.
+            time: time [s].
+            state: the state, an array (n,).
+
+        Returns:
+            numbers for `implicit_step`, an array.
+        """
         entries = model.entries(state)
         motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
         _, points = contact_points(model, motions)
@@ -299,7 +382,16 @@ class CompliantContact(AbstractFormulation):
         return jnp.concatenate(known)
 
     def caused_by_contact(self, model: Model, time: Any, state: State) -> tuple:
-        """Accelerations without contact, and what contact adds to them, where a run begins."""
+        """Accelerations without contact, and what contact adds to them, where a run begins.
+
+        Args:
+            model: the mechanism, a `Model`.
+            time: time [s].
+            state: the state, an array (n,).
+
+        Returns:
+            two arrays [m/s^2, rad/s^2].
+        """
         closed = (self.contacts(model, time, state).depths > 0).astype(float)
         own = slice(model.layout.coordinates, model.layout.memory_start)
         # One program for both.
@@ -324,7 +416,20 @@ class CompliantContact(AbstractFormulation):
         bias: Any,
         newton_iterations: int,
     ) -> tuple[State, Float[Array, " h"]]:
-        """The state after an implicit step, and what it hands on to the next."""
+        """Take one implicit step.
+
+        Args:
+            model: the mechanism, a `Model`.
+            time_step: the step, a `TimeStep`.
+            state: the state at its beginning, an array (n,).
+            warm_start: what the step before has returned, an array.
+            bias: share by which mean contact forces lean towards the step's end [1]: 0 the mean, 1
+                the end.
+            newton_iterations: number of iterations on the contact laws, >= 1.
+
+        Returns:
+            the state at the end, an array (n,), and the warm start of the next step, an array.
+        """
         count = model.layout.speeds
         numbers = unstacked(warm_start)
         directions = [

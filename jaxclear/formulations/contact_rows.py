@@ -16,7 +16,7 @@ from jaxclear.components.clearance import ContactLaws
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import map_alike
+from jaxclear.ground.compiling import map_grouped
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.pose import Pose
 from jaxclear.laws.contact import Rigid
@@ -33,7 +33,12 @@ ContactJacobianRow = JacobianRow
 
 
 class TimeStep(NamedTuple):
-    """A step: its start [s] and its length [s]."""
+    """A step in time.
+
+    Args:
+        start: its start [s].
+        length: its length [s].
+    """
 
     start: Any
     length: Any
@@ -130,7 +135,18 @@ def by_joint(system: System, values: Any) -> list[tuple]:
 def middle_of_step(
     model: Model, time_step: TimeStep, entries: list, accelerations: list
 ) -> MiddleOfStep:
-    """The middle of a step from the state's entries, where speeds and these accelerations lead."""
+    """The middle of a step, to which speeds and accelerations lead.
+
+    Args:
+        model: the mechanism, a `Model`.
+        time_step: the step, a `TimeStep`.
+        entries: numbers of the state at its start, a list.
+        accelerations: accelerations [m/s^2, rad/s^2], a list with one number a speed.
+
+    Returns:
+        coordinates and speeds at start and middle, and the equations of motion in the middle, a
+        `MiddleOfStep`.
+    """
     layout, h = model.layout, time_step.length
     q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]
     predicted = sp.each(lambda x, a: x + 0.5 * h * a, v, accelerations)
@@ -182,14 +198,24 @@ def free_motion(model: Model, time: Any, q: tuple, v: tuple, followed: Followed)
 
 
 def indentations(model: Model, time: Any, q: tuple, v: tuple) -> list:
-    """Indentation of every possible contact [m], from the geometry alone."""
+    """Indentation of every possible contact, from the geometry alone.
+
+    Args:
+        model: the mechanism, a `Model`.
+        time: time [s].
+        q: coordinates of each link [m, rad], a tuple.
+        v: speeds of each link [m/s, rad/s], a tuple.
+
+    Returns:
+        indentations [m], positive in contact, a list.
+    """
     motions = kinematics.link_motions(model.system, q, v, time)
     relative = relative_motions(model.system, motions)
     calls = [
         (bearing.joint, own.pose, model.worn.get(name, {}))
         for (name, bearing), own in zip(model.system.bearings.items(), relative, strict=True)
     ]
-    found = map_alike(contact_point.depths, calls)
+    found = map_grouped(contact_point.depths, calls)
     return [indentation for joint in found for indentation in joint]
 
 
@@ -211,7 +237,7 @@ def contact_points(
         )
 
     with jax.named_scope("gap_function"):
-        found = map_alike(geometry, calls)
+        found = map_grouped(geometry, calls)
     points = []
     jacobians = kinematics.relative_jacobians(
         model.system,
@@ -338,8 +364,15 @@ def _pressed(laws: ContactLaws, force: Any) -> Any:
 
 
 def reports_of_means(instant: Instant) -> dict[str, JointReport]:
-    """Reports at a saved instant whose state holds the impulses of every contact: normal, then one
-    for each slip direction where it rubs (`state.contact_components`)."""
+    """Reports of the clearance joints at a saved instant whose state holds the impulses of every
+    contact: normal, then one for each slip direction where it rubs.
+
+    Args:
+        instant: the saved state, an `Instant`.
+
+    Returns:
+        a dict of `JointReport` by name.
+    """
     poses, contacts = contact_points(instant.model, instant.motions)
     counts = [component_count(c.laws, c.gap_function.candidate) for c in contacts]
     forces = split(instant.means, counts)

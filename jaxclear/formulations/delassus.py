@@ -25,9 +25,14 @@ from jaxclear.multibody.kinematics import JacobianRow, along
 
 
 class DelassusOperator(NamedTuple):
-    """Free accelerations and closure multipliers without contact (`free`, `multipliers`), and what
-    a unit force along each of the rows adds to them (`responses`: columns of M^-1 J^T, each with
-    its multipliers).
+    """How a mechanism moves without contact, and how it responds to forces along rows.
+
+    Args:
+        rows: the rows of the Jacobian, a list.
+        free: accelerations without contact [m/s^2, rad/s^2], a list.
+        multipliers: multipliers of the closed loops without contact, a tuple.
+        responses: what a unit force along each row adds to accelerations and multipliers (columns
+            of M^-1 J^T), a list of pairs.
     """
 
     rows: list[ContactJacobianRow]
@@ -36,12 +41,22 @@ class DelassusOperator(NamedTuple):
     responses: list[tuple[list, tuple]]
 
     def matrix(self) -> list[list]:
-        """W = J M^-1 J^T: how each row's rate answers a unit force along each."""
+        """Delassus' matrix W = J M^-1 J^T: the response of each row's rate to a unit force along
+        each.
+        """
         return [[along(row, columns) for columns, _ in self.responses] for row in self.rows]
 
     def lightness(self, contacts: list) -> list[tuple]:
-        """Inverse of the mass [1/kg] that a force along the normal moves, and the mean across:
-        diagonal of W, of each contact of rows for its normal and so many sliding directions."""
+        """Inverse of the mass that a force along the normal of each contact moves, and the mean
+        across: diagonal of W.
+
+        Args:
+            contacts: number of sliding directions of each contact, a list; its rows are the normal
+                and these.
+
+        Returns:
+            pairs of inverse masses [1/kg], a list.
+        """
         diagonal = [along(row, self.responses[i][0]) for i, row in enumerate(self.rows)]
         found, first = [], 0
         for directions in contacts:
@@ -51,7 +66,14 @@ class DelassusOperator(NamedTuple):
         return found
 
     def under(self, forces: list) -> tuple[list, tuple]:
-        """Accelerations and closure multipliers that forces (or impulses) along the rows add."""
+        """What forces (or impulses) along the rows add to the motion.
+
+        Args:
+            forces: forces along the rows [N] (or impulses [N s]), a list.
+
+        Returns:
+            accelerations (or changes of speed), and closure multipliers, that they add.
+        """
         columns, multipliers = zip(*self.responses, strict=True)
         return (
             [sp.dot(forces, entries) for entries in zip(*columns, strict=True)],
@@ -113,8 +135,14 @@ class ImplicitContact(NamedTuple):
 
 
 def delassus_operator(free_motion: FreeMotion, rows: list[ContactJacobianRow]) -> DelassusOperator:
-    """How the mechanism of an instant moves without contact, and how it answers forces along the
-    rows.
+    """The response of a mechanism at an instant to forces along rows.
+
+    Args:
+        free_motion: equations of motion with the contacts left out, a `FreeMotion`.
+        rows: rows of a Jacobian along which forces act, a list.
+
+    Returns:
+        a `DelassusOperator`.
     """
     closures = free_motion.closures
     inverse = constrained_inverse(

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, constant
-from jaxclear.ground.tangents import derived, moved, moving_with, where_wanted
+from jaxclear.ground.tangents import apply_if, derived, moved, moving_with
 from jaxclear.multibody.contact_point import slip_speed
 from jaxclear.multibody.state import unpack_memories
 
@@ -249,7 +249,7 @@ def put_right(
         amiss = jnp.where(changed, jnp.where(after.depths < 0, amiss, -amiss), 0.0)
         return _moves(model, now[1], formulation.slips(model, *now), amiss)
 
-    return state + where_wanted(jnp.any(changed), found, jnp.zeros_like(now[1]))
+    return state + apply_if(jnp.any(changed), found, jnp.zeros_like(now[1]))
 
 
 def _moves(model: Model, state: State, slips: Any, amiss: Any) -> Any:

@@ -34,7 +34,7 @@ from jaxclear.formulations.rubbing_over_step import damping, joints_over_step
 from jaxclear.formulations.shafts_over_step import shafts_over_step
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import map_alike, map_many
+from jaxclear.ground.compiling import map_grouped, map_many
 from jaxclear.ground.grouping import MANY, unstacked
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.multibody.kinematics import JacobianRow, along
@@ -290,7 +290,7 @@ def _linear_laws(whole: Step, rates: list, forces: list) -> LinearLaws:
         strict=True,
     )
     calls = [(laws, memory, whole.averaging, *rest) for laws, memory, *rest in parts]
-    found = [tangent for joint in map_alike(tangents, calls) for tangent in joint]
+    found = [tangent for joint in map_grouped(tangents, calls) for tangent in joint]
     forces = [force for tangent in found for force in tangent.forces]
     dampings = [damping for tangent in found for damping in tangent.dampings]
     about = list(rates[: len(forces)])

@@ -25,12 +25,17 @@ State = Float[Array, " n"]
 
 
 class Model(eqx.Module):
-    """Equations of motion without the time and the state: the prepared mechanism, worn surfaces as
-    the gaps read them, the stabilisation of its loops, and where everything sits in the state.
+    """Equations of motion without the time and the state.
 
-    `projects`: loops are closed anew after every step. `events`: how many touches and releases of
-    each contact are kept between two saving times. `discrete`: derivatives are those of the steps,
-    not of the motion.
+    Args:
+        system: the prepared mechanism, a `System`.
+        worn: worn surfaces as the gaps read them, a dict by joint of dicts by surface.
+        stabilisation: `Baumgarte` for closed loops, or None.
+        layout: where everything is in the state, a `Layout`.
+        projects: whether loops are closed anew after every step.
+        events: number of touches and releases of each contact that are kept between two saving
+            times.
+        discrete: whether derivatives are those of the steps, not of the motion.
     """
 
     system: System
@@ -42,20 +47,41 @@ class Model(eqx.Module):
     discrete: bool = eqx.field(static=True, default=False)
 
     def entries(self, state: State) -> list:
-        """The numbers of a state, one by one."""
+        """The numbers of a state, one by one.
+
+        Args:
+            state: a state, an array (n,).
+
+        Returns:
+            a list of n numbers.
+        """
         return unstacked(state)
 
     def seeing(self, worn: dict[str, dict[str, Any]]) -> "Model":
-        """The same with worn surfaces as gaps read them, and plays as worn."""
+        """The same model with other worn surfaces, and plays as worn.
+
+        Args:
+            worn: worn surfaces as the gaps read them, a dict by joint of dicts by surface.
+
+        Returns:
+            a `Model`.
+        """
         system = with_worn_flanks(self.system, worn)
         return dataclasses.replace(self, worn=worn, system=system)
 
 
 class Instant(NamedTuple):
-    """A saved state made ready: what is read from it are functions of this.
+    """A saved state that is ready to be read.
 
-    `means`: components of forces that are no functions of the state [N, N m], as means over the
-    saving interval that ends here; in the order of `layout.impulses`.
+    Args:
+        model: the mechanism, a `Model`.
+        motions: motion of each link, a tuple.
+        q: coordinates of each link [m, rad], a tuple.
+        v: speeds of each link [m/s, rad/s], a tuple.
+        time: time [s].
+        entries: the numbers of the state, a list.
+        means: components of forces that are no functions of the state [N, N m], as means over the
+            saving interval that ends here, a list in the order of `layout.impulses`.
     """
 
     model: Model
@@ -72,11 +98,25 @@ class Instant(NamedTuple):
         return unpack_followed(self.model.layout, self.entries)
 
     def means_of(self, name: str) -> list:
-        """Those of the means that belong to a joint."""
+        """The means that belong to a joint.
+
+        Args:
+            name: name of the joint.
+
+        Returns:
+            components [N, N m], a list.
+        """
         return self.means[self.model.layout.impulses_of(name)]
 
     def forces(self, reports: dict[str, JointReport]) -> Forces:
-        """Everything that acts, the clearance joints as reported."""
+        """Everything that acts, with the clearance joints as reported.
+
+        Args:
+            reports: a dict of `JointReport` by name.
+
+        Returns:
+            a `Forces`.
+        """
         motion = (self.motions, reports, self.q, self.v, self.time)
         return forces_at(self.model.system, *motion, self.followed)
 
@@ -86,6 +126,13 @@ class Instant(NamedTuple):
         return [speed for own in self.v for speed in own]
 
     def pose(self, name: str) -> Pose:
-        """A clearance joint's journal as seen from its bearing."""
+        """Pose of a clearance joint's journal in its bearing.
+
+        Args:
+            name: name of the joint.
+
+        Returns:
+            a `Pose`.
+        """
         closure = self.model.system.bearings[name].closure
         return kinematics.relative_motion(closure, self.motions)[1]

@@ -123,9 +123,13 @@ def permanent_joint(name: str, joint: AbstractClearance) -> AbstractJoint:
 
 
 class PermanentContact(AbstractFormulation):
-    """Clearance joints taken as always in contact: the motion of the ideal mechanism, reactions
-    carried in the gap, friction as set-valued as Coulomb's, or `regularised` as the functions of
-    the sliding speed that laws are."""
+    """Clearance joints taken as always in contact: the motion of the ideal mechanism, with
+    reactions carried in the gap.
+
+    Args:
+        regularised: whether friction laws are taken as the functions of the sliding speed that they
+            are; else friction is set-valued, as Coulomb's.
+    """
 
     regularised: bool = eqx.field(static=True, default=False)
     forces_are_means: ClassVar = True
@@ -168,7 +172,14 @@ class PermanentContact(AbstractFormulation):
         return report_of_means(instant, name)
 
     def warm_start(self, model: Model) -> Float[Array, " h"]:
-        """What the first step is handed: no accelerations, no centres of joints that wear."""
+        """Warm start of the first step: no accelerations, no centres of joints that wear.
+
+        Args:
+            model: the mechanism, a `Model`.
+
+        Returns:
+            numbers for `step`, an array.
+        """
         check_unique(model.system)
         return jnp.zeros(model.layout.speeds + 3 * count_of_centres(model.system) + 1)
 
@@ -180,9 +191,20 @@ class PermanentContact(AbstractFormulation):
         last: Float[Array, " h"],
         settings: NonCollidingSettings,
     ) -> tuple[State, Float[Array, " h"]]:
-        """The state after a step, and what the next is handed as `last`: the accelerations over it,
-        the centres in their gaps of what wears, then the largest change of friction, relative to
-        its bound, with which a search for it has ended so far."""
+        """Take one step.
+
+        Args:
+            model: the mechanism, a `Model`.
+            time_step: the step, a `TimeStep`.
+            state: the state at its beginning, an array (n,).
+            last: what the step before has returned, an array: the accelerations over it, the
+                centres in their gaps of what wears, then the largest change of friction, relative
+                to its bound, with which a search has ended so far.
+            settings: settings of the search for friction, a `NonCollidingSettings`.
+
+        Returns:
+            the state at the end, an array (n,), and the same numbers of this step, an array.
+        """
         system, layout, h = model.system, model.layout, time_step.length
         entries = model.entries(state)
         q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]

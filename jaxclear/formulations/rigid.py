@@ -83,8 +83,11 @@ class Strikes(NamedTuple):
 
 
 class RigidContact(AbstractFormulation):
-    """Unilateral contact with Newton's law of impact and set-valued Coulomb friction; of a contact
-    law only its coefficient of restitution is taken, of a friction law its coefficients."""
+    """Unilateral contact with Newton's law of impact and set-valued Coulomb friction.
+
+    Of a contact law only its coefficient of restitution is taken, of a friction law its
+    coefficients.
+    """
 
     forces_are_means: ClassVar = True
 
@@ -136,7 +139,14 @@ class RigidContact(AbstractFormulation):
         return report_of_means(instant, name)
 
     def warm_start(self, model: Model) -> Float[Array, " h"]:
-        """What the first step is handed: no accelerations, no percussions, no friction."""
+        """Warm start of the first step: no accelerations, no percussions, no friction.
+
+        Args:
+            model: the mechanism, a `Model`.
+
+        Returns:
+            numbers for `step`, an array.
+        """
         system = model.system
         check_unique(system)
         count = sum(own for _, own in contact_components(system))
@@ -152,7 +162,19 @@ class RigidContact(AbstractFormulation):
         last: Float[Array, " h"],
         settings: MoreauJeanSettings,
     ) -> Strikes:
-        """What strikes in a step, which begins with these numbers as `step` does."""
+        """What strikes in a step that begins as `step` does.
+
+        Args:
+            model: the mechanism, a `Model`.
+            time_step: the step, a `TimeStep`.
+            state: the state at its beginning, an array (n,).
+            last: what the step before has returned, an array.
+            settings: settings of the step, a `MoreauJeanSettings`.
+
+        Returns:
+            which contacts strike, their depths [m], closing speeds [m/s] and which are in flight, a
+            `Strikes`.
+        """
         _, _, middle, contacts, _ = _begun(model, time_step, state, last)
         free = delassus_operator(middle.free_motion, []).free
         gentle = settings._replace(gentle=True)
@@ -172,9 +194,20 @@ class RigidContact(AbstractFormulation):
         last: Float[Array, " h"],
         settings: MoreauJeanSettings,
     ) -> tuple[State, Float[Array, " h"]]:
-        """The state after a step, and what the next is handed as `last`: the free accelerations,
-        the percussions in the state's order, then the largest residual of the contact laws so
-        far."""
+        """Take one step.
+
+        Args:
+            model: the mechanism, a `Model`.
+            time_step: the step, a `TimeStep`.
+            state: the state at its beginning, an array (n,).
+            last: what the step before has returned, an array: the free accelerations, the
+                percussions in the state's order, then the largest residual of the contact laws so
+                far.
+            settings: settings of the step, a `MoreauJeanSettings`.
+
+        Returns:
+            the state at the end, an array (n,), and the same numbers of this step, an array.
+        """
         h, count = time_step.length, model.layout.speeds
         entries, handed, middle, contacts, loads = _begun(model, time_step, state, last)
         joints = joints_in_step(model, middle)

@@ -22,7 +22,7 @@ else:
     ModuleMeta = type(eqx.Module)
 
 P, R = ParamSpec("P"), TypeVar("R")
-OWN_PATH = re.compile(r"\bjaxclear(\.\w+)+")
+PACKAGE_PATH = re.compile(r"\bjaxclear(\.\w+)+")
 KEYWORDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 ORDERED = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
@@ -41,9 +41,9 @@ class AnsweringMeta(ModuleMeta):
     """Of classes that refuse wrong arguments with a sentence."""
 
     def __new__(mcs, name: str, bases: tuple, namespace: dict, **kwargs: Any):
-        own = namespace.get("__check_init__")
-        if own is not None and any(isinstance(base, AnsweringMeta) for base in bases):
-            namespace = namespace | {"__check_init__": _after_fields(own)}
+        check = namespace.get("__check_init__")
+        if check is not None and any(isinstance(base, AnsweringMeta) for base in bases):
+            namespace = namespace | {"__check_init__": _after_fields(check)}
         return ModuleMeta.__new__(mcs, name, bases, namespace, **kwargs)
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
@@ -62,14 +62,14 @@ class AnsweringMeta(ModuleMeta):
             raise
 
 
-def _after_fields(own: Callable[[Any], None]) -> Callable[[Any], None]:
+def _after_fields(class_check: Callable[[Any], None]) -> Callable[[Any], None]:
     """A class's own check, which may take for granted that every field holds what it may."""
 
-    @functools.wraps(own)
+    @functools.wraps(class_check)
     def check(self: Any) -> None:
         # Of the class: binding a method to a module costs more than the check.
         type(self)._check_fields(self)
-        own(self)
+        class_check(self)
 
     return check
 
@@ -88,10 +88,12 @@ def answering(function: Callable[P, R]) -> Callable[P, R]:
             raise
 
     signature = inspect.signature(function)
-    shown = [p.replace(annotation=_as_offered(p.annotation)) for p in signature.parameters.values()]
+    parameters = [
+        p.replace(annotation=_as_offered(p.annotation)) for p in signature.parameters.values()
+    ]
     returned = _as_offered(signature.return_annotation)
     called.__signature__ = signature.replace(  # type: ignore[attr-defined]
-        parameters=shown, return_annotation=returned
+        parameters=parameters, return_annotation=returned
     )
     return called
 
@@ -103,12 +105,12 @@ class _Offered:
         self.kind = kind
 
     def __repr__(self) -> str:
-        told = inspect.formatannotation(self.kind)
-        return OWN_PATH.sub(lambda found: as_typed(found[0]), told)
+        annotation = inspect.formatannotation(self.kind)
+        return PACKAGE_PATH.sub(lambda match: as_typed(match[0]), annotation)
 
 
 def _as_offered(kind: Any) -> Any:
-    return _Offered(kind) if OWN_PATH.search(inspect.formatannotation(kind)) else kind
+    return _Offered(kind) if PACKAGE_PATH.search(inspect.formatannotation(kind)) else kind
 
 
 def refuse_misfit(called: Callable, args: tuple, kwargs: dict) -> None:
@@ -128,18 +130,18 @@ def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
     else:
         return ""
     name, parameters = public_name(called), signature.parameters
-    known = [p.name for p in parameters.values() if p.kind in KEYWORDS]
-    takes = f"{name} takes {listed(known)}" if known else f"{name} takes no arguments"
-    for given in kwargs:
-        if given not in known:
-            return f'{name} has no argument "{given}"; {takes}.{meant(given, known)}'
+    names = [p.name for p in parameters.values() if p.kind in KEYWORDS]
+    takes = f"{name} takes {listed(names)}" if names else f"{name} takes no arguments"
+    for keyword in kwargs:
+        if keyword not in names:
+            return f'{name} has no argument "{keyword}"; {takes}.{meant(keyword, names)}'
     ordered = [p.name for p in parameters.values() if p.kind in ORDERED]
     if len(args) > len(ordered):
         surplus = described(args[len(ordered)])
-        left = [one for one in known if one not in {*ordered, *kwargs}]
-        if not left:
+        available = [one for one in names if one not in {*ordered, *kwargs}]
+        if not available:
             return f"{name} is given {surplus} too; {takes} and nothing else."
-        return f"{name} is given {surplus} without a name; give it as one of {listed(left)}."
+        return f"{name} is given {surplus} without a name; give it as one of {listed(available)}."
     twice = set(ordered[: len(args)]) & set(kwargs)
     if twice:
         return f"{name} is given {listed(sorted(twice))} twice, by place and by name; give it once."
@@ -165,7 +167,7 @@ def nothing_else(
         members = [one for one in offered if not one.startswith("Abstract")]
         raise AttributeError(f"{path}; it offers {', '.join(members)}.{meant(name, offered)}")
 
-    def shown() -> list[str]:
+    def list_names() -> list[str]:
         return sorted(offered)
 
-    return refuse, shown
+    return refuse, list_names

@@ -15,13 +15,13 @@ from jaxclear.ground.quantity import as_number, finite_and_within, range_in_word
 from jaxclear.ground.wording import described, listed, unknown
 
 
-def expect(thing: Any, kind: Any, what: str, wanted: str) -> None:
+def expect(thing: Any, kind: Any, what: str, required: str) -> None:
     """A thing of a kind."""
     if not isinstance(thing, kind):
         built = isinstance(thing, type) and isinstance(kind, type) and issubclass(thing, kind)
         hint = f": build one, {thing.__name__}(...)" if built else ""
         hint = f": call it, {thing.__name__}(...)" if inspect.isfunction(thing) else hint
-        raise ValueError(f"{what} is {described(thing)}; it must be {wanted}{hint}.")
+        raise ValueError(f"{what} is {described(thing)}; it must be {required}{hint}.")
 
 
 def check_flags(owner: str, **flags: Any) -> None:
@@ -33,8 +33,8 @@ def check_flags(owner: str, **flags: Any) -> None:
 
 def check_count(what: str, value: Any, at_least: int = 1) -> None:
     """A whole number."""
-    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not whole or value < at_least:
+    is_integer = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not is_integer or value < at_least:
         raise ValueError(
             f"{what} is {described(value)}; it must be a whole number, at least {at_least}."
         )
@@ -45,7 +45,7 @@ def check_number(what: str, value: Any, unit: str = "", **bounds: float) -> None
     at_most)."""
     unit = f" [{unit}]" if unit else ""
     limits = range_in_words(bounds)
-    wanted = f"one finite number{unit}{', ' if limits else ''}{limits}"
+    required = f"one finite number{unit}{', ' if limits else ''}{limits}"
     if isinstance(value, float) and finite_and_within(value, bounds):
         return
     try:
@@ -55,21 +55,21 @@ def check_number(what: str, value: Any, unit: str = "", **bounds: float) -> None
     if isinstance(number, jax.core.Tracer):
         return
     if not isinstance(number, jax.Array) or not finite_and_within(float(number), bounds):
-        raise ValueError(f"{what} is {described(value)}; it must be {wanted}.")
+        raise ValueError(f"{what} is {described(value)}; it must be {required}.")
 
 
-def check_known(what: str, name: Any, known: Iterable[str], where: str = "") -> None:
+def check_name(what: str, name: Any, names: Iterable[str], where: str = "") -> None:
     """A name among those that there are."""
-    known = list(known)
-    if not isinstance(name, str) or name not in known:
-        raise ValueError(unknown(what, name, known, where))
+    names = list(names)
+    if not isinstance(name, str) or name not in names:
+        raise ValueError(unknown(what, name, names, where))
 
 
-def check_methods(owner: str, methods: Any, known: Iterable[str]) -> None:
+def check_methods(owner: str, methods: Any, names: Iterable[str]) -> None:
     """Some of the methods that a study has, at least one."""
-    known = list(known)
-    expect(methods, (tuple, list), f"methods of {owner}", f"some of {listed(known)}")
+    names = list(names)
+    expect(methods, (tuple, list), f"methods of {owner}", f"some of {listed(names)}")
     if not methods:
-        raise ValueError(f"methods of {owner} is empty; it must hold some of {listed(known)}.")
+        raise ValueError(f"methods of {owner} is empty; it must hold some of {listed(names)}.")
     for method in methods:
-        check_known("method", method, known, f" of {owner}")
+        check_name("method", method, names, f" of {owner}")

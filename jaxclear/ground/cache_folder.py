@@ -27,19 +27,19 @@ OF_USER = ("XDG_CACHE_HOME", "HOME", "LOCALAPPDATA", "USERPROFILE", "HOMEDRIVE",
 MARK = b"jaxclear 1 "
 # Bytes in all files together, beyond which those go that were used least recently, until so large a
 # share is left.
-MOST, LEFT = 1 << 29, 0.75
+MOST, SHARE_AFTER_CLEANUP = 1 << 29, 0.75
 # Kinds: machine code of kernels, and programs around them; characters of a key.
 KINDS = KERNEL, PROGRAM = "kernel", "program"
 KEY = 40
 # How names of files begin that are being written. Of a process that is killed one stays behind; it
 # is no process's any more after so long [s].
-UNDER_WAY, LONGEST = ".new-", 3600.0
+TEMPORARY_PREFIX, LONGEST = ".new-", 3600.0
 JAX = "of_jax"
 # What others than the owner may do with a file.
 OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
-class KeptFile(NamedTuple):
+class CachedFile(NamedTuple):
     """A file with its size [bytes] and when it was last used [s since 1970]."""
 
     path: Path
@@ -53,13 +53,13 @@ def place() -> Path | None:
 
 
 @functools.lru_cache(maxsize=16)
-def _place(system: str, given: str | None, *_: str | None) -> Path | None:
+def _place(system: str, variable: str | None, *_: str | None) -> Path | None:
     """The folder on a system, from the variable and those that tell where a user is at home."""
-    if given is not None and given.strip().lower() in OFF:
+    if variable is not None and variable.strip().lower() in OFF:
         return None
     # A system may not know where the user is at home.
     with suppress(RuntimeError):
-        base = _of_user() / "jaxclear" if given is None else Path(given).expanduser()
+        base = _of_user() / "jaxclear" if variable is None else Path(variable).expanduser()
         return base / "programs"
     return None
 
@@ -70,9 +70,9 @@ def _of_user() -> Path:
         return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches"
-    given = os.environ.get("XDG_CACHE_HOME", "")
+    cache_home = os.environ.get("XDG_CACHE_HOME", "")
     # The standard has paths that are not absolute ignored.
-    return Path(given) if os.path.isabs(given) else Path.home() / ".cache"
+    return Path(cache_home) if os.path.isabs(cache_home) else Path.home() / ".cache"
 
 
 def read(kind: str, key: str) -> bytes | None:
@@ -88,10 +88,10 @@ def read(kind: str, key: str) -> bytes | None:
         with os.fdopen(os.open(path, flags), "rb") as file:
             if not _is_owners(os.fstat(file.fileno())):
                 return None
-            whole = file.read()
+            file_content = file.read()
     except OSError:
         return None
-    head, _, content = whole.partition(b"\n")
+    head, _, content = file_content.partition(b"\n")
     if head != _head(path.name, content):
         with suppress(OSError):
             path.unlink()
@@ -127,7 +127,7 @@ def write(kind: str, key: str, content: bytes) -> None:
     path = _path(folder, kind, key)
     with suppress(OSError):
         # Its file is the owner's alone from the beginning.
-        number, name = tempfile.mkstemp(dir=folder, prefix=UNDER_WAY)
+        number, name = tempfile.mkstemp(dir=folder, prefix=TEMPORARY_PREFIX)
         try:
             with os.fdopen(number, "wb") as file:
                 file.write(_head(path.name, content) + b"\n" + content)
@@ -138,7 +138,7 @@ def write(kind: str, key: str, content: bytes) -> None:
         _bound(folder)
 
 
-def kept() -> list[KeptFile]:
+def list_files() -> list[CachedFile]:
     """All that is kept, what was used least recently first."""
     folder = place()
     return [] if folder is None else sorted(_files(folder), key=lambda one: one.used)
@@ -146,9 +146,9 @@ def kept() -> list[KeptFile]:
 
 def clear() -> int:
     """Removes all that is kept, by JAX too; how many files that were."""
-    folder, files = place(), [one.path for one in kept()]
+    folder, files = place(), [one.path for one in list_files()]
     if folder is not None:
-        files += _left_behind(folder, after=0.0)
+        files += _stale_files(folder, after=0.0)
     if folder is not None and (folder / JAX).is_dir():
         files += [path for path in (folder / JAX).iterdir() if path.is_file()]
     for path in files:
@@ -165,23 +165,23 @@ def _head(name: str, content: bytes) -> bytes:
     return MARK + hashlib.sha256(name.encode() + b"\n" + content).hexdigest().encode()
 
 
-def _is_owners(found: os.stat_result) -> bool:
+def _is_owners(status: os.stat_result) -> bool:
     """Whether a file or folder belongs to this user, and others have no part in it."""
     user = getattr(os, "geteuid", None)
     # Windows, which knows no such numbers, keeps a user's own folders from others.
-    return user is None or (found.st_uid == user() and not found.st_mode & OTHERS)
+    return user is None or (status.st_uid == user() and not status.st_mode & OTHERS)
 
 
-def _files(folder: Path) -> Iterator[KeptFile]:
-    with suppress(OSError), os.scandir(folder) as found:
-        for entry in found:
+def _files(folder: Path) -> Iterator[CachedFile]:
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
             with suppress(OSError):
-                if entry.is_file(follow_symlinks=False) and _is_kept(entry.name):
-                    own = entry.stat(follow_symlinks=False)
-                    yield KeptFile(Path(entry.path), own.st_size, own.st_mtime)
+                if entry.is_file(follow_symlinks=False) and _is_cached(entry.name):
+                    status = entry.stat(follow_symlinks=False)
+                    yield CachedFile(Path(entry.path), status.st_size, status.st_mtime)
 
 
-def _is_kept(name: str) -> bool:
+def _is_cached(name: str) -> bool:
     """Whether a file of this name is one of those that are kept; other files stay as they are."""
     key, _, kind = name.partition(".")
     return len(key) == KEY and kind in KINDS
@@ -192,19 +192,19 @@ def key_of(*parts: str) -> str:
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:KEY]
 
 
-def _left_behind(folder: Path, after: float) -> list[Path]:
+def _stale_files(folder: Path, after: float) -> list[Path]:
     """Files that have been under way for so long [s]."""
-    found = []
+    stale = []
     with suppress(OSError):
-        for path in folder.glob(f"{UNDER_WAY}*"):
+        for path in folder.glob(f"{TEMPORARY_PREFIX}*"):
             with suppress(OSError):
                 if path.lstat().st_mtime <= time.time() - after:
-                    found.append(path)
-    return found
+                    stale.append(path)
+    return stale
 
 
 def _bound(folder: Path) -> None:
-    for path in _left_behind(folder, LONGEST):
+    for path in _stale_files(folder, LONGEST):
         with suppress(OSError):
             path.unlink()
     files = sorted(_files(folder), key=lambda one: one.used)
@@ -215,5 +215,5 @@ def _bound(folder: Path) -> None:
         with suppress(OSError):
             one.path.unlink()
         total -= one.size
-        if total <= LEFT * MOST:
+        if total <= SHARE_AFTER_CLEANUP * MOST:
             return

@@ -27,18 +27,18 @@ def columns_of(path: str | Path, names: Iterable[str]) -> list[np.ndarray]:
             path, sep=between, decimal=decimal, skipinitialspace=True, encoding="utf-8-sig"
         )
     except (ValueError, UnicodeDecodeError, pandas.errors.ParserError) as error:
-        said = str(error).strip().splitlines()[0].rstrip(".")
-        raise ValueError(f"the table {path.name} cannot be read: {said}.") from None
-    found = []
+        reason = str(error).strip().splitlines()[0].rstrip(".")
+        raise ValueError(f"the table {path.name} cannot be read: {reason}.") from None
+    columns = []
     for name in names:
         if name not in table.columns:
-            known = list(map(str, table.columns))
-            raise ValueError(unknown("column", name, known, f" in {path.name}"))
+            table_names = list(map(str, table.columns))
+            raise ValueError(unknown("column", name, table_names, f" in {path.name}"))
         try:
-            found.append(table[name].to_numpy(float))
+            columns.append(table[name].to_numpy(float))
         except (TypeError, ValueError):
             raise ValueError(f'column "{name}" of {path.name} holds what is no number.') from None
-    return found
+    return columns
 
 
 def _manner(path: Path) -> tuple[str, str]:

@@ -3,7 +3,7 @@
 Two calls are alike when the trees of their arguments have the same shape, static fields and
 structural zeros. A group of alike calls becomes one `vmap`; small groups are unrolled, because a
 few fused scalars are cheaper than a short axis. What several programs of a run ask for, or one
-program at several places, is traced at the first of them (`traced_once`, `by_form`).
+program at several places, is traced at the first of them (`share_trace`, `by_form`).
 """
 
 import functools
@@ -60,7 +60,7 @@ def _is_structure(leaf: Any) -> bool:
     return isinstance(leaf, int) or callable(leaf)
 
 
-def map_alike(function: Callable, calls: Sequence[tuple], smallest: int = SMALLEST_GROUP) -> list:
+def map_grouped(function: Callable, calls: Sequence[tuple], smallest: int = SMALLEST_GROUP) -> list:
     """[function(*arguments) for arguments in calls], with alike calls mapped together.
 
     The function must be pure; its result may contain structural integers, which must not depend on
@@ -83,8 +83,8 @@ def map_alike(function: Callable, calls: Sequence[tuple], smallest: int = SMALLE
 
 
 def map_many(function: Callable, calls: Sequence[tuple]) -> list:
-    """As `map_alike`; few alike calls are written out: what is not worth a map."""
-    return map_alike(function, calls, LARGEST_UNROLLED)
+    """As `map_grouped`; few alike calls are written out: what is not worth a map."""
+    return map_grouped(function, calls, LARGEST_UNROLLED)
 
 
 def _mapped(function, calls):
@@ -95,12 +95,12 @@ def _mapped(function, calls):
     least = LARGEST_UNROLLED if many else len(calls) + 1
     columns = []
     for position in list(varying):
-        own = [each[position] for each in all_leaves]
-        if many and all(x is own[0] for x in own):
+        column = [each[position] for each in all_leaves]
+        if many and all(x is column[0] for x in column):
             # The same for all: the loop reads it from outside.
             varying.remove(position)
         else:
-            columns.append(stacked(own, least))
+            columns.append(stacked(column, least))
     if not columns:
         yield from [function(*calls[0])] * len(calls)
         return
@@ -130,7 +130,7 @@ def _mapped(function, calls):
         yield jax.tree.unflatten(template["structure"], filled)
 
 
-def traced_once(function: Callable) -> Callable:
+def share_trace(function: Callable) -> Callable:
     """The function, traced once for all calls that are alike, in whatever program they are.
 
     It must be pure, and close over no numbers; its result may contain structural integers, which
@@ -139,15 +139,15 @@ def traced_once(function: Callable) -> Callable:
     """
 
     @functools.lru_cache(maxsize=LATEST)
-    def alike(structure, kinds):
+    def compile_for(structure, kinds):
         form: list = []
 
         @jax.jit
         def one(arrays):
             arrays = iter(arrays)
             leaves = [next(arrays) if kind is VARYING else kind[1] for kind in kinds]
-            out, whole = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
-            form[:] = whole, [leaf if isinstance(leaf, int) else VARYING for leaf in out]
+            out, out_structure = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
+            form[:] = out_structure, [leaf if isinstance(leaf, int) else VARYING for leaf in out]
             return [leaf for leaf in out if not isinstance(leaf, int)]
 
         return one, form
@@ -159,10 +159,12 @@ def traced_once(function: Callable) -> Callable:
             return function(*arguments)
         # True is 1, but not alike.
         kinds = tuple((type(x), x) if isinstance(x, int) else VARYING for x in leaves)
-        one, form = alike(structure, kinds)
-        found = iter(one([leaf for leaf in leaves if not isinstance(leaf, int)]))
-        whole, out = form
-        return jax.tree.unflatten(whole, [next(found) if x is VARYING else x for x in out])
+        one, form = compile_for(structure, kinds)
+        outputs = iter(one([leaf for leaf in leaves if not isinstance(leaf, int)]))
+        out_structure, out = form
+        return jax.tree.unflatten(
+            out_structure, [next(outputs) if x is VARYING else x for x in out]
+        )
 
     return call
 
@@ -172,17 +174,17 @@ def by_form(function: Callable) -> Callable:
     its arguments alone. It is shown no numbers, so JAX compiles none of its operations."""
 
     @functools.lru_cache(maxsize=LATEST)
-    def asked(structure, kinds):
-        said: list = []
-        varying = [kind for own, kind in kinds if own is VARYING]
+    def evaluate_form(structure, kinds):
+        results: list = []
+        varying = [kind for marker, kind in kinds if marker is VARYING]
 
-        def shown(arrays):
+        def record_result(arrays):
             arrays = iter(arrays)
-            leaves = [next(arrays) if own is VARYING else kind for own, kind in kinds]
-            said.append(function(*jax.tree.unflatten(structure, leaves)))
+            leaves = [next(arrays) if marker is VARYING else kind for marker, kind in kinds]
+            results.append(function(*jax.tree.unflatten(structure, leaves)))
 
-        jax.eval_shape(shown, [jax.ShapeDtypeStruct(*kind) for kind in varying])
-        return said[0]
+        jax.eval_shape(record_result, [jax.ShapeDtypeStruct(*kind) for kind in varying])
+        return results[0]
 
     @functools.wraps(function)
     def call(*arguments):
@@ -193,7 +195,7 @@ def by_form(function: Callable) -> Callable:
             for x, number in zip(leaves, numbers, strict=True)
         )
         if any(callable(leaf) for leaf in leaves):
-            return asked.__wrapped__(structure, kinds)
-        return asked(structure, kinds)
+            return evaluate_form.__wrapped__(structure, kinds)
+        return evaluate_form(structure, kinds)
 
     return call

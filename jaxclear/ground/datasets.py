@@ -21,13 +21,13 @@ import numpy as np
 LIBRARIES = ("jaxclear", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr")
 
 
-def told_versions() -> dict[str, str]:
+def library_versions() -> dict[str, str]:
     """Name and version of what computes here: libraries, Python, the kind of device."""
-    found = {"python": platform.python_version()}
-    found |= {library: installed(library) for library in LIBRARIES}
+    versions = {"python": platform.python_version()}
+    versions |= {library: installed(library) for library in LIBRARIES}
     device = jax.devices()[0]
     kind = platform.machine() if device.platform == "cpu" else device.device_kind
-    return found | {"device": f"{device.platform} ({kind})"}
+    return versions | {"device": f"{device.platform} ({kind})"}
 
 
 def installed(library: str) -> str:
@@ -54,7 +54,7 @@ def dataset(
     *,
     what: str,
     problem: Mapping[str, str] | None = None,
-    **said: Any,
+    **further: Any,
 ) -> Any:
     """An xarray Dataset of `what`; `problem`: a text for each part of what was asked; `said`: more
     attributes. An index that is not given as a coordinate counts."""
@@ -63,11 +63,11 @@ def dataset(
     attributes: dict[str, Any] = {"what": what}
     if problem is not None:
         attributes["problem"] = json.dumps(dict(problem))
-    attributes |= {name: _plain(value) for name, value in said.items()}
+    attributes |= {name: _plain(value) for name, value in further.items()}
     attributes |= provenance()
     return xarray.Dataset(
-        {name: _variable(own) for name, own in columns.items()},
-        {name: _variable(own) for name, own in (coordinates or {}).items()},
+        {name: _variable(column) for name, column in columns.items()},
+        {name: _variable(column) for name, column in (coordinates or {}).items()},
         attributes,
     )
 
@@ -75,7 +75,7 @@ def dataset(
 def provenance() -> dict[str, str]:
     """What computed this and when, as attributes."""
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    return {"versions": json.dumps(told_versions()), "created": now}
+    return {"versions": json.dumps(library_versions()), "created": now}
 
 
 def spelt(name: str) -> str:

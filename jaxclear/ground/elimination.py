@@ -66,19 +66,23 @@ def tables_of(pattern: Pattern) -> Tables:
     for place, i in enumerate(below):
         unknown[i] = place
     rows = [sorted(unknown[i] for i in column) for column in below.values()]
-    columns = [0, *np.cumsum([1 + len(own) for own in rows]).tolist()]
+    columns = [0, *np.cumsum([1 + len(rows_below) for rows_below in rows]).tolist()]
     at = {(j, j): start for j, start in enumerate(columns[:-1])}
-    at |= {(i, j): columns[j] + 1 + k for j, own in enumerate(rows) for k, i in enumerate(own)}
+    at |= {
+        (i, j): columns[j] + 1 + k
+        for j, rows_below in enumerate(rows)
+        for k, i in enumerate(rows_below)
+    }
     updates: list[Any] = []
     solves: list[Any] = []
     update_starts, solve_starts = [0], [0]
-    for j, own in enumerate(rows):
+    for j, rows_below in enumerate(rows):
         first = columns[j] + 1
-        for k, i in enumerate(own):
-            changed = [at[other, i] for other in own[k:]]
+        for k, i in enumerate(rows_below):
+            changed = [at[other, i] for other in rows_below[k:]]
             updates += [(t, first + k + s, k, n) for t, s, n in _stretches(changed)]
         update_starts.append(len(updates))
-        solves += [(row, first + s, n) for row, s, n in _stretches(own)]
+        solves += [(row, first + s, n) for row, s, n in _stretches(rows_below)]
         solve_starts.append(len(solves))
     places = ((unknown[i], unknown[j]) for i, j in pattern.places)
     entries = [at[max(pair), min(pair)] for pair in places]
@@ -93,7 +97,7 @@ def _columns_below(pattern: Pattern) -> dict[int, set[int]]:
         if i != j:
             tied[i].add(j)
             tied[j].add(i)
-    waiting = [(len(own), i) for i, own in enumerate(tied)]
+    waiting = [(len(neighbours), i) for i, neighbours in enumerate(tied)]
     heapq.heapify(waiting)
     out: dict[int, set[int]] = {}
     while waiting:
@@ -141,21 +145,21 @@ def _by_lapack(entries, *further, pattern):
 
 def _differentiate(primals, tangents, *, pattern):
     """M dx = db - dM x."""
-    *given, _ = primals
-    found = solve_p.bind(*primals, pattern=pattern)
-    changed, wanted = tangents[0], tangents[-1]
+    *matrix_operands, _ = primals
+    solution = solve_p.bind(*primals, pattern=pattern)
+    changed, right_tangent = tangents[0], tangents[-1]
     if isinstance(changed, ad.Zero):
-        moved = ad.instantiate_zeros(wanted)
+        moved = ad.instantiate_zeros(right_tangent)
     else:
-        x, entries = _parts(found), _parts(changed)
+        x, entries = _parts(solution), _parts(changed)
         taken: list[Any] = [0] * pattern.size
         for (i, j), entry in zip(pattern.places, entries, strict=True):
             taken[i] = sp.add(taken[i], entry * x[j])
             if i != j:
                 taken[j] = sp.add(taken[j], entry * x[i])
         taken = jnp.stack(taken, -1)
-        moved = -taken if isinstance(wanted, ad.Zero) else wanted - taken
-    return found, solve_p.bind(*given, moved, pattern=pattern)
+        moved = -taken if isinstance(right_tangent, ad.Zero) else right_tangent - taken
+    return solution, solve_p.bind(*matrix_operands, moved, pattern=pattern)
 
 
 def _parts(array: Any) -> list:
@@ -163,11 +167,13 @@ def _parts(array: Any) -> list:
 
 
 def _backwards(cotangent, *operands, pattern):
-    *given, _ = operands
-    found = (
-        None if isinstance(cotangent, ad.Zero) else solve_p.bind(*given, cotangent, pattern=pattern)
+    *matrix_operands, _ = operands
+    right_cotangent = (
+        None
+        if isinstance(cotangent, ad.Zero)
+        else solve_p.bind(*matrix_operands, cotangent, pattern=pattern)
     )
-    return [*[None] * len(given), found]
+    return [*[None] * len(matrix_operands), right_cotangent]
 
 
 def _batch(operands, dims, *, pattern):
@@ -175,12 +181,12 @@ def _batch(operands, dims, *, pattern):
     size = next(v.shape[d] for v, d in zip(operands, dims, strict=True) if d is not None)
     first = [v if d is None else jnp.moveaxis(v, d, 0) for v, d in zip(operands, dims, strict=True)]
     if any(dim is not None for dim in dims[:-1]):
-        own = [
+        matrices = [
             v if d is not None else jnp.broadcast_to(v, (size, *v.shape))
             for v, d in zip(first, dims, strict=True)
         ]
-        lead = own[-1].ndim - own[0].ndim
-        first = [v.reshape(size, *(1,) * lead, *v.shape[1:]) for v in own[:-1]] + own[-1:]
+        lead = matrices[-1].ndim - matrices[0].ndim
+        first = [v.reshape(size, *(1,) * lead, *v.shape[1:]) for v in matrices[:-1]] + matrices[-1:]
     return solve_p.bind(*first, pattern=pattern), 0
 
 

@@ -127,13 +127,13 @@ def eliminate(equations: list[Any]) -> list[Any]:
         first = lines[0][1:] / lines[0][0]
         lines = [line[1:] - line[0] * first for line in lines[1:]]
         eliminated.append(first)
-    found: list[Any] = []
+    solution: list[Any] = []
     for first in reversed(eliminated):
         value = first[-1]
-        for k in range(len(found)):
-            value = value - first[len(found) - 1 - k] * found[k]
-        found.append(value)
-    return found[::-1]
+        for k in range(len(solution)):
+            value = value - first[len(solution) - 1 - k] * solution[k]
+        solution.append(value)
+    return solution[::-1]
 
 
 def _bring_up(lines: list[Any], k: int) -> list[Any]:
@@ -159,8 +159,8 @@ def orientation(matrix: list[list]) -> Any:
         for exchanged in _bring_up(lines, k):
             sign = jnp.where(exchanged, -sign, sign)
         sign = sign * jnp.sign(lines[k][k])
-        own = lines[k] / lines[k][k]
-        lines[k + 1 :] = [line - line[k] * own for line in lines[k + 1 :]]
+        pivot_row = lines[k] / lines[k][k]
+        lines[k + 1 :] = [line - line[k] * pivot_row for line in lines[k + 1 :]]
     return sign
 
 
@@ -170,13 +170,13 @@ def sign_of_determinant(matrix: Any) -> Any:
 
     def cleared(k, carry):
         rows, sign = carry
-        left = jnp.arange(count) >= k
-        pivot = jnp.argmax(jnp.where(left, jnp.abs(rows[:, k]), -1.0))
-        first, own = rows[k], rows[pivot]
-        rows = rows.at[pivot].set(first).at[k].set(own)
-        sign = jnp.where(pivot == k, sign, -sign) * jnp.sign(own[k])
-        shares = jnp.where(jnp.arange(count) > k, rows[:, k] * safe_divide(1.0, own[k]), 0.0)
-        return rows - shares[:, None] * own, sign
+        is_remaining = jnp.arange(count) >= k
+        pivot = jnp.argmax(jnp.where(is_remaining, jnp.abs(rows[:, k]), -1.0))
+        first, pivot_row = rows[k], rows[pivot]
+        rows = rows.at[pivot].set(first).at[k].set(pivot_row)
+        sign = jnp.where(pivot == k, sign, -sign) * jnp.sign(pivot_row[k])
+        shares = jnp.where(jnp.arange(count) > k, rows[:, k] * safe_divide(1.0, pivot_row[k]), 0.0)
+        return rows - shares[:, None] * pivot_row, sign
 
     return jax.lax.fori_loop(0, count, cleared, (matrix, jnp.ones(())))[1]
 
@@ -193,17 +193,17 @@ def placed(entries: dict[tuple[int, int], Any], shape: tuple[int, int]) -> jnp.n
     filled = {place: x for place, x in entries.items() if not sp.is_zero(x)}
     if not filled:
         return jnp.zeros(shape)
-    (i, j), own = (np.array(part) for part in zip(*filled, strict=True)), list(filled.values())
-    if all(isinstance(x, (int, float)) for x in own):
-        known = np.zeros(shape)
-        known[i, j] = own
-        return jnp.asarray(known)
+    (i, j), values = (np.array(part) for part in zip(*filled, strict=True)), list(filled.values())
+    if all(isinstance(x, (int, float)) for x in values):
+        constants = np.zeros(shape)
+        constants[i, j] = values
+        return jnp.asarray(constants)
     if shape[1] >= MANY_COLUMNS:
         # XLA compiles what is looked up faster than what is put into place.
         looked_up = np.zeros(shape, np.int32)
-        looked_up[i, j] = np.arange(1, len(own) + 1)
-        return jnp.concatenate([jnp.zeros(1), sp.stack(own)])[looked_up]
-    return jnp.zeros(shape).at[i, j].set(sp.stack(own), unique_indices=True)
+        looked_up[i, j] = np.arange(1, len(values) + 1)
+        return jnp.concatenate([jnp.zeros(1), sp.stack(values)])[looked_up]
+    return jnp.zeros(shape).at[i, j].set(sp.stack(values), unique_indices=True)
 
 
 # Of this many columns on.
@@ -284,7 +284,7 @@ class Change(NamedTuple):
     """The smallest change, and which equations it meets; the rest follow from those before."""
 
     change: Float[Array, " n"]
-    met: Bool[Array, " rows"]
+    satisfied: Bool[Array, " rows"]
 
 
 def least_change(
@@ -301,7 +301,7 @@ def least_change(
         return along, row - jnp.sum(along[:, None] * basis, axis=0)
 
     def add(carry, entry):
-        basis, parts, met, place = carry
+        basis, parts, satisfied, place = carry
         row, target = entry
         first, rest = across(row, basis)
         second, rest = across(rest, basis)
@@ -311,12 +311,17 @@ def least_change(
         part = (target - jnp.sum((first + second) * parts)) * inverse
         here = place == jnp.arange(m)
         basis = jnp.where(here[:, None], rest * inverse, basis)
-        return (basis, jnp.where(here, part, parts), jnp.where(here, new, met), place + 1), None
+        return (
+            basis,
+            jnp.where(here, part, parts),
+            jnp.where(here, new, satisfied),
+            place + 1,
+        ), None
 
     # All is carried: kernels leave nothing by turns within a loop.
     start = jnp.zeros_like(scaled), jnp.zeros_like(targets), jnp.zeros(m, bool), jnp.zeros((), int)
-    (basis, parts, met, _), _ = jax.lax.scan(add, start, (scaled, targets))
-    return Change(scales * jnp.sum(parts[:, None] * basis, axis=0), met)
+    (basis, parts, satisfied, _), _ = jax.lax.scan(add, start, (scaled, targets))
+    return Change(scales * jnp.sum(parts[:, None] * basis, axis=0), satisfied)
 
 
 def of_rank(

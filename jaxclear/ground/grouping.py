@@ -2,8 +2,8 @@
 
 Equations of motion are written number by number (`sparse`), which costs a program in proportion to
 its pieces. Where an entry was taken from is remembered, so that many entries put together again are
-one look into that array, or the array itself; what is done to alike pieces (`compiling.map_alike`)
-then goes from array to array. Of few numbers nothing is remembered, and programs are what they
+one look into that array, or the array itself; what is done to alike pieces (`map_grouped`) then
+goes from array to array. Of few numbers nothing is remembered, and programs are what they
 were.
 """
 
@@ -55,8 +55,8 @@ def unstacked(array: jax.Array, least: int = MANY) -> list[jax.Array]:
 
 
 def _origin(number: Any) -> _Origin | None:
-    found = _ORIGINS.get(id(number))
-    return found if found is not None and found.number() is number else None
+    origin = _ORIGINS.get(id(number))
+    return origin if origin is not None and origin.number() is number else None
 
 
 def stacked(numbers: Sequence[Any], least: int = MANY) -> jax.Array:
@@ -68,24 +68,25 @@ def stacked(numbers: Sequence[Any], least: int = MANY) -> jax.Array:
     sources: list[Any] = []
     lengths = [0]
     starts: dict[int, int] = {}
-    for own in origins:
-        if own is not None and id(own.array) not in starts:
-            starts[id(own.array)] = lengths[-1]
-            sources.append(own.array)
-            lengths.append(lengths[-1] + len(own.array))
-    alone = [each for each, own in zip(numbers, origins, strict=True) if own is None]
+    for origin in origins:
+        if origin is not None and id(origin.array) not in starts:
+            starts[id(origin.array)] = lengths[-1]
+            sources.append(origin.array)
+            lengths.append(lengths[-1] + len(origin.array))
+    alone = [each for each, origin in zip(numbers, origins, strict=True) if origin is None]
     if 4 * (len(sources) + len(alone)) > len(numbers) or any(
         x.dtype != sources[0].dtype for x in sources
     ):
         return jnp.stack(numbers)
     if alone:
         sources.append(jnp.stack([jnp.asarray(x, sources[0].dtype) for x in alone]))
-    whole = sources[0] if len(sources) == 1 else jnp.concatenate(sources)
+    joined = sources[0] if len(sources) == 1 else jnp.concatenate(sources)
     further = iter(range(lengths[-1], lengths[-1] + len(alone)))
     places = [
-        next(further) if own is None else starts[id(own.array)] + own.place for own in origins
+        next(further) if origin is None else starts[id(origin.array)] + origin.place
+        for origin in origins
     ]
-    return looked_up(whole, np.array(places))
+    return looked_up(joined, np.array(places))
 
 
 def looked_up(array: jax.Array, places: np.ndarray) -> jax.Array:
@@ -152,14 +153,14 @@ class _Rest(eqx.Module):
     single: tuple[int, ...] = eqx.field(static=True)
 
 
-def has_many_alike(tree: Any) -> bool:
+def has_large_group(tree: Any) -> bool:
     """Whether a container of the tree holds so many alike pieces that a map over them is a loop."""
     level = jax.tree_util.default_registry.flatten_one_level(tree)
     pieces = [] if level is None else list(level[0])
     kinds = Counter(
         jax.tree.structure(each) for each in pieces if not jax.tree_util.all_leaves([each])
     )
-    return max(kinds.values(), default=0) >= LARGEST_UNROLLED or any(map(has_many_alike, pieces))
+    return max(kinds.values(), default=0) >= LARGEST_UNROLLED or any(map(has_large_group, pieces))
 
 
 def packed(tree: Any) -> tuple[Any, Any]:
@@ -167,7 +168,7 @@ def packed(tree: Any) -> tuple[Any, Any]:
     numbers become one array. One number that moves then moves them all, in batches and in
     derivatives: what has few pieces keeps its numbers apart."""
     arrays, rest = eqx.partition(tree, eqx.is_array)
-    if not has_many_alike(arrays):
+    if not has_large_group(arrays):
         return arrays, rest
     leaves, structure = jax.tree.flatten(arrays)
     single = tuple(i for i, x in enumerate(leaves) if jnp.shape(x) == () and x.dtype == jnp.float64)

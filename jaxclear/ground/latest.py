@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 import jax
 import numpy as np
 
-Found = TypeVar("Found")
+Value = TypeVar("Value")
 # Numbers of Python and NumPy, beside JAX's: what is told apart by type, shape and bytes.
 NUMBERS = (bool, int, float, complex, np.generic, np.ndarray)
 
@@ -18,14 +18,14 @@ class Key:
     """What is asked: trees are alike whose structure is the same and whose numbers are,
     bit for bit. Their functions are those of Python's, by identity."""
 
-    def __init__(self, *asked: Any):
-        self.asked = asked
-        self.leaves, self.structure = jax.tree.flatten(asked)
+    def __init__(self, *arguments: Any):
+        self.arguments = arguments
+        self.leaves, self.structure = jax.tree.flatten(arguments)
 
     @functools.cached_property
     def key(self) -> tuple:
         """All of it; of numbers that are being traced there is none."""
-        return (self.structure, *map(_told, self.leaves))
+        return (self.structure, *map(_hashable, self.leaves))
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -34,30 +34,33 @@ class Key:
         return self.key == other.key
 
 
-def _told(leaf: Any) -> Any:
+def _hashable(leaf: Any) -> Any:
     if not isinstance(leaf, NUMBERS) and not isinstance(leaf, jax.Array):
         return leaf
     array = np.asarray(leaf)
     return array.dtype.char, array.shape, array.tobytes()
 
 
-class Latest(Generic[Found]):
+class Latest(Generic[Value]):
     """The answers to the questions that were asked last, as long as their sizes sum up to `most`:
     by default so many. The very last one stays however large it is; several threads may ask."""
 
     def __init__(self, most: float):
         self.most, self.looking = most, threading.Lock()
-        self.kept: OrderedDict[Any, tuple[Found, float]] = OrderedDict()
+        self.entries: OrderedDict[Any, tuple[Value, float]] = OrderedDict()
 
-    def get(self, key: Any) -> Found | None:
+    def get(self, key: Any) -> Value | None:
         with self.looking:
-            if key not in self.kept:
+            if key not in self.entries:
                 return None
-            self.kept.move_to_end(key)
-            return self.kept[key][0]
+            self.entries.move_to_end(key)
+            return self.entries[key][0]
 
-    def keep(self, key: Any, found: Found, size: float = 1.0) -> None:
+    def keep(self, key: Any, value: Value, size: float = 1.0) -> None:
         with self.looking:
-            self.kept[key] = found, size
-            while len(self.kept) > 1 and sum(own for _, own in self.kept.values()) > self.most:
-                self.kept.popitem(last=False)
+            self.entries[key] = value, size
+            while (
+                len(self.entries) > 1
+                and sum(entry_size for _, entry_size in self.entries.values()) > self.most
+            ):
+                self.entries.popitem(last=False)

@@ -38,19 +38,42 @@ OFF_THE_TIES = 1 + 2.0**-20
 
 
 def safe_sqrt(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """sqrt(max(x, 0)); the derivative at and below zero is 0 instead of infinite."""
+    """sqrt(max(x, 0)); the derivative at and below zero is 0 instead of infinite.
+
+    Args:
+        x: radicand, any shape; values below 1e-100 count as zero.
+
+    Returns:
+        The root, of the same shape.
+    """
     positive = x > TINY_SQUARE
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, TINY_SQUARE)), 0.0)
 
 
 def safe_divide(numerator, denominator):
-    """numerator / denominator, and 0 with zero derivative where the denominator is exactly 0."""
+    """numerator / denominator, and 0 with zero derivative where the denominator is exactly 0.
+
+    Args:
+        numerator: dividend, an array of any shape.
+        denominator: divisor, an array of the same shape.
+
+    Returns:
+        The quotient.
+    """
     regular = denominator != 0
     return jnp.where(regular, numerator / jnp.where(regular, denominator, jnp.inf), 0.0)
 
 
 def direction_angle(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
-    """atan2(y, x), and 0 with zero derivative at the origin, where a direction does not exist."""
+    """atan2(y, x), and 0 with zero derivative at the origin.
+
+    Args:
+        x: first coordinate, any shape.
+        y: second coordinate, of the same shape.
+
+    Returns:
+        The angle [rad], from -pi to pi.
+    """
     somewhere = x * x + y * y > TINY_SQUARE
     return jnp.where(
         somewhere, jnp.arctan2(jnp.where(somewhere, y, 0.0), jnp.where(somewhere, x, 1.0)), 0.0
@@ -58,11 +81,15 @@ def direction_angle(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Arr
 
 
 def power(base: Float[Array, "..."], exponent: Float[Array, "..."] | None) -> Float[Array, "..."]:
-    """max(base, 0) ** exponent for an exponent above 1; value and first derivative are 0 at and
-    below zero.
+    """max(base, 0) ** exponent; value and first derivative are 0 at and below zero.
 
-    `exponent=None` is Hertz's 3/2, evaluated as x sqrt(x): several times cheaper than a general
-    power.
+    Args:
+        base: base, an array of any shape.
+        exponent: exponent [1], > 1; None for Hertz's 3/2, evaluated as x sqrt(x), which is several
+            times cheaper.
+
+    Returns:
+        The power, of the shape of `base`.
     """
     positive = base > 0
     inside = jnp.where(positive, base, TINY_SQUARE)
@@ -71,28 +98,60 @@ def power(base: Float[Array, "..."], exponent: Float[Array, "..."] | None) -> Fl
 
 
 def positive_part(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """max(x, 0), with derivative 0 at 0."""
+    """max(x, 0), with derivative 0 at 0.
+
+    Args:
+        x: an array of any shape.
+
+    Returns:
+        An array of the same shape.
+    """
     return jnp.where(x > 0, x, 0.0)
 
 
 def smooth_step(x: Float[Array, "..."], start, stop, low=0.0, high=1.0) -> Float[Array, "..."]:
-    """Cubic step from `low` at `start` to `high` at `stop`, constant outside (the STEP function of
-    Adams).
+    """Cubic step, constant outside an interval (the STEP function of Adams).
 
-    Continuous with its first derivative; low + (high - low) s^2 (3 - 2 s), s = (x - start) / (stop
-    - start).
+    low + (high - low) s^2 (3 - 2 s) with s = (x - start) / (stop - start); it is continuous with
+    its first derivative.
+
+    Args:
+        x: argument, an array of any shape.
+        start: value of `x` where the step begins.
+        stop: value of `x` where it ends, different from `start`.
+        low: value before it; 0 by default.
+        high: value behind it; 1 by default.
+
+    Returns:
+        The value, of the shape of `x`.
     """
     share = jnp.clip((x - start) / (stop - start), 0.0, 1.0)
     return low + (high - low) * share * share * (3.0 - 2.0 * share)
 
 
 def smooth_sign(x: Float[Array, "..."], width) -> Float[Array, "..."]:
-    """tanh(x / width): a sign function that passes through zero within a few widths."""
+    """tanh(x / width): a sign function that passes through zero within a few widths.
+
+    Args:
+        x: argument, an array of any shape.
+        width: width of the transition, in the unit of `x`, > 0.
+
+    Returns:
+        The value [1], between -1 and 1.
+    """
     return jnp.tanh(x / width)
 
 
 def rounded_norm(*components, width) -> Float[Array, "..."]:
-    """sqrt(sum of squares + width^2): above the norm by at most `width`, smooth at zero."""
+    """sqrt(sum of squares + width^2): exceeds the norm by at most `width`, smooth at zero.
+
+    Args:
+        components: components of a vector, arrays of one shape.
+        width: radius of the rounding, in the unit of the components, > 0.
+
+    Returns:
+        The norm, of the shape of a component.
+    """
     return jnp.sqrt(sum(component * component for component in components) + width * width)
 
 
@@ -117,10 +176,18 @@ SINE_BOTTOM = (
 
 @jax.custom_jvp
 def arc_sine(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """arcsin(x) for x within -1 and 1; the derivative at both ends is 0 instead of infinite.
+    """arcsin(x) for x from -1 to 1; the derivative at both ends is 0 instead of infinite.
 
-    Arithmetic alone, which XLA goes through eight numbers at a time: for `jnp.arcsin` it calls the
-    C library for each.
+    It consists of arithmetic, which XLA vectorises; for `jnp.arcsin` it calls the C library for
+    each number.
+
+    Args:
+        x: sine [1], from -1 to 1, any shape.
+
+    Returns:
+        The angle [rad], from -pi/2 to pi/2.
+
+    Source: The quotient of polynomials of Sun's fdlibm (e_asin.c).
     """
     size = jnp.abs(x)
     # Above 1/2 that of half the angle that is left to a right one.
@@ -155,12 +222,17 @@ SMALLEST_LOAD = 1e-300
 
 @jax.custom_jvp
 def inverse_entropy(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """The w < 1/e that solves -w ln w = x for 0 < x < 1/e (minus the lower branch of Lambert's
-    function), 0 for x <= 0.
+    """The w < 1/e that solves -w ln w = x for 0 < x < 1/e; 0 for x <= 0.
 
-    Newton's method on p - ln p = -ln x with p = -ln w, which is convex and keeps its relative
-    accuracy down to the smallest x. Differentiated by the implicit function theorem, dw/dx = 1 / (p
-    - 1), with 0 at and below x = 0.
+    It is minus x over the lower branch of Lambert's function. Newton's method solves p - ln p = -ln
+    x with p = -ln w; derivatives follow from the implicit function theorem. The accuracy is that of
+    rounding for x <= 0.3, and 3e-12 at 0.35.
+
+    Args:
+        x: value of -w ln w [1], below 1/e, any shape.
+
+    Returns:
+        w [1], of the same shape.
     """
     positive = x > SMALLEST_LOAD
     inside = jnp.where(positive, x, SMALLEST_LOAD)

@@ -17,8 +17,10 @@ import numpy as np
 
 
 class AbstractOutcome(enum.IntEnum):
-    """A family of outcomes: each member is a number, which compiled programs compare, and has a
-    `sentence`."""
+    """A family of outcomes of a compiled program.
+
+    Each member is a number, which the program compares, and has a `sentence`.
+    """
 
     sentence: str
 
@@ -35,7 +37,7 @@ QUIET, WORD, REASON = 0x7FF8 << 48, 0x4A43 << 32, 0xFFFF
 
 
 class Unknown(AbstractOutcome):
-    """Why a derivative is nan. `number`: the nan that says so."""
+    """Reasons why a derivative is nan."""
 
     SOMEHOW = (
         0,
@@ -85,25 +87,29 @@ class Unknown(AbstractOutcome):
 
     @property
     def number(self) -> np.float64:
-        """The nan that carries this reason."""
+        """The nan that carries this reason in its bits."""
         return np.uint64(QUIET | WORD | self.value).view(np.float64)
 
 
 def why_unknown(derivatives: Any) -> str:
-    """Why derivatives are nan, a sentence each reason; "" where none is.
+    """The reasons why derivatives are nan.
 
-    `derivatives`: what `jax.jvp`, `jax.jacfwd`, `jax.grad` of a run or a `Problem` have told: an
-    array, or anything that holds arrays.
+    Args:
+        derivatives: what `jax.jvp`, `jax.jacfwd` or `jax.grad` of a run or a `Problem` returned: an
+            array, or a pytree of arrays.
+
+    Returns:
+        A sentence for each reason; "" where no number is nan.
     """
-    found: dict[Unknown, None] = {}
+    reasons: dict[Unknown, None] = {}
     for leaf in jax.tree.leaves(derivatives):
         leaf = np.asarray(leaf)
         if leaf.dtype == np.float64:
             bits = np.unique(leaf[np.isnan(leaf)].view(np.uint64))
-            found |= dict.fromkeys(map(_reason, bits.tolist()))
-    return " ".join(f"{each.sentence[0].upper()}{each.sentence[1:]}" for each in found)
+            reasons |= dict.fromkeys(map(_reason, bits.tolist()))
+    return " ".join(f"{each.sentence[0].upper()}{each.sentence[1:]}" for each in reasons)
 
 
 def _reason(bits: int) -> Unknown:
-    known = (bits & (REASON << 32)) == WORD and (bits & REASON) in set(Unknown)
-    return Unknown(bits & REASON) if known else Unknown.SOMEHOW
+    has_reason = (bits & (REASON << 32)) == WORD and (bits & REASON) in set(Unknown)
+    return Unknown(bits & REASON) if has_reason else Unknown.SOMEHOW

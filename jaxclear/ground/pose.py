@@ -34,30 +34,58 @@ __getattr__, __dir__ = nothing_else("jaxclear.pose", __all__)
 
 
 class Pose(NamedTuple):
-    """Rotation R (axes of the child in the parent) and translation p (origin of the child in the
-    parent).
+    """Rotation and translation of a child frame in its parent: x_parent = p + R x_child.
+
+    Args:
+        rotation: axes of the child in the parent [1], 3 rows of 3.
+        translation: origin of the child in the parent [m], 3 numbers.
     """
 
     rotation: sp.Mat
     translation: sp.Vec
 
     def after(self, inner: "Pose") -> "Pose":
-        """Composition: first `inner`, then this one."""
+        """Composition: first `inner`, then this pose.
+
+        Args:
+            inner: pose in the child frame of this one.
+
+        Returns:
+            The pose of the inner child in this pose's parent.
+        """
         return Pose(
             sp.product(self.rotation, inner.rotation),
             sp.plus(self.translation, sp.apply(self.rotation, inner.translation)),
         )
 
     def inverse(self) -> "Pose":
+        """The pose of the parent in the child.
+
+        Returns:
+            The inverse.
+        """
         rotation = sp.transpose(self.rotation)
         return Pose(rotation, tuple(sp.neg(x) for x in sp.apply(rotation, self.translation)))
 
     def point(self, local: sp.Vec) -> sp.Vec:
+        """A point in parent coordinates.
+
+        Args:
+            local: the point in child coordinates [m], 3 numbers.
+
+        Returns:
+            The point in parent coordinates [m], 3 numbers.
+        """
         return sp.plus(self.translation, sp.apply(self.rotation, local))
 
 
 class Twist(NamedTuple):
-    """Linear velocity of the frame's origin and angular velocity, both in the frame's own axes."""
+    """Velocity of a frame, in its own axes.
+
+    Args:
+        linear: velocity of its origin [m/s], 3 numbers.
+        angular: angular velocity [rad/s], 3 numbers.
+    """
 
     linear: sp.Vec
     angular: sp.Vec
@@ -80,26 +108,54 @@ AXES: dict[str, sp.Mat] = {
 
 
 def rotation_z(angle: Any) -> sp.Mat:
-    """Rotation about z by an angle [rad]."""
+    """Rotation about z.
+
+    Args:
+        angle: angle [rad].
+
+    Returns:
+        The rotation matrix, 3 rows of 3.
+    """
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     return ((cosine, -sine, 0), (sine, cosine, 0), (0, 0, 1))
 
 
 def rotation_x(angle: Any) -> sp.Mat:
-    """Rotation about x by an angle [rad]."""
+    """Rotation about x.
+
+    Args:
+        angle: angle [rad].
+
+    Returns:
+        The rotation matrix, 3 rows of 3.
+    """
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     return ((1, 0, 0), (0, cosine, -sine), (0, sine, cosine))
 
 
 def rotation_y(angle: Any) -> sp.Mat:
-    """Rotation about y by an angle [rad]."""
+    """Rotation about y.
+
+    Args:
+        angle: angle [rad].
+
+    Returns:
+        The rotation matrix, 3 rows of 3.
+    """
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     return ((cosine, 0, sine), (0, 1, 0), (-sine, 0, cosine))
 
 
 def rotation_from_quaternion(quaternion: tuple) -> sp.Mat:
-    """Rotation of a quaternion (w, x, y, z) of any nonzero length: the length drops out, so drift
-    cannot scale it.
+    """Rotation matrix of a quaternion of any length above zero.
+
+    The length is divided out, so drift of the length does not scale the rotation.
+
+    Args:
+        quaternion: (w, x, y, z) [1], scalar first.
+
+    Returns:
+        The rotation matrix, 3 rows of 3.
     """
     w, x, y, z = quaternion
     s = 2.0 / (w * w + x * x + y * y + z * z)
@@ -115,7 +171,15 @@ def rotation_from_quaternion(quaternion: tuple) -> sp.Mat:
 
 
 def quaternion_rate(quaternion: tuple, angular: sp.Vec) -> tuple:
-    """dq/dt = 1/2 q * (0, omega) for an angular velocity in body axes."""
+    """Rate of a quaternion, 1/2 q * (0, omega).
+
+    Args:
+        quaternion: (w, x, y, z) [1], scalar first.
+        angular: angular velocity in body axes [rad/s], 3 numbers.
+
+    Returns:
+        The rate [1/s], 4 numbers.
+    """
     w, x, y, z = quaternion
     a, b, c = angular
     return (
@@ -127,9 +191,15 @@ def quaternion_rate(quaternion: tuple, angular: sp.Vec) -> tuple:
 
 
 def quaternion_from_rotation(rotation: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
-    r"""Unit quaternion (w, x, y, z), w >= 0, of rotation matrices.
+    """Unit quaternions of rotation matrices.
 
-    The matrix gives :math:`4 q q^T`; q is the row of its largest diagonal entry, made a unit.
+    The matrix gives :math:`4 q q^T`; q is the row of its largest diagonal entry, normalised.
+
+    Args:
+        rotation: rotation matrices [1], shape (*n, 3, 3).
+
+    Returns:
+        Quaternions (w, x, y, z), w >= 0, shape (*n, 4).
 
     Source: Shepperd 1978, J. Guidance and Control 1, 223, doi:10.2514/3.55767b.
     """
@@ -151,11 +221,17 @@ def quaternion_from_rotation(rotation: Float[Array, "*n 3 3"]) -> Float[Array, "
 
 
 def frame_with_axis(axis: tuple) -> sp.Mat:
-    """A rotation whose third column is the given axis [any length]; its first column is as near to
-    x as it can be.
+    """A rotation whose third column is an axis and whose first column is as near to x as possible.
 
-    Smooth in the axis except where it points along -z (Frisvad 2012, J. Graphics Tools 16, 151, eq.
-    3).
+    It is smooth in the axis except where the axis points along -z.
+
+    Args:
+        axis: axis, 3 numbers of any length above zero, not along -z.
+
+    Returns:
+        The rotation matrix, 3 rows of 3.
+
+    Source: Frisvad 2012, J. Graphics Tools 16, 151, eq. 3.
     """
     x, y, z = axis
     length = jnp.sqrt(x * x + y * y + z * z)
@@ -166,8 +242,15 @@ def frame_with_axis(axis: tuple) -> sp.Mat:
 
 
 def frame_in_plane(axis: tuple) -> sp.Mat:
-    """A rotation whose third column is the given axis, of 2 or 3 numbers [any length] and not along
-    z; its first column lies in the x-y plane, a quarter turn ahead of the axis, as in `AXES`.
+    """A rotation whose third column is an axis and whose first column lies in the x-y plane.
+
+    The first column is a quarter turn ahead of the axis, as in `AXES`.
+
+    Args:
+        axis: axis, 2 or 3 numbers of any length above zero, not along z.
+
+    Returns:
+        The rotation matrix, 3 rows of 3.
     """
     x, y, z = axis if len(axis) == 3 else (*axis, 0)
     flat = jnp.sqrt(x * x + y * y)

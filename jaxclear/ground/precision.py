@@ -19,8 +19,8 @@ def _computes() -> bool:
     """Whether JAX has begun to compute in this process. Where it does not say so any more, it is
     taken to have."""
     bridge = sys.modules.get("jax._src.xla_bridge")
-    begun = getattr(bridge, "backends_are_initialized", lambda: True)
-    return bool(begun())
+    is_initialised = getattr(bridge, "backends_are_initialized", lambda: True)
+    return bool(is_initialised())
 
 
 def _note() -> None:

@@ -37,33 +37,35 @@ def unit_of_field(metadata: Mapping[str, Any]) -> str:
 def part_in_words(part: Any) -> str:
     """What a user types for its class, and its fields: in a line, or a line for each part in it."""
     kind = public_name(type(part))
-    told = list(fields_in_words(part))
-    line = f"{kind} {', '.join(text for _, text in told)}".rstrip()
+    entries = list(fields_in_words(part))
+    line = f"{kind} {', '.join(text for _, text in entries)}".rstrip()
     if len(line) <= LONGEST:
         return line
-    inner = [text for name, text in told if isinstance(getattr(part, name), eqx.Module)]
-    own = [text for name, text in told if not isinstance(getattr(part, name), eqx.Module)]
-    return "\n".join([f"{kind} {', '.join(own)}".rstrip(), *(f"{INDENT}{text}" for text in inner)])
+    inner = [text for name, text in entries if isinstance(getattr(part, name), eqx.Module)]
+    scalars = [text for name, text in entries if not isinstance(getattr(part, name), eqx.Module)]
+    return "\n".join(
+        [f"{kind} {', '.join(scalars)}".rstrip(), *(f"{INDENT}{text}" for text in inner)]
+    )
 
 
 def as_typed(part: Any) -> str:
     """A part as a user would write it, defaults left out: FixedStep(step=5e-05, method="euler")."""
-    told = []
+    arguments = []
     for field in dataclasses.fields(part):
-        value, usual = getattr(part, field.name), field.default
-        if usual is dataclasses.MISSING and field.default_factory is not dataclasses.MISSING:
-            usual = field.default_factory()
+        value, default = getattr(part, field.name), field.default
+        if default is dataclasses.MISSING and field.default_factory is not dataclasses.MISSING:
+            default = field.default_factory()
         number = isinstance(value, (jax.Array, float)) and np.ndim(value) == 0
         if isinstance(value, eqx.Module):
-            said = "" if type(value) is type(usual) else f"{type(value).__name__}()"
-        elif number and (field.name in ALWAYS_TYPED or usual is None or value != usual):
-            said = f"{float(value):.9g}"
-        elif number or value == usual:
-            said = ""
+            text = "" if type(value) is type(default) else f"{type(value).__name__}()"
+        elif number and (field.name in ALWAYS_TYPED or default is None or value != default):
+            text = f"{float(value):.9g}"
+        elif number or value == default:
+            text = ""
         else:
-            said = f'"{value}"' if isinstance(value, str) else repr(value)
-        told += [f"{field.name}={said}"] if said else []
-    return f"{type(part).__name__}({', '.join(told)})"
+            text = f'"{value}"' if isinstance(value, str) else repr(value)
+        arguments += [f"{field.name}={text}"] if text else []
+    return f"{type(part).__name__}({', '.join(arguments)})"
 
 
 def numbers_in_words(part: Any, unit: Unit = unit_of_field) -> str:
@@ -74,7 +76,9 @@ def numbers_in_words(part: Any, unit: Unit = unit_of_field) -> str:
 def fields_in_words(part: Any, unit: Unit = unit_of_field) -> Iterator[tuple[str, str]]:
     """Every field that holds something, by name, in the order of its arguments: numbers with units,
     parts by their kind."""
-    for field in sorted(dataclasses.fields(part), key=lambda own: bool(own.kw_only)):
+    for field in sorted(
+        dataclasses.fields(part), key=lambda declared_field: bool(declared_field.kw_only)
+    ):
         value = getattr(part, field.name)
         empty = isinstance(value, (str, tuple, dict)) and not value
         if value is not None and not empty:
@@ -84,9 +88,9 @@ def fields_in_words(part: Any, unit: Unit = unit_of_field) -> Iterator[tuple[str
 def _in_words(value: Any, metadata: Mapping[str, Any], unit: Unit) -> str:
     if isinstance(value, eqx.Module):
         return in_a_line(value, unit)
-    own = unit(metadata)
-    own = "" if own in ("", "1") or own.startswith("(") else f" {own}"
-    return f"{number_in_words(value)}{own}"
+    unit_text = unit(metadata)
+    unit_text = "" if unit_text in ("", "1") or unit_text.startswith("(") else f" {unit_text}"
+    return f"{number_in_words(value)}{unit_text}"
 
 
 @functools.singledispatch
@@ -102,8 +106,8 @@ def number_in_words(value: Any) -> str:
     if isinstance(value, jax.core.Tracer):
         return "(traced)"
     if isinstance(value, tuple):
-        told = ", ".join(map(_entry, value))
-        return f"({told})" if len(value) != 1 else told
+        entries = ", ".join(map(_entry, value))
+        return f"({entries})" if len(value) != 1 else entries
     if isinstance(value, (jax.Array, float)) and not getattr(value, "shape", ()):
         return f"{float(value):.6g}"
     return value if isinstance(value, str) else described(value)
@@ -114,11 +118,11 @@ def _entry(value: Any) -> str:
 
 
 # Numbers between these need no exponent; an error that is a smaller share is none to be seen.
-SMALL, PLAIN, GIVEN = 1e-3, 1e6, 1e-6
+SMALL, PLAIN, LEAST_ERROR_SHARE = 1e-3, 1e6, 1e-6
 # Columns of a terminal; lines of a text from which on a notebook folds it.
 WIDTH, MOST_LINES = 80, 12
 # Of a float64; and of a number that a user gave, without the rounding of a sum.
-MOST_DIGITS, GIVEN_DIGITS = 15, 10
+MOST_DIGITS, USER_DIGITS = 15, 10
 
 
 class AbstractShown(eqx.Module):
@@ -155,8 +159,8 @@ class AbstractShown(eqx.Module):
         return "".join(map(_in_html, self._parts()))
 
     def _parts(self) -> tuple[Any, ...]:
-        shown = self._shown()
-        return (shown,) if isinstance(shown, str) else tuple(shown)
+        content = self._shown()
+        return (content,) if isinstance(content, str) else tuple(content)
 
 
 def _read_only(kind: type, name: str) -> str:
@@ -166,15 +170,15 @@ def _read_only(kind: type, name: str) -> str:
         return unknown("field", name, fields, f" in {owner}")
     # A class with an `__init__` of its own may take other arguments than it has fields.
     plain = list(inspect.signature(kind).parameters) == fields
-    way = f", dataclasses.replace(it, {name}=...)" if plain else ""
+    hint = f", dataclasses.replace(it, {name}=...)" if plain else ""
     return (
-        f"{owner} is read-only: {name} stays as it was built and checked. Build another{way}; "
+        f"{owner} is read-only: {name} stays as it was built and checked. Build another{hint}; "
         "mechanism.with_body, with_joint, with_load and with_coupling put it in. To change a "
         "number alone write equinox.tree_at(lambda mechanism: ..., mechanism, number)."
     )
 
 
-def shown_in_words(kind: Any) -> Any:
+def with_text_repr(kind: Any) -> Any:
     """Decorates a class of few words (`__str__`): whatever shows it, a list that it is in too,
     shows these."""
     kind.__repr__ = kind.__str__
@@ -195,7 +199,7 @@ def _in_html(part: Any) -> str:
     return f"<details><summary>{first}</summary><pre>{folded}</pre></details>"
 
 
-def left_out(failed: int, sample: str) -> str:
+def failed_samples_sentence(failed: int, sample: str) -> str:
     """A sentence for samples that failed; "" where none did."""
     several = f"{failed} {sample}s failed and are left out."
     return several if failed > 1 else f"1 {sample} failed and is left out." if failed else ""
@@ -203,7 +207,7 @@ def left_out(failed: int, sample: str) -> str:
 
 def as_written(number: Any) -> str:
     """A number that a user gave, such as a limit, with all that anybody writes of it."""
-    return f"{float(number):.{GIVEN_DIGITS}g}"
+    return f"{float(number):.{USER_DIGITS}g}"
 
 
 def in_digits(value: float, error: float, least: int = 5) -> str:
@@ -218,11 +222,11 @@ def in_few(value: float, digits: int) -> str:
     """A number with so many digits; no exponent for being large below a million, and no -0."""
     if math.isnan(value):
         return "–"
-    told = f"{value or 0.0:.{digits}g}"
-    return f"{float(told):.0f}" if "e+" in told and abs(value) < PLAIN else told
+    text = f"{value or 0.0:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < PLAIN else text
 
 
-def error_told(error: float) -> float:
+def displayed_error(error: float) -> float:
     """An error as it is shown: one without a bound is not known."""
     return abs(error) if math.isfinite(error) else math.nan
 
@@ -233,15 +237,17 @@ def with_error(value: float, error: float) -> str:
     if math.isinf(value):
         return in_few(value, 4)
     size = max(abs(value), error)
-    if not (math.isfinite(size) and error > GIVEN * size):
-        known = error > 0 and math.isfinite(size)
-        digits = GIVEN_DIGITS if known else 4 if error else 6
-        return f"{in_few(value, digits)} ± {in_few(error_told(error), 2)}"
+    if not (math.isfinite(size) and error > LEAST_ERROR_SHARE * size):
+        has_bound = error > 0 and math.isfinite(size)
+        digits = USER_DIGITS if has_bound else 4 if error else 6
+        return f"{in_few(value, digits)} ± {in_few(displayed_error(error), 2)}"
     power = math.floor(math.log10(size))
     power = 0 if SMALL <= size < PLAIN else power
     places = power + 1 - math.floor(math.log10(error))
-    told = [f"{round(own / 10.0**power, places):.{max(places, 0)}f}" for own in (value, error)]
-    if float(told[0]) == 0:
-        told[0] = told[0].lstrip("-")
-    both = " ± ".join(told)
+    texts = [
+        f"{round(number / 10.0**power, places):.{max(places, 0)}f}" for number in (value, error)
+    ]
+    if float(texts[0]) == 0:
+        texts[0] = texts[0].lstrip("-")
+    both = " ± ".join(texts)
     return f"({both})e{power:+03d}" if power else both

@@ -69,7 +69,7 @@ class FieldRule(NamedTuple):
     entries: type | None
     length: int | None
     least: float | None
-    wanted: str
+    allowed_text: str
 
     def admits(self, value: Any) -> bool:
         """Whether the field may hold this value; ranges of numbers apart."""
@@ -99,8 +99,8 @@ def _is_simple(value: Any, kinds: tuple[type, ...]) -> bool:
 @functools.cache
 def field_rules(kind: type) -> tuple[FieldRule, ...]:
     """The rules of a class's fields, of those that this module knows."""
-    found = (_rule(field) for field in dataclasses.fields(kind))
-    return tuple(rule for rule in found if rule is not None)
+    rules = (_rule(field) for field in dataclasses.fields(kind))
+    return tuple(rule for rule in rules if rule is not None)
 
 
 def _rule(field: dataclasses.Field) -> FieldRule | None:
@@ -117,9 +117,9 @@ def _rule(field: dataclasses.Field) -> FieldRule | None:
     if tuples and get_args(tuples[0])[0] in SIMPLE:
         inner = get_args(tuples[0])
         entries, length = inner[0], None if Ellipsis in inner else len(inner)
-    known = measured or allowed or simple or function or entries
+    has_rule = measured or allowed or simple or function or entries
     strange = any(k is Any or isinstance(k, str) for k in kinds) and not measured
-    if not known or strange or not field.init:
+    if not has_rule or strange or not field.init:
         return None
     return FieldRule(
         field.name,
@@ -131,7 +131,7 @@ def _rule(field: dataclasses.Field) -> FieldRule | None:
         entries,
         length,
         field.metadata.get("at_least") if simple else None,
-        _wanted(field, allowed, several, function, (entries, length), optional),
+        _allowed_text(field, allowed, several, function, (entries, length), optional),
     )
 
 
@@ -144,7 +144,7 @@ def members_of_union(declared: Any) -> Iterator[Any]:
         yield declared
 
 
-def _wanted(field, allowed, several, function, of_tuple, optional) -> str:
+def _allowed_text(field, allowed, several, function, of_tuple, optional) -> str:
     """What the field may hold, in words."""
     entries, length = of_tuple
     if "wanted" in field.metadata:
@@ -182,11 +182,11 @@ def _family(kind: type) -> str:
         return f"one of {kind.__module__.partition('.')[0]}"
     if not kind.__name__.startswith("Abstract"):
         return f"a jaxclear.{path}"
-    places = dict.fromkeys(public_name(own).rpartition(".")[0] for own in final_members(kind))
-    found = [place] if place in places or not any(places) else [each for each in places if each]
-    if not any(found):
+    places = dict.fromkeys(public_name(member).rpartition(".")[0] for member in final_members(kind))
+    modules = [place] if place in places or not any(places) else [each for each in places if each]
+    if not any(modules):
         return f"a {name.removeprefix('Abstract')}"
-    return f"one of {' or '.join(f'jaxclear.{each}' for each in found)}"
+    return f"one of {' or '.join(f'jaxclear.{each}' for each in modules)}"
 
 
 def range_in_words(metadata: Any) -> str:
@@ -203,7 +203,7 @@ def check_kinds(owner: Callable[[], str], part: Any) -> None:
         value = getattr(part, rule.name)
         if not rule.admits(value):
             raise ValueError(
-                f"{owner()} has {rule.name} = {described(value)}; it must be {rule.wanted}"
+                f"{owner()} has {rule.name} = {described(value)}; it must be {rule.allowed_text}"
                 f"{_remedy(rule, value)}."
             )
 
@@ -227,7 +227,7 @@ def _remedy(rule: FieldRule, value: Any) -> str:
     return ""
 
 
-def as_given(converter: Callable[[Any], Any]) -> Callable[[Any], Any]:
+def lenient_converter(converter: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """The converter of a field, which leaves alone what it cannot convert: the field's check then
     refuses it by name."""
 
@@ -310,10 +310,10 @@ def as_vector(value: Any) -> Any:
         raise ValueError(
             f"expected several numbers, one for each direction, got {described(value)}."
         )
-    found = tuple(as_number(component) for component in value)
-    if any(component is None for component in found):
+    components = tuple(as_number(component) for component in value)
+    if any(component is None for component in components):
         raise ValueError("expected several numbers, got None among them.")
-    return found
+    return components
 
 
 def concrete(value: Any) -> float | None:
@@ -333,13 +333,13 @@ def is_traced(tree: Any) -> bool:
 def _encloses_traced(function: Any) -> bool:
     """Whether a function of Python's hangs on a number that is being traced, by whatever it
     encloses: other functions, containers, objects with numbers."""
-    near, seen = [function], set[int]()
-    while near and len(seen) < MOST_ENCLOSED:
+    near, visited = [function], set[int]()
+    while near and len(visited) < MOST_ENCLOSED:
         if any(isinstance(one, jax.core.Tracer) for one in near):
             return True
-        near = [one for one in near if id(one) not in seen]
-        seen.update(map(id, near))
-        near = [held for one in near for held in _within(one)]
+        near = [one for one in near if id(one) not in visited]
+        visited.update(map(id, near))
+        near = [enclosed for one in near for enclosed in _within(one)]
     return False
 
 
@@ -356,15 +356,15 @@ def _within(one: Any) -> list:
         return list(one.values())
     if isinstance(one, (list, tuple)):
         return list(one)
-    known = isinstance(one, (type, types.ModuleType, jax.Array))
-    return [] if known else list(getattr(one, "__dict__", {}).values())
+    has_no_parts = isinstance(one, (type, types.ModuleType, jax.Array))
+    return [] if has_no_parts else list(getattr(one, "__dict__", {}).values())
 
 
 def on_host(tree: Any) -> Any:
     """A tree with NumPy's arrays in the place of JAX's, but for those that are traced: what is done
     with a few of its numbers then compiles nothing, and costs a microsecond in the place of ten."""
-    known = lambda x: isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer)
-    return jax.tree.map(lambda x: np.asarray(x) if known(x) else x, tree)
+    is_known = lambda x: isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer)
+    return jax.tree.map(lambda x: np.asarray(x) if is_known(x) else x, tree)
 
 
 Of = TypeVar("Of", bound=eqx.Module)
@@ -373,10 +373,10 @@ Of = TypeVar("Of", bound=eqx.Module)
 def with_fields(module: Of, **values: Any) -> Of:
     """A module with other values in some fields, which are right and need no check: as
     `dataclasses.replace`, which takes a tenth of a millisecond to build a large one anew."""
-    own = copy.copy(module)
+    changed = copy.copy(module)
     for name, value in values.items():
-        object.__setattr__(own, name, value)
-    return own
+        object.__setattr__(changed, name, value)
+    return changed
 
 
 def with_quantities(tree: Any) -> Any:
@@ -448,20 +448,31 @@ def quantity(
     at_most: float | None = None,
     **kwargs: Any,
 ) -> Any:
-    """A scalar field with a unit (SI, "1" if none), a sentence of meaning and the range of its
-    values.
+    """Declare a field that holds one number with a unit and a range.
 
-    `default` may be a number or `None`. The range, `above`, `at_least`, `below`, `at_most` [unit],
-    is checked when an object is built (see `AbstractQuantified`), for all numbers of a mechanism,
-    and for every sample of a study.
-    `converter` is for what may be given in other ways than as one number. `usual`: (least, largest,
-    likely slip) of what mechanisms have; beyond them a `Mechanism` warns.
+    The range is checked when an object is built (see `AbstractQuantified`) and for every sample of
+    a study.
+
+    Args:
+        default: a number, or None where the number may be absent; without it the field is required.
+        unit: SI unit; "1" (default) for a number without.
+        meaning: what the number is, part of a sentence; "" by default.
+        above: exclusive lower bound [unit]; None (default) for none.
+        at_least: inclusive lower bound [unit]; None (default) for none.
+        below: exclusive upper bound [unit]; None (default) for none.
+        at_most: inclusive upper bound [unit]; None (default) for none.
+        kwargs: further arguments of `equinox.field`; `converter` for a field that accepts more than
+            one number; `usual`, (least, largest, likely mistake) [unit] of usual mechanisms, beyond
+            which a `Mechanism` warns; `wanted`, what the field accepts, in words.
+
+    Returns:
+        The field.
     """
     bounds = {"above": above, "at_least": at_least, "below": below, "at_most": at_most}
-    said = {k: v for k, v in bounds.items() if v is not None}
-    said |= {k: kwargs.pop(k) for k in METADATA if k in kwargs}
+    metadata = {k: v for k, v in bounds.items() if v is not None}
+    metadata |= {k: kwargs.pop(k) for k in METADATA if k in kwargs}
     converter = kwargs.pop("converter", as_number)
-    return _field(default, unit, meaning, converter, kwargs, said)
+    return _field(default, unit, meaning, converter, kwargs, metadata)
 
 
 # Metadata of a field that a check reads: numbers of a vector, what it must be in words, its usual
@@ -477,38 +488,64 @@ def vector(
     counts: tuple[int, ...] = (),
     **kwargs: Any,
 ) -> Any:
-    """A field of two or more scalars, each its own leaf, sharing one unit. `counts`: how many there
-    may be (any number by default).
+    """Declare a field that holds several numbers with one unit, each a leaf of its own.
+
+    Args:
+        default: numbers, or None where they may be absent; without it the field is required.
+        unit: SI unit; "1" (default) for numbers without.
+        meaning: what the numbers are, part of a sentence; "" by default.
+        counts: allowed numbers of components; any (default) where empty.
+        kwargs: further arguments of `equinox.field`; `converter`, `usual` and `wanted` as of
+            `quantity`.
+
+    Returns:
+        The field.
     """
-    said = {"counts": counts} | {k: kwargs.pop(k) for k in METADATA if k in kwargs}
-    return _field(default, unit, meaning, kwargs.pop("converter", as_vector), kwargs, said)
+    metadata = {"counts": counts} | {k: kwargs.pop(k) for k in METADATA if k in kwargs}
+    return _field(default, unit, meaning, kwargs.pop("converter", as_vector), kwargs, metadata)
 
 
 def count(default: Any = dataclasses.MISSING, meaning: str = "", at_least: int = 1, **kwargs: Any):
-    """A static field of a whole number: how often, how many."""
-    said = {"at_least": at_least, "meaning": meaning}
+    """Declare a static field that holds a whole number.
+
+    Args:
+        default: the number; without it the field is required.
+        meaning: what is counted, part of a sentence; "" by default.
+        at_least: smallest number allowed; 1 by default.
+        kwargs: further arguments of `equinox.field`.
+
+    Returns:
+        The field.
+    """
+    metadata = {"at_least": at_least, "meaning": meaning}
     if default is not dataclasses.MISSING:
         kwargs["default"] = default
-    return eqx.field(static=True, metadata=said, converter=_counted, **kwargs)
+    return eqx.field(static=True, metadata=metadata, converter=_counted, **kwargs)
 
 
-def _counted(given: Any) -> Any:
+def _counted(value: Any) -> Any:
     """NumPy's whole numbers as Python's."""
-    return int(given) if isinstance(given, np.integer) else given
+    return int(value) if isinstance(value, np.integer) else value
 
 
-def _field(default, unit, meaning, converter, kwargs, said):
-    metadata = {"unit": unit, "meaning": meaning} | said
+def _field(default, unit, meaning, converter, kwargs, further):
+    metadata = {"unit": unit, "meaning": meaning} | further
     if default is not dataclasses.MISSING:
         kwargs["default"] = default
-    return eqx.field(converter=as_given(converter), metadata=metadata, **kwargs)
+    return eqx.field(converter=lenient_converter(converter), metadata=metadata, **kwargs)
 
 
 class AbstractQuantified(AbstractShown, metaclass=AnsweringMeta):
-    """What has numbers with units. Building one raises `ValueError` for a field that holds what it
-    may not, a number that is not finite or outside its range: `integrator.MoreauJean has gamma =
-    -1; it must be at least 0.` What a class compares in a `__check_init__` of its own comes after
-    that. `print` shows its numbers with their units.
+    """Base class of everything that has numbers with units.
+
+    Building an object checks its fields: `integrator.MoreauJean has gamma = -1; it must be at least
+    0.` A `__check_init__` of a subclass runs after that. `print` shows the numbers with their
+    units. A class that derives from it declares its numbers by `jaxclear.quantity` and
+    `jaxclear.vector`.
+
+    Raises:
+        ValueError: if a field holds a value of the wrong kind, a number that is not finite or
+            outside its range.
     """
 
     def _shown(self):
@@ -522,8 +559,8 @@ class AbstractQuantified(AbstractShown, metaclass=AnsweringMeta):
         owner = lambda: public_name(type(self))
         check_kinds(owner, self)
         for name, metadata in _measured(type(self)):
-            for path, leaf, said in _numbers(getattr(self, name), name, metadata):
-                check_range(owner, path, leaf, said)
+            for path, leaf, field_metadata in _numbers(getattr(self, name), name, metadata):
+                check_range(owner, path, leaf, field_metadata)
 
 
 @functools.cache
@@ -555,12 +592,14 @@ def check_range(owner: Callable[[], str], path: str, leaf: Any, metadata: Mappin
     ):
         return
     unit = "" if metadata["unit"] == "1" else f" {metadata['unit']}"
-    wanted = [range_in_words(metadata)] if range_in_words(metadata) else []
-    wanted += [] if np.all(np.isfinite(leaf)) else ["finite"]
-    shown = (
+    required = [range_in_words(metadata)] if range_in_words(metadata) else []
+    required += [] if np.all(np.isfinite(leaf)) else ["finite"]
+    value_text = (
         f"{value:g}" if isinstance(value, float) else np.array2string(np.asarray(leaf), threshold=6)
     )
-    raise ValueError(f"{owner()} has {path} = {shown}{unit}; it must be {' and '.join(wanted)}.")
+    raise ValueError(
+        f"{owner()} has {path} = {value_text}{unit}; it must be {' and '.join(required)}."
+    )
 
 
 def numbers(tree: Any, name: str = "") -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
@@ -588,13 +627,13 @@ def _numbers(tree, path, metadata):
     if isinstance(tree, jax.Array):
         yield path, tree, metadata
     elif isinstance(tree, eqx.Module):
-        for name, said in _leaves(type(tree)):
+        for name, field_metadata in _leaves(type(tree)):
             inner = f"{path}.{name}" if path else name
             value = getattr(tree, name)
             if isinstance(value, jax.Array):
-                yield inner, value, said
+                yield inner, value, field_metadata
             elif value is not None:
-                yield from _numbers(value, inner, said)
+                yield from _numbers(value, inner, field_metadata)
     elif isinstance(tree, dict):
         for key, value in tree.items():
             yield from _numbers(value, f'{path}["{key}"]', metadata)

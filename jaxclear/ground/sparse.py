@@ -38,7 +38,7 @@ def mul(a: Any, b: Any) -> Any:
         a, b = b, a
     if isinstance(a, int):
         return 0 if a == 0 else b if a == 1 else -b if a == -1 else float(a) * b
-    return lax.mul(a, b) if _alike(a, b) else a * b
+    return lax.mul(a, b) if _is_traced_pair(a, b) else a * b
 
 
 def add(a: Any, b: Any) -> Any:
@@ -47,7 +47,7 @@ def add(a: Any, b: Any) -> Any:
         return b
     if is_zero(b):
         return a
-    return lax.add(a, b) if _alike(a, b) else a + b
+    return lax.add(a, b) if _is_traced_pair(a, b) else a + b
 
 
 def neg(a: Any) -> Any:
@@ -61,10 +61,10 @@ def sub(a: Any, b: Any) -> Any:
         return a
     if is_zero(a):
         return -b
-    return lax.sub(a, b) if _alike(a, b) else a - b
+    return lax.sub(a, b) if _is_traced_pair(a, b) else a - b
 
 
-def _alike(a: Any, b: Any) -> bool:
+def _is_traced_pair(a: Any, b: Any) -> bool:
     """Whether both are being traced as numbers of one type and shape: JAX's operators, which look
     for what is not, trace half as fast."""
     traced = isinstance(a, jax.core.Tracer) and isinstance(b, jax.core.Tracer)

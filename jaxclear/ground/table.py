@@ -17,15 +17,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxclear.ground.printing import PLAIN, SMALL, WIDTH, error_told, in_few, with_error
+from jaxclear.ground.printing import PLAIN, SMALL, WIDTH, displayed_error, in_few, with_error
 
 # Spaces between columns; where the names of rows, and heads over narrow columns, are broken.
-APART, NAMES, HEAD = 2, 40, 12
+COLUMN_GAP, NAMES, HEAD = 2, 40, 12
 # Digits of a column, and the most where its numbers differ by less, as a micrometre beside a metre,
 # or rise by less, as times do.
 DIGITS, MOST_DIGITS, MOST_OF_STEPS = 4, 7, 9
 # Numbers of a column are alike in size where the least is at least this share of the largest.
-ALIKE = 0.1
+SIMILAR_SHARE = 0.1
 # A longer table shows its first and its last rows, as many as stand here second.
 MOST_ROWS, ENDS = 200, 10
 # Longer texts than this stand below a table that has no room for them.
@@ -51,11 +51,11 @@ def as_table(
     `index`: the columns that name its rows. `units`: by column; a column "unit" has those of the
     rows. `errors`: by column that of its error, by default "mean error" for "mean".
     """
-    found = _kind()(rows, columns=columns)
-    found = found if index is None else found.set_index(index)
-    told = {"units": dict(units or {}), "errors": dict(errors or {})}
-    found.attrs = told | getattr(rows, "attrs", {})
-    return found
+    table = _kind()(rows, columns=columns)
+    table = table if index is None else table.set_index(index)
+    attributes = {"units": dict(units or {}), "errors": dict(errors or {})}
+    table.attrs = attributes | getattr(rows, "attrs", {})
+    return table
 
 
 @functools.cache
@@ -71,10 +71,10 @@ def _kind() -> Any:
             return Table
 
         def __finalize__(self, other, method=None, **kwargs):
-            found = pandas.DataFrame.__finalize__(self, other, method=method, **kwargs)
+            table = pandas.DataFrame.__finalize__(self, other, method=method, **kwargs)
             if method in ("corr", "cov"):
-                found.attrs = {}
-            return found
+                table.attrs = {}
+            return table
 
         def _arith_method(self, other, operation):
             return pandas.DataFrame(self)._arith_method(other, operation)
@@ -115,10 +115,10 @@ class _Column(NamedTuple):
         return self.is_text and _width(self.cells) > LONG
 
     @property
-    def is_alike(self) -> bool:
+    def is_constant(self) -> bool:
         """Whether all rows have the same long text, or none."""
-        alike = self.is_text and len(set(self.cells)) == 1
-        return alike and (not self.cells[0] or (self.long and len(self.cells) > 1))
+        is_same = self.is_text and len(set(self.cells)) == 1
+        return is_same and (not self.cells[0] or (self.long and len(self.cells) > 1))
 
     @property
     def narrowest(self) -> int:
@@ -138,11 +138,11 @@ class _Cells(NamedTuple):
     def swapped(self) -> "_Cells":
         """Rows as columns."""
         name = _Column(
-            ", ".join(filter(None, (own.head for own in self.names))),
+            ", ".join(filter(None, (level.head for level in self.names))),
             [column.head for column in self.columns],
             True,
         )
-        heads = zip(*(own.cells for own in self.names), strict=True)
+        heads = zip(*(level.cells for level in self.names), strict=True)
         rows = zip(*(column.cells for column in self.columns), strict=True)
         columns = [
             _Column(" ".join(filter(None, head)), list(row), False)
@@ -160,60 +160,70 @@ def _cells(frame: Any) -> _Cells:
     labels = [" ".join(map(str, n)) if isinstance(n, tuple) else str(n) for n in frame.columns]
     values = [frame.iloc[:, k].tolist() for k in range(len(labels))]
     units, errors = frame.attrs.get("units", {}), frame.attrs.get("errors", {})
-    beside = {n: errors.get(n, f"{n} error") for n in labels}
-    beside = {n: labels.index(error) for n, error in beside.items() if error in labels}
+    error_columns = {n: errors.get(n, f"{n} error") for n in labels}
+    error_columns = {
+        n: labels.index(error) for n, error in error_columns.items() if error in labels
+    }
     of_rows = values[labels.index("unit")] if "unit" in labels else []
-    own = [v for n, v in zip(labels, values, strict=True) if n not in units]
-    rows = [_in_row(_floats(row)) for row in zip(*own, strict=True)] if of_rows else None
+    without_unit = [v for n, v in zip(labels, values, strict=True) if n not in units]
+    by_row = zip(*without_unit, strict=True)
+    rows = [_in_row(_floats(row)) for row in by_row] if of_rows else None
     columns = [
         _column(
             _measured(label, units.get(label)),
             values[k],
-            values[beside[label]] if label in beside else None,
+            values[error_columns[label]] if label in error_columns else None,
             rows if label not in units else None,
         )
         for k, label in enumerate(labels)
-        if label != "unit" and k not in beside.values()
+        if label != "unit" and k not in error_columns.values()
     ]
     if columns and columns[0].is_text and frame.index.names == [None]:
         names, columns = columns[:1], columns[1:]
     else:
         levels = [frame.index.get_level_values(k) for k in range(frame.index.nlevels)]
-        heads = [_measured(str(own.name or ""), units.get(own.name)) for own in levels]
-        names = [_column(head, own.tolist()) for head, own in zip(heads, levels, strict=True)]
-        told = [_measured(n, units.get(n)) for n in names[-1].cells]
-        names[-1] = names[-1]._replace(cells=told)
+        heads = [_measured(str(item.name or ""), units.get(item.name)) for item in levels]
+        names = [_column(head, item.tolist()) for head, item in zip(heads, levels, strict=True)]
+        labels_with_units = [_measured(n, units.get(n)) for n in names[-1].cells]
+        names[-1] = names[-1]._replace(cells=labels_with_units)
     if of_rows:
-        told = list(map(_measured, names[-1].cells, of_rows))
-        names[-1] = names[-1]._replace(cells=told)
+        labels_with_units = list(map(_measured, names[-1].cells, of_rows))
+        names[-1] = names[-1]._replace(cells=labels_with_units)
     if notes:
-        names = [_parted(own, "...") for own in names]
-        columns = [_parted(own, "") for own in columns]
-    return _with_room(_Cells(names, columns, notes))
+        names = [_parted(item, "...") for item in names]
+        columns = [_parted(item, "") for item in columns]
+    return _move_texts_to_notes(_Cells(names, columns, notes))
 
 
-def _with_room(cells: _Cells) -> _Cells:
+def _move_texts_to_notes(cells: _Cells) -> _Cells:
     """With texts that all rows have, and long ones where a line has no room, among the notes."""
-    alike = [own for own in cells.columns if own.is_alike]
-    columns = [own for own in cells.columns if not own.is_alike]
-    notes = [*cells.notes, *(f"{own.head}: {own.cells[0]}" for own in alike if own.long)]
-    empty = [own.head for own in alike if not own.long]
+    constant = [column for column in cells.columns if column.is_constant]
+    columns = [column for column in cells.columns if not column.is_constant]
+    notes = [
+        *cells.notes,
+        *(f"{column.head}: {column.cells[0]}" for column in constant if column.long),
+    ]
+    empty = [column.head for column in constant if not column.long]
     notes += [f"{', '.join(empty)}: none."] if empty else []
     taken = sum(_shares(cells._replace(columns=columns))) + sum(
-        own.narrowest + APART for own in columns if not own.long
+        column.narrowest + COLUMN_GAP for column in columns if not column.long
     )
-    long = [own for own in columns if own.long]
-    if WIDTH - taken >= len(long) * (LONG + APART):
+    long = [column for column in columns if column.long]
+    if WIDTH - taken >= len(long) * (LONG + COLUMN_GAP):
         return _Cells(cells.names, columns, notes)
     numbers: dict[str, int] = {}
-    kept = []
-    for own in columns:
-        if own.long:
-            marks = [f"({numbers.setdefault(x, len(numbers) + 1)})" if x else "" for x in own.cells]
-            kept.append(_Column(own.head, marks, False))
+    shown_columns = []
+    for column in columns:
+        if column.long:
+            marks = [
+                f"({numbers.setdefault(x, len(numbers) + 1)})" if x else "" for x in column.cells
+            ]
+            shown_columns.append(_Column(column.head, marks, False))
         else:
-            kept.append(own)
-    return _Cells(cells.names, kept, notes + [f"({k}) {text}" for text, k in numbers.items()])
+            shown_columns.append(column)
+    return _Cells(
+        cells.names, shown_columns, notes + [f"({k}) {text}" for text, k in numbers.items()]
+    )
 
 
 def _parted(column: _Column, mark: str) -> _Column:
@@ -224,7 +234,7 @@ def _parted(column: _Column, mark: str) -> _Column:
 def _measured(name: str, unit: str | None) -> str:
     """A name with a unit, which is not broken."""
     named = f"{name} [{unit}]" if unit else name
-    return UNIT.sub(lambda found: found[0].replace(" ", FIRM), named)
+    return UNIT.sub(lambda match: match[0].replace(" ", FIRM), named)
 
 
 def _column(
@@ -249,10 +259,12 @@ def _with_error(cell: str, value: Any, error: Any) -> str:
     """A cell, with the error of its value where there is one."""
     if not (_floats([value]) or value == 0) or not isinstance(error, float) or math.isnan(error):
         return cell
-    told = (
-        with_error(value, error) if _floats([error]) else f"{cell} ± {in_few(error_told(error), 2)}"
+    text = (
+        with_error(value, error)
+        if _floats([error])
+        else f"{cell} ± {in_few(displayed_error(error), 2)}"
     )
-    return told.replace(" ", FIRM)
+    return text.replace(" ", FIRM)
 
 
 def _cell(value: Any, write: Callable[[float], str]) -> str:
@@ -263,8 +275,8 @@ def _cell(value: Any, write: Callable[[float], str]) -> str:
         return write(value) if math.isfinite(value) and value else _alone(value)
     if isinstance(value, (list, tuple)):
         few = len(value) <= DIGITS
-        told = f",{FIRM}".join(_cell(x, _alone) for x in value)
-        return f"({told})" if few else f"{len(value)}{FIRM}numbers"
+        entries = f",{FIRM}".join(_cell(x, _alone) for x in value)
+        return f"({entries})" if few else f"{len(value)}{FIRM}numbers"
     return "" if value is None else " ".join(str(value).split())
 
 
@@ -276,10 +288,12 @@ def _alone(value: float) -> str:
 def _digits(numbers: list[float], step: float = 0.0) -> int:
     """As many as tell apart what is alike in size, and steps."""
     size = max(map(abs, numbers))
-    alike = [x for x in numbers if abs(x) >= ALIKE * size]
-    apart = {MOST_DIGITS: (max(alike) - min(alike)) / 10, MOST_OF_STEPS: step}
-    known = ((most, math.log10(size / own)) for most, own in apart.items() if own > 0)
-    return max([DIGITS, *(min(math.ceil(power) + 1, most) for most, power in known)])
+    similar = [x for x in numbers if abs(x) >= SIMILAR_SHARE * size]
+    spreads = {MOST_DIGITS: (max(similar) - min(similar)) / 10, MOST_OF_STEPS: step}
+    digit_counts = (
+        (most, math.log10(size / spread)) for most, spread in spreads.items() if spread > 0
+    )
+    return max([DIGITS, *(min(math.ceil(power) + 1, most) for most, power in digit_counts)])
 
 
 def _in_row(numbers: list[float]) -> Callable[[float], str]:
@@ -287,7 +301,7 @@ def _in_row(numbers: list[float]) -> Callable[[float], str]:
     if not numbers:
         return _alone
     most, size = _digits(numbers), max(map(abs, numbers))
-    return lambda x: in_few(x, most if abs(x) >= ALIKE * size else DIGITS)
+    return lambda x: in_few(x, most if abs(x) >= SIMILAR_SHARE * size else DIGITS)
 
 
 def _as_column(numbers: list[float]) -> Callable[[float], str]:
@@ -298,19 +312,19 @@ def _as_column(numbers: list[float]) -> Callable[[float], str]:
     steps = [after - before for before, after in itertools.pairwise(numbers)]
     least = min(steps) if len(steps) > 1 else 0.0
     most, sizes = _digits(numbers, least), [abs(x) for x in numbers]
-    size, alike = max(sizes), least > 0 or min(sizes) >= ALIKE * max(sizes)
-    if SMALL <= size < PLAIN and alike:
+    size, is_similar = max(sizes), least > 0 or min(sizes) >= SIMILAR_SHARE * max(sizes)
+    if SMALL <= size < PLAIN and is_similar:
         places = max(most - 1 - math.floor(math.log10(size)), 0)
-        return _first([f".{own}f" for own in range(places + 1)], numbers)
-    found = _first([f"#.{own}g" for own in range(1, most + 1)], numbers)
-    return lambda x: f"{x:.0f}" if size < PLAIN and "e+" in found(x) else found(x)
+        return _first([f".{places_or_digits}f" for places_or_digits in range(places + 1)], numbers)
+    write = _first([f"#.{places_or_digits}g" for places_or_digits in range(1, most + 1)], numbers)
+    return lambda x: f"{x:.0f}" if size < PLAIN and "e+" in write(x) else write(x)
 
 
-def _first(ways: list[str], numbers: list[float]) -> Callable[[float], str]:
+def _first(formats: list[str], numbers: list[float]) -> Callable[[float], str]:
     """The first of the ways to write numbers that says as much of them as the last."""
-    said = lambda way: [float(f"{x:{way}}") for x in numbers]
-    found = next(way for way in ways if said(way) == said(ways[-1]))
-    return lambda x: f"{x:{found}}".replace(".e", "e").rstrip(".")
+    rounded = lambda spec: [float(f"{x:{spec}}") for x in numbers]
+    chosen = next(spec for spec in formats if rounded(spec) == rounded(formats[-1]))
+    return lambda x: f"{x:{chosen}}".replace(".e", "e").rstrip(".")
 
 
 def _width(texts: Sequence[str]) -> int:
@@ -331,12 +345,12 @@ def _broken(text: str, width: int) -> list[str]:
 
 def _shares(cells: _Cells) -> list[int]:
     """What columns that name the rows take of a line: what others leave, or what may be."""
-    width = lambda own: min(own.narrowest, LONG) if own.is_text else own.narrowest
-    others = sum(width(own) + APART for own in cells.columns)
-    left = WIDTH - others
+    width = lambda column: min(column.narrowest, LONG) if column.is_text else column.narrowest
+    others = sum(width(column) + COLUMN_GAP for column in cells.columns)
+    free = WIDTH - others
     # Names that are broken are read better than rows that are.
-    most = (left if left >= LONG else max(NAMES, left)) // len(cells.names)
-    return [min(own.narrowest, most - APART) + APART for own in cells.names]
+    most = (free if free >= LONG else max(NAMES, free)) // len(cells.names)
+    return [min(column.narrowest, most - COLUMN_GAP) + COLUMN_GAP for column in cells.names]
 
 
 class _Fitted(NamedTuple):
@@ -345,22 +359,22 @@ class _Fitted(NamedTuple):
     head: list[str]
     cells: list[list[str]]
     width: int
-    is_left: bool
+    is_left_aligned: bool
 
 
-def _fitted(column: _Column, most: int, is_left: bool) -> _Fitted:
+def _fitted(column: _Column, most: int, is_left_aligned: bool) -> _Fitted:
     """A column of at most so many characters."""
     width = min(column.narrowest, most)
     cells = [_broken(cell, width) for cell in column.cells]
-    return _Fitted(_broken(column.head, max(width, 1)), cells, width, is_left)
+    return _Fitted(_broken(column.head, max(width, 1)), cells, width, is_left_aligned)
 
 
 def _best(cells: _Cells) -> _Cells:
     """The way round that is less broken, or takes fewer lines."""
     if len(cells.names[0].cells) > WIDTH or not cells.columns:
         return cells
-    ways = [(lines.count(""), len(lines)) for lines in map(_in_blocks, (cells, cells.swapped))]
-    return cells.swapped if ways[0][0] and ways[1] <= ways[0] else cells
+    shapes = [(lines.count(""), len(lines)) for lines in map(_in_blocks, (cells, cells.swapped))]
+    return cells.swapped if shapes[0][0] and shapes[1] <= shapes[0] else cells
 
 
 def _in_lines(cells: _Cells) -> list[str]:
@@ -373,15 +387,20 @@ def _in_lines(cells: _Cells) -> list[str]:
 def _in_blocks(cells: _Cells) -> list[str]:
     """As many columns side by side as a line holds, the others below, after an empty line."""
     shares = _shares(cells)
-    names = [_fitted(n, s - APART, True) for n, s in zip(cells.names, shares, strict=True)]
-    room = WIDTH - sum(shares)
-    long = [own for own in cells.columns if own.long]
-    free = room - sum(own.narrowest + APART for own in cells.columns if not own.long)
-    share = max(free // max(len(long), 1) - APART, LONG)
+    names = [_fitted(n, s - COLUMN_GAP, True) for n, s in zip(cells.names, shares, strict=True)]
+    free_width = WIDTH - sum(shares)
+    long = [column for column in cells.columns if column.long]
+    free = free_width - sum(
+        column.narrowest + COLUMN_GAP for column in cells.columns if not column.long
+    )
+    share = max(free // max(len(long), 1) - COLUMN_GAP, LONG)
     blocks: list[list[_Fitted]] = [[]]
-    for own in cells.columns:
-        fitted = _fitted(own, share if own.long else room, own.is_text)
-        if blocks[-1] and sum(c.width + APART for c in [*blocks[-1], fitted]) > room + APART:
+    for column in cells.columns:
+        fitted = _fitted(column, share if column.long else free_width, column.is_text)
+        if (
+            blocks[-1]
+            and sum(c.width + COLUMN_GAP for c in [*blocks[-1], fitted]) > free_width + COLUMN_GAP
+        ):
             blocks.append([])
         blocks[-1].append(fitted)
     lines: list[str] = []
@@ -392,15 +411,15 @@ def _in_blocks(cells: _Cells) -> list[str]:
 
 def _drawn(columns: list[_Fitted]) -> list[str]:
     """Columns side by side, with their heads."""
-    deepest = max(len(own.head) for own in columns)
-    lines = [[[""] * (deepest - len(own.head)) + own.head for own in columns]]
-    lines += map(list, zip(*(own.cells for own in columns), strict=True))
+    deepest = max(len(column.head) for column in columns)
+    lines = [[[""] * (deepest - len(column.head)) + column.head for column in columns]]
+    lines += map(list, zip(*(column.cells for column in columns), strict=True))
     drawn = []
     for row in lines:
         for parts in itertools.zip_longest(*row, fillvalue=""):
             pairs = zip(parts, columns, strict=True)
-            placed = [x.ljust(c.width) if c.is_left else x.rjust(c.width) for x, c in pairs]
-            drawn.append((" " * APART).join(placed).rstrip())
+            placed = [x.ljust(c.width) if c.is_left_aligned else x.rjust(c.width) for x, c in pairs]
+            drawn.append((" " * COLUMN_GAP).join(placed).rstrip())
     return drawn
 
 
@@ -409,8 +428,8 @@ def _in_html(cells: _Cells) -> str:
     cells = _best(cells)
     columns = [*cells.names, *cells.columns]
     row = lambda kind, texts: "".join(f"<{kind}>{html.escape(x)}</{kind}>" for x in texts)
-    rows = zip(*(own.cells for own in columns), strict=True)
-    head = f"<thead><tr>{row('th', [own.head for own in columns])}</tr></thead>"
-    body = "".join(f"<tr>{row('td', own)}</tr>" for own in rows)
+    rows = zip(*(column.cells for column in columns), strict=True)
+    head = f"<thead><tr>{row('th', [column.head for column in columns])}</tr></thead>"
+    body = "".join(f"<tr>{row('td', column)}</tr>" for column in rows)
     notes = "".join(f"<p>{html.escape(note)}</p>" for note in cells.notes)
     return f'<table class="dataframe">{head}<tbody>{body}</tbody></table>{notes}'

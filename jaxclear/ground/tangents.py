@@ -12,30 +12,32 @@ from jax.custom_derivatives import SymbolicZero
 def pushed(function: Callable, numbers: Sequence[Any], tangents: Sequence[Any]) -> tuple[Any, Any]:
     """As `jax.jvp(function, numbers, tangents)`, where some of the tangents are `SymbolicZero`."""
     leaves, structure = jax.tree.flatten(tuple(numbers))
-    ways = jax.tree.leaves(tuple(tangents))
-    moving = [i for i, way in enumerate(ways) if not isinstance(way, SymbolicZero)]
+    directions = jax.tree.leaves(tuple(tangents))
+    moving = [
+        i for i, direction in enumerate(directions) if not isinstance(direction, SymbolicZero)
+    ]
 
     def of_moving(*some):
-        given = list(leaves)
+        arguments = list(leaves)
         for i, number in zip(moving, some, strict=True):
-            given[i] = number
-        return function(*jax.tree.unflatten(structure, given))
+            arguments[i] = number
+        return function(*jax.tree.unflatten(structure, arguments))
 
     if not moving:
         out = of_moving()
         return out, jax.tree.map(jnp.zeros_like, out)
-    return jax.jvp(of_moving, [leaves[i] for i in moving], [ways[i] for i in moving])
+    return jax.jvp(of_moving, [leaves[i] for i in moving], [directions[i] for i in moving])
 
 
 def derived(function: Callable, tangent: Callable) -> Callable:
     """A function with another's derivative: `tangent(numbers, tangents)`, where tangents of what
     does not move are `SymbolicZero`."""
-    known = jax.custom_jvp(function)
-    known.defjvp(
+    with_rule = jax.custom_jvp(function)
+    with_rule.defjvp(
         lambda numbers, tangents: (function(*numbers), tangent(numbers, tangents)),
         symbolic_zeros=True,
     )
-    return known
+    return with_rule
 
 
 def moving_with(number: Any, numbers: Any) -> Any:
@@ -51,12 +53,12 @@ def zeros_with(number: Any, like: Any) -> Any:
     return jax.tree.map(lambda x: jnp.broadcast_to(jnp.where(never, number, 0.0), x.shape), like)
 
 
-def where_wanted(wanted: Any, function: Callable, known: Any) -> Any:
+def apply_if(condition: Any, function: Callable, value: Any) -> Any:
     """`function(known)` where it is wanted, otherwise what is known. A kernel goes through a loop
     of no turns for nothing, but through both sides of a choice."""
     turn = lambda carry: (carry[0] + 1, function(carry[1]))
-    first = jnp.zeros((), int), known
-    return jax.lax.while_loop(lambda carry: carry[0] < wanted.astype(int), turn, first)[1]
+    first = jnp.zeros((), int), value
+    return jax.lax.while_loop(lambda carry: carry[0] < condition.astype(int), turn, first)[1]
 
 
 def moved(tangent: Any) -> Any:
@@ -65,23 +67,23 @@ def moved(tangent: Any) -> Any:
     return jnp.zeros(tangent.shape, tangent.dtype) if zero else tangent
 
 
-def derived_once(sentence: str, numbers: Any) -> Any:
+def allow_first_derivative(sentence: str, numbers: Any) -> Any:
     """The numbers as they are, with their derivative; a second one raises `ValueError` with the
     sentence. Each by itself: what nobody asks for is dropped."""
 
     @jax.custom_jvp
-    def once(number):
+    def differentiate_first(number):
         return number
 
     @jax.custom_jvp
-    def never(number):
+    def refuse_second(number):
         return number
 
-    def refuse(given, tangents):
+    def refuse(primals, tangents):
         if not isinstance(tangents[0], SymbolicZero):
             raise ValueError(sentence)
-        return given[0], moved(tangents[0])
+        return primals[0], moved(tangents[0])
 
-    once.defjvp(lambda given, tangents: (given[0], never(tangents[0])))
-    never.defjvp(refuse, symbolic_zeros=True)
-    return jax.tree.map(once, numbers)
+    differentiate_first.defjvp(lambda primals, tangents: (primals[0], refuse_second(tangents[0])))
+    refuse_second.defjvp(refuse, symbolic_zeros=True)
+    return jax.tree.map(differentiate_first, numbers)

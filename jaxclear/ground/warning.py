@@ -22,12 +22,12 @@ INSTALLED = (str(Path(sysconfig.get_path("stdlib"))), "site-packages")
 
 
 # How many warnings there have been.
-_told = [0]
+_warning_count = [0]
 
 
-def told() -> int:
+def count_warnings() -> int:
     """How many times this process was warned."""
-    return _told[0]
+    return _warning_count[0]
 
 
 def warn(sentence: str, kind: type[Warning] = UserWarning) -> None:
@@ -35,22 +35,22 @@ def warn(sentence: str, kind: type[Warning] = UserWarning) -> None:
     level, frame = 1, sys._getframe(0)
     while frame.f_back is not None and _is_between(frame.f_globals.get("__name__", "")):
         level, frame = level + 1, frame.f_back
-    _told[0] += 1
+    _warning_count[0] += 1
     warnings.warn(sentence, kind, stacklevel=level)
 
 
 def users_line(error: BaseException) -> str:
     """Where in the user's own code an error comes from, such as 'in "float(x)" (file.py, line 3)';
     "" where nobody knows."""
-    found = ""
+    location = ""
     for frame, number in traceback.walk_tb(error.__traceback__):
         code = frame.f_code
         installed = any(place in code.co_filename for place in INSTALLED)
         if not installed and not _is_between(frame.f_globals.get("__name__", "")):
             [line] = traceback.StackSummary.extract([(frame, number)])
-            said = f'"{line.line.rstrip(",")}" ' if line.line else ""
-            found = f"in {said}({Path(code.co_filename).name}, line {number})"
-    return found
+            code_text = f'"{line.line.rstrip(",")}" ' if line.line else ""
+            location = f"in {code_text}({Path(code.co_filename).name}, line {number})"
+    return location
 
 
 def _is_between(module: str) -> bool:
@@ -71,11 +71,13 @@ IN_JAX = (
 )
 
 
-def asked(what: str, function: Callable, *given: Any, wanted: str = "") -> Any:
+def call_user_function(
+    what: str, function: Callable, *arguments: Any, requirement: str = ""
+) -> Any:
     """What a function answers. Raises `ValueError`, with a sentence that begins with `what`, where
     it leaves JAX or fails; `wanted`: what is asked of it, a sentence."""
     try:
-        return function(*given)
+        return function(*arguments)
     except UNTRACEABLE as error:
         raise ValueError(
             f"{what} leaves JAX {users_line(error)}: it is compiled before any number is known. "
@@ -84,15 +86,15 @@ def asked(what: str, function: Callable, *given: Any, wanted: str = "") -> Any:
     except Exception as error:
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
         failed = f"{what} fails {users_line(error)}".rstrip()
-        said = f"{kind}{error}".partition("\n")[0]
-        told = f"{said.rstrip('.')}. {wanted}" if wanted else said
-        raise ValueError(f"{failed}: {told}") from error
+        reason = f"{kind}{error}".partition("\n")[0]
+        explanation = f"{reason.rstrip('.')}. {requirement}" if requirement else reason
+        raise ValueError(f"{failed}: {explanation}") from error
 
 
-def shape_of(function: Callable, *given: Any) -> Any:
+def shape_of(function: Callable, *arguments: Any) -> Any:
     """The shapes of what a function answers; nothing is computed. Errors come as they are raised,
     without what JAX adds to those that pass it."""
     try:
-        return jax.eval_shape(function, *given)
+        return jax.eval_shape(function, *arguments)
     except ValueError as error:
         raise ValueError(*error.args) from error.__cause__

@@ -11,7 +11,7 @@ from typing import Any
 # Longest text of a value in a sentence, and the most names that one lists.
 LONGEST, MOST_NAMES = 60, 16
 # Share of letters in common from which on a name counts as a slip of the pen (difflib's own).
-ALIKE = 0.6
+LEAST_SIMILARITY = 0.6
 
 
 def described(value: Any) -> str:
@@ -50,31 +50,31 @@ def listed(names: Iterable[Any]) -> str:
     return f"{text} and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else text
 
 
-def nearest(name: Any, known: Iterable[Any]) -> str:
+def nearest(name: Any, names: Iterable[Any]) -> str:
     """The known name that is most like another, whatever its capitals; "" where none is."""
-    by_small = {str(one).lower(): str(one) for one in known}
-    found = difflib.get_close_matches(str(name).lower(), by_small, 1, ALIKE)
-    return by_small[found[0]] if found else ""
+    by_small = {str(one).lower(): str(one) for one in names}
+    matches = difflib.get_close_matches(str(name).lower(), by_small, 1, LEAST_SIMILARITY)
+    return by_small[matches[0]] if matches else ""
 
 
-def meant(name: Any, known: Iterable[Any]) -> str:
+def meant(name: Any, names: Iterable[Any]) -> str:
     """A question, to be put behind a sentence, for the known name that is most like another; ""
     where none is."""
-    close = nearest(name, known)
+    close = nearest(name, names)
     return f' Did you mean "{close}"?' if close else ""
 
 
-def unknown(what: str, name: Any, known: Iterable[Any], where: str = "") -> str:
+def unknown(what: str, name: Any, names: Iterable[Any], where: str = "") -> str:
     """A sentence for a name that there is not, with those that there are and the nearest; `where`:
     in what, such as " in this mechanism"."""
-    known = list(known)
+    names = list(names)
     if not isinstance(name, str):
-        named = f"one of {listed(known)}" if known else "but there is none"
+        named = f"one of {listed(names)}" if names else "but there is none"
         return f"{what} is {described(name)}; it must be a name (text), {named}."
-    if not known:
+    if not names:
         return f'no {what} "{name}"{where}; there is none.'
-    verb = "is" if len(known) == 1 else "are"
-    return f'no {what} "{name}"{where}; there {verb} {listed(known)}.{meant(name, known)}'
+    verb = "is" if len(names) == 1 else "are"
+    return f'no {what} "{name}"{where}; there {verb} {listed(names)}.{meant(name, names)}'
 
 
 def public_name(kind: Any) -> str:
@@ -94,13 +94,13 @@ def as_typed(path: str) -> str:
 
 def final_members(family: type) -> list[type]:
     """Final classes of a family, in the order in which they were defined."""
-    found: list[type] = []
-    left: list[type] = list(family.__subclasses__())
-    while left:
-        kind = left.pop(0)
-        left += kind.__subclasses__()
-        found += [] if kind.__name__.startswith("Abstract") else [kind]
-    return found
+    members: list[type] = []
+    remaining: list[type] = list(family.__subclasses__())
+    while remaining:
+        kind = remaining.pop(0)
+        remaining += kind.__subclasses__()
+        members += [] if kind.__name__.startswith("Abstract") else [kind]
+    return members
 
 
 def offered_like(name: str, path: str) -> str:
@@ -108,16 +108,16 @@ def offered_like(name: str, path: str) -> str:
     place: Any = sys.modules[__name__.partition(".")[0]]
     for part in path.split(".")[:-1]:
         place = getattr(place, part)
-    found = nearest(name, [n for n in place.__all__ if not n.startswith("Abstract")])
-    return f"{place.__name__.partition('.')[0]}.{path.rpartition('.')[0]}.{found}" if found else ""
+    match = nearest(name, [n for n in place.__all__ if not n.startswith("Abstract")])
+    return f"{place.__name__.partition('.')[0]}.{path.rpartition('.')[0]}.{match}" if match else ""
 
 
 def _offered_by_package(kind: Any) -> str:
     """The path to a thing by the names that the package offers; "" where there is none. What it
     loads when it is first asked for is asked only for things that came later than itself."""
     package = sys.modules[__name__.partition(".")[0]]
-    known = vars(package).get("LOADED", ())
-    later = bool(known) and getattr(kind, "__module__", "") not in known
+    loaded = vars(package).get("LOADED", ())
+    later = bool(loaded) and getattr(kind, "__module__", "") not in loaded
     return _offered(package, kind) or (_offered(package, kind, asking=True) if later else "")
 
 
@@ -136,5 +136,5 @@ def _offered(place: ModuleType, kind: Any, asking: bool = False) -> str:
 
 def unit_of_rate(above: str, below: str) -> str:
     """Unit of a derivative: "N/m", "(N m)/rad", "1/s"."""
-    over, under = (f"({own})" if set(own) & set(" /") else own for own in (above, below))
+    over, under = (f"({unit})" if set(unit) & set(" /") else unit for unit in (above, below))
     return over if under == "1" else f"{over}/{under}"

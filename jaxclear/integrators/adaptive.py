@@ -23,7 +23,7 @@ from jaxclear.ground.quantity import (
     on_host,
     quantity,
 )
-from jaxclear.ground.tangents import derived_once
+from jaxclear.ground.tangents import allow_first_derivative
 from jaxclear.integrators.base import LOOSE, REFERENCE, AbstractIntegrator, Advance
 from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.derivative_error import NO_SECOND, trusted
@@ -99,6 +99,14 @@ class Adaptive(AbstractIntegrator):
     Stiff scenes (large friction over tiny transition speeds) may prefer
     diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)); of stiff couplings beside
     light motors, and friction that holds, each vibration is resolved: `ImplicitStep` need not.
+
+    Args:
+        solver: a solver of diffrax, such as `diffrax.Tsit5()` (default) or `MuntheKaas`.
+        rtol: relative local error of coordinates and speeds [1], >= 0 and < 1.
+        atol: absolute local error of coordinates [m, rad] and speeds [m/s, rad/s], > 0.
+        largest_step: largest step [s], > 0; no bound by default.
+        most_steps: largest number of steps between saving times or wear updates, >= 1.
+        breaks: further times at which steps end [s], an array; none by default.
     """
 
     pathwise: ClassVar = False
@@ -295,7 +303,7 @@ class Adaptive(AbstractIntegrator):
             instants = () if events is None else events[:2]
             most = _most_growth(model, controller)
             moving = trusted((state, peaks, instants), growth, most)
-            state, peaks, instants = derived_once(NO_SECOND, moving)
+            state, peaks, instants = allow_first_derivative(NO_SECOND, moving)
             if events is not None:
                 events = events._replace(times=instants[0], rates=instants[1])
         return Advance(state, *steps, (usual, growth), outcome, peaks, events)

@@ -62,12 +62,17 @@ PERMANENT = Promise(IN_GAP, None, 0.05, None, 0.05)
 
 
 class Interval(NamedTuple):
-    """From one saving time `start` [s] to the next, `stop` [s].
+    """From one saving time to the next.
 
-    `error_weights` scale each entry's error for an error control; 0 where an entry only follows the
-    others. Where `running` is False the run has ended before and the outcome will be ignored: an
-    integrator may then save the work. `peaks`: the largest indentations [m] and forces [N] of the
-    run so far (None: not followed), for their derivatives.
+    Args:
+        start: its start [s].
+        stop: its end [s].
+        error_weights: weight of each entry's error for an error control [1], an array (n,); 0 where
+            an entry only follows the others.
+        running: whether the run goes on; where it has ended before, the outcome is ignored and an
+            integrator may save the work.
+        peaks: largest indentations [m] and forces [N] of the run so far, for their derivatives;
+            None: not recorded.
     """
 
     start: Scalar
@@ -78,9 +83,18 @@ class Interval(NamedTuple):
 
 
 class Advance(NamedTuple):
-    """Outcome of one interval: state at its end, steps accepted and rejected, what helps the next
-    interval to start, `Outcome`; the `peaks` of every possible contact in the interval (None:
-    nothing follows them); `events`: touches and releases, where the model asks for them."""
+    """Outcome of one interval.
+
+    Args:
+        state: state at its end, an array (n,).
+        accepted: number of accepted steps.
+        rejected: number of rejected steps.
+        warm_start: what helps the next interval to start, a tree of arrays.
+        outcome: code of an `integrator.Outcome`.
+        peaks: largest indentation [m] and force [N] of every possible contact in the interval;
+            None: not recorded.
+        events: touches and releases, where the model asks for them, else None.
+    """
 
     state: State
     accepted: Int[Array, ""]
@@ -98,9 +112,9 @@ FLANKS = "how the instants move at which flanks meet"
 class AbstractIntegrator(AbstractQuantified):
     """Carries a state over an interval.
 
-    `pathwise`: whether forward-mode derivatives through its steps are those of the discrete run
-    (where contacts open and close, not those of the motion). `projects`: whether loops can be
-    closed anew after its steps.
+    Class attributes of a member: `pathwise`, whether forward-mode derivatives through its steps are
+    those of the discrete run (where contacts open and close, not those of the motion); `projects`,
+    whether loops can be closed anew after its steps.
     """
 
     pathwise: eqx.AbstractClassVar[bool]
@@ -114,12 +128,30 @@ class AbstractIntegrator(AbstractQuantified):
 
     @abstractmethod
     def first_warm_start(self, model: Model, start: Scalar, state: State) -> Any:
-        """What the first interval is handed in place of what an interval before it left."""
+        """Warm start of the first interval.
+
+        Args:
+            model: the mechanism, a `Model`.
+            start: time at the start [s].
+            state: state at the start, an array (n,).
+
+        Returns:
+            a tree of arrays, as `Advance.warm_start`.
+        """
 
     @abstractmethod
     def advance(self, model: Model, interval: Interval, state: State, warm_start: Any) -> Advance:
-        """The state at the end of an interval; `warm_start` is what the last interval left to this
-        one."""
+        """Carry the state to the end of an interval.
+
+        Args:
+            model: the mechanism, a `Model`.
+            interval: the interval, an `Interval`.
+            state: state at its start, an array (n,).
+            warm_start: what the last interval has returned, a tree of arrays.
+
+        Returns:
+            the outcome, an `Advance`.
+        """
 
     def known_states(
         self,
@@ -129,8 +161,19 @@ class AbstractIntegrator(AbstractQuantified):
         end: State,
         warm_start: Any,
     ) -> Float[Array, "saves n"]:
-        """The states of a run at its saving times [s], their derivatives nan where only the state
-        in which it has ended tells that they are not known; `warm_start`: what it has left."""
+        """States of a run at its saving times, their derivatives nan where only the state in which
+        the run has ended shows that they are not known.
+
+        Args:
+            model: the mechanism, a `Model`.
+            times: saving times [s], an array (saves,).
+            states: the states, an array (saves, n).
+            end: state at the end, an array (n,).
+            warm_start: what the last interval has returned, a tree of arrays.
+
+        Returns:
+            the states, an array (saves, n).
+        """
         return states
 
     @property
@@ -144,7 +187,11 @@ class AbstractIntegrator(AbstractQuantified):
         return None
 
     def evaluations(self, mechanism: Mechanism) -> int:
-        """How often a step asks for the forces in a mechanism, as far as it knows."""
+        """Number of evaluations of the forces in one step, as far as the integrator knows.
+
+        Args:
+            mechanism: the mechanism.
+        """
         return 1
 
     def shortest_step(self) -> Scalar | None:
@@ -158,12 +205,25 @@ class AbstractIntegrator(AbstractQuantified):
         return False
 
     def beyond_touches(self, mechanism: Mechanism) -> str:
-        """What its derivatives do not know of the contacts of a mechanism; "" where they are those
-        of the motion."""
+        """What its derivatives do not include of the contacts of a mechanism.
+
+        Args:
+            mechanism: the mechanism.
+
+        Returns:
+            a text; "" where derivatives are those of the motion.
+        """
         return "" if self.through_contacts else "how the instants of touch move"
 
     def beyond_flanks(self, mechanism: Mechanism) -> str:
-        """The same of the flanks of couplings with play."""
+        """What its derivatives do not include of the flanks of couplings with play.
+
+        Args:
+            mechanism: the mechanism.
+
+        Returns:
+            a text; "" where derivatives are those of the motion.
+        """
         return FLANKS
 
     @property
@@ -188,14 +248,28 @@ class AbstractIntegrator(AbstractQuantified):
         return True
 
     def with_finer_steps(self, share: Scalar) -> "AbstractIntegrator | None":
-        """Itself with steps of this share of their length, or tolerances tighter by its fourth
-        power where it finds their length itself; None where they are counted, or as fine as numbers
-        allow."""
+        """The integrator with finer steps, for a companion run.
+
+        Args:
+            share: factor of the length of its steps [1]; where it finds their length itself,
+                tolerances get tighter by its fourth power.
+
+        Returns:
+            the integrator; None where steps are counted, or as fine as numbers allow.
+        """
         return None
 
     def counting_in(self, gap: Any, arm: Any) -> "AbstractIntegrator":
-        """Itself with the numbers that count where the narrowest gap and the longest arm are these
-        [m], if those given do not."""
+        """The integrator with the tolerances that count for a mechanism; unchanged unless
+        overridden.
+
+        Args:
+            gap: narrowest gap [m].
+            arm: longest arm [m].
+
+        Returns:
+            the integrator.
+        """
         return self
 
     @property
@@ -204,7 +278,14 @@ class AbstractIntegrator(AbstractQuantified):
         return "take shorter steps"
 
     def held(self, step: Scalar) -> "AbstractIntegrator":
-        """Itself with no step longer than this [s], where it finds their length itself."""
+        """The integrator with a bound on its steps, where it finds their length itself.
+
+        Args:
+            step: largest step [s].
+
+        Returns:
+            the integrator.
+        """
         return self
 
     @property

@@ -28,7 +28,7 @@ from jaxclear.formulations.impact_speed import ContactMotion, Passage, end_at_pa
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, constant
-from jaxclear.ground.tangents import pushed, where_wanted
+from jaxclear.ground.tangents import apply_if, pushed
 from jaxclear.integrators.events import noted, nothing, nothing_met, peaks, risen, since
 from jaxclear.integrators.saltation import Equations, Step, closed
 from jaxclear.native import while_loop
@@ -560,4 +560,4 @@ def _renewed(own: Any, changed: Any, slope: Callable) -> Any:
     from there on."""
     slopes, others = eqx.partition(own, eqx.is_inexact_array)
     fresh = lambda slopes: jax.tree.map(lambda _: slope(), slopes)
-    return eqx.combine(where_wanted(jnp.any(changed), fresh, slopes), others)
+    return eqx.combine(apply_if(jnp.any(changed), fresh, slopes), others)

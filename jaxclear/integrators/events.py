@@ -37,7 +37,7 @@ from jaxclear.formulations.impact_speed import (
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import constant
-from jaxclear.ground.tangents import derived, moved, moving_with, pushed, where_wanted
+from jaxclear.ground.tangents import apply_if, derived, moved, moving_with, pushed
 
 
 class Events(NamedTuple):
@@ -223,7 +223,7 @@ def peaks(
             return Peaks(depths, forces)
 
         wanted = jnp.any(deeper) if pressed is None else jnp.any(deeper | pressed)
-        return where_wanted(wanted, ahead, so_far)
+        return apply_if(wanted, ahead, so_far)
 
     return derived(larger, moving)(arrays, *ends, motions, known, so_far)
 

@@ -20,7 +20,7 @@ from jaxclear.formulations.impact_speed import has_bristles, put_right
 from jaxclear.formulations.model import Model
 from jaxclear.ground.grouping import packed, unpacked
 from jaxclear.ground.quantity import Scalar, concrete, constant, count, quantity
-from jaxclear.ground.tangents import derived_once
+from jaxclear.ground.tangents import allow_first_derivative
 from jaxclear.ground.wording import unknown
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import (
@@ -196,26 +196,34 @@ class FixedStep(AbstractIntegrator):
     (benchmarks/claims/stability.py, for K from 1e10 N/m^1.5 on; in softer contacts a step must not
     cross the clearance).
 
-    "semi_implicit" is symplectic Euler: order 1, one evaluation a step, no drift of the energy;
-    "euler" gains energy, "heun" slowly. "munthe_kaas1" to "munthe_kaas4" (order 1 to 4) keep
-    rotations on their group; see `MuntheKaas`.
-
-    `contact_steps` divides a step that starts in contact, or would end there at the present closing
-    speed and acceleration, into that many; free flight keeps the long step, so bounces are resolved
-    at a fraction of the cost. `steps_per_save` fixes the number of steps between saving times
-    instead: reverse-mode derivatives (`jax.grad`) then go backwards through the steps, which pays
-    off for hundreds of numbers, but not through friction in ideal joints.
-
     Impact speeds are those at the touch within a step, to the third power of the step; a force that
     begins as the 3/2th power of the indentation limits the order of a run through impacts to 5/2.
 
     Derivatives are those of the discrete run: where contacts open and close, by "rk4" without
     `steps_per_save` those of the motion (`saltation`; within 1e-3 through six bounces of Hertzian
     laws in steps of 20 us). So are those of "heun", "semi_implicit" and "euler" without
-    `steps_per_save` and `contact_steps`: of the motion, which goes beside the run (`variational`),
-    nan where that has parted from it by 3 % of the narrowest gap. Else they are not those of the
-    motion (`jaxclear.sensitivity` compares methods). Without `steps_per_save` they are nan too
-    where steps twice as long tell that they are off by a hundredth (`jaxclear.why_unknown`).
+    `steps_per_save` and `contact_steps`: of the motion, which is integrated beside the run
+    (`variational`), nan where that differs from it by 3 % of the narrowest gap. Else they are not
+    those of the motion (`jaxclear.sensitivity` compares methods). Without `steps_per_save` they are
+    nan too where steps twice as long show that they are off by a hundredth
+    (`jaxclear.why_unknown`).
+
+    Args:
+        step: largest step [s], > 0.
+        method: name of the method: "rk4"; "heun", whose energy grows slowly; "semi_implicit"
+            (symplectic Euler: order 1, one evaluation a step, no drift of the energy); "euler",
+            which gains energy; or "munthe_kaas1" to "munthe_kaas4" (order 1 to 4), which keep
+            rotations on their group, see `MuntheKaas`.
+        steps_per_save: number of steps between two saving times, >= 1, in place of `step`:
+            reverse-mode derivatives (`jax.grad`) then go backwards through the steps, which pays
+            off for hundreds of numbers, but not through friction in ideal joints. None by default.
+        contact_steps: number of short steps into which a step is divided that starts in contact, or
+            would end there at the present closing speed and acceleration [1], >= 1; free flight
+            keeps the long step, so bounces are resolved at a fraction of the cost. None: no
+            division.
+
+    Raises:
+        ValueError: for an unknown method, or contact_steps together with steps_per_save.
     """
 
     pathwise: ClassVar = True
@@ -380,7 +388,7 @@ class FixedStep(AbstractIntegrator):
         if watch is not None:
             rates = unknown_way(watch.events.rates)
             watch = watch._replace(events=watch.events._replace(rates=rates))
-        return derived_once(NO_SECOND, (end, met, watch))
+        return allow_first_derivative(NO_SECOND, (end, met, watch))
 
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)

@@ -35,34 +35,41 @@ class ImplicitStep(AbstractIntegrator):
     Order 2 in free motion. Over a step a contact force does the work that its law says (discrete
     gradient) or takes more energy out, so stiff contacts do not make motion explode, as long as the
     iteration ends: at K = 1e12 N/m^1.5 and 5e-4 s few iterations gain energy,
-    `newton_iterations=30` does not. An impact that the steps resolve ends with the restitution of
-    its law, one within a step with `rebound`: choose the restitution itself where stiff impacts
-    decide. One evaluation a step; `newton_iterations` on the contact laws alone, in the contact
-    directions: 2 unless told otherwise (bristles may want more), 8 where a law has a damper beside
-    its spring (AdamsImpact, KelvinVoigt), which may be stiffer than the spring. Friction that would
-    stop a slip within a step is taken towards the step's end, so that slip decays and does not
-    ring; friction loss and wear are those of the mean slip.
+    `newton_iterations=30` does not. One evaluation a step. Friction that would stop a slip within a
+    step is taken towards the step's end, so that slip decays and does not ring; friction loss and
+    wear are those of the mean slip. Impact speeds are those at the touch within a step, to order 2.
 
-    `rebound` sets the numerical dissipation: with theta = 1 / (1 + rebound), a linear contact mode
-    omega is damped as by the theta method, amplitude per step sqrt((1 + (1 - theta)^2 z^2) / (1 +
-    theta^2 z^2)) with z = omega h, and an elastic impact in one step (z >> 1) keeps `rebound` of
-    its speed. Damping ratio about (theta - 1/2) z for small z. 1 dissipates nothing; 0 is backward
-    Euler in the contacts: for gradients, and where single unresolved impacts do not matter.
-    Speeds at saving times are those with which places change; within a step they lack that damping.
+    With theta = 1 / (1 + rebound), a linear contact mode omega is damped as by the theta method,
+    amplitude per step sqrt((1 + (1 - theta)^2 z^2) / (1 + theta^2 z^2)) with z = omega h; damping
+    ratio about (theta - 1/2) z for small z. Speeds at saving times are those with which positions
+    change; within a step they lack that damping.
 
     Loads that oscillate by themselves (stiff springs, dampers) are explicit: step < 2 / omega of
     them; couplings with stiffness or play are not. A step should move the parts by less than a
     clearance, and by less than a cell of a worn surface, or forces at the saved instants are far
     off, though the motion stays bounded.
-    Impact speeds are those at the touch within a step, to order 2. `steps_per_save` fixes the
-    number of steps between saving times: reverse-mode derivatives then go backwards through the
-    steps, which pays off for hundreds of numbers, and passes where surfaces wear, but not with
-    friction in ideal joints, and not where contacts open and close. Without it derivatives through
-    these are those of the motion itself, which goes beside the steps in parts that resolve contacts
-    (`variational`): within 1e-3 through six bounces of Hertzian laws, half a per cent to two with a
-    damper beside the spring; nan where the run has parted from that motion by 3 % of the narrowest
-    gap, or where steps twice as long tell another one. Numerical dissipation parts them soon:
-    `rebound=1.0` and shorter steps go further.
+
+    Without `steps_per_save` derivatives through contacts are those of the motion itself, which is
+    integrated beside the steps in parts that resolve contacts (`variational`): within 1e-3 through
+    six bounces of Hertzian laws, half a per cent to two with a damper beside the spring; nan where
+    the run differs from that motion by 3 % of the narrowest gap, or where steps twice as long give
+    another one. Numerical dissipation separates them soon: `rebound=1.0` and shorter steps go
+    further.
+
+    Args:
+        step: largest step [s], > 0.
+        rebound: share of its speed that an elastic impact keeps within one step that does not
+            resolve it [1], >= 0 and <= 1; it sets the numerical dissipation. An impact that the
+            steps resolve ends with the restitution of its law. 1 dissipates nothing; 0 is backward
+            Euler in the contacts: for gradients, and where single unresolved impacts do not matter.
+            Choose the restitution itself where stiff impacts decide.
+        newton_iterations: number of iterations on the contact laws alone, in the contact
+            directions, >= 1; None: 2 (bristles may want more), or 8 where a law has a damper beside
+            its spring (AdamsImpact, KelvinVoigt), which may be stiffer than the spring.
+        steps_per_save: number of steps between two saving times, >= 1, in place of `step`:
+            reverse-mode derivatives then go backwards through the steps, which pays off for
+            hundreds of numbers, and passes where surfaces wear, but not with friction in ideal
+            joints, and not where contacts open and close. None by default.
 
     Source: mean forces that conserve energy: Gonzalez 1996, J. Nonlinear Sci. 6, 449; for contact
     Laursen & Chawla 1997, Int. J. Numer. Methods Eng. 40, 863; with dissipation Armero & Petocz

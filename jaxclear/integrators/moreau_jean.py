@@ -44,7 +44,14 @@ from jaxclear.ground.grouping import packed, unpacked
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.ground.tangents import derived, derived_once, moved, moving_with, pushed, where_wanted
+from jaxclear.ground.tangents import (
+    allow_first_derivative,
+    apply_if,
+    derived,
+    moved,
+    moving_with,
+    pushed,
+)
 from jaxclear.integrators.base import RIGID, AbstractIntegrator, Interval, divide, searching_steps
 from jaxclear.integrators.derivative_error import IMPACT_FIGURES, NO_SECOND, trusted_impacts
 from jaxclear.integrators.saltation import FIRST
@@ -158,7 +165,7 @@ def _moved(steps: _Steps, here: tuple, tangents: Any) -> tuple[tuple, tuple, Mov
 
     none = jnp.zeros(())
     carry = (moved(ways[0].state), off), (none, none), figures
-    states, shifts, figures = where_wanted(wanted, before, carry)
+    states, shifts, figures = apply_if(wanted, before, carry)
     striking = lambda *numbers: steps.step({"striking": wanted}, *numbers)
     pairs = []
     for way, state, shift in zip(ways, states, shifts, strict=True):
@@ -173,7 +180,7 @@ def _moved(steps: _Steps, here: tuple, tangents: Any) -> tuple[tuple, tuple, Mov
         off = off - shifts[1] * flow
         return (state - shifts[0] * flow, off), _placed(figures, steps.model(arrays), off)
 
-    (state, ends), figures = where_wanted(wanted, behind, ((gone[0], off[0]), figures))
+    (state, ends), figures = apply_if(wanted, behind, ((gone[0], off[0]), figures))
     return (end, left), (state, gone[1]), Moves(figures, ends, off[1])
 
 
@@ -260,41 +267,43 @@ class MoreauJean(AbstractIntegrator):
     Clearance joints are the same as for compliant contact, one word changed; of a contact law only
     its coefficient of restitution is taken (`contact.Rigid` has nothing else), and where surfaces
     wear how wide it lets the mean force of a step press, of a regularised friction law its
-    coefficients; a run says how much of friction's loss is another by that
-    (`Check.COULOMB_FRICTION`).
+    coefficients; a run says how much of friction's loss changes by that (`Check.COULOMB_FRICTION`).
 
-    Newton's law of impact applies to a contact whose gap closes within `gamma` of a step; impacts
-    are not located, so their instants have an error of a step, and order is 1. Of contacts of one
-    joint that strike within a step the first to touch does, the others in the next ones: struck at
-    once they would share an impact that they do not.
-
-    Mean speeds weigh the end of the step by `theta`; 1/2 conserves the energy of smooth motion.
-    Loads are taken at the middle (explicitly): step < 2 / omega of springs. `project` moves apart
-    what overlaps by more than it would part or fall in a step, so a contact that strikes overlaps
-    by at most a step of its speed, one at rest by a step's fall; without it, as in the scheme's
-    sources, resting contacts creep inwards.
+    Newton's law of impact applies to a contact whose gap closes within a share `gamma` of a step;
+    impacts are not located, so their instants have an error of a step, and order is 1. Of contacts
+    of one joint that strike within a step the first to touch does, the others in the next ones:
+    struck at once they would share an impact that they do not. Loads are taken at the middle
+    (explicitly): step < 2 / omega of springs.
 
     Steps must be short: no body may cross its clearance within one (step^2 x acceleration <
     clearance, for light bodies above all), and with a restitution near 1 turning bodies gain energy
     unless step x spin is well below 1 - restitution.
 
     Stops (`load.JointStop`) and flanks of play (`clearance.Backlash`) that have a restitution are
-    rigid, stops that steps do not follow too; dry friction (`load.JointFriction`) sticks.
-
-    Ideal joints that rub do so by the reaction of the same step, an impact's impulse included, and
-    stick as contacts do; of their friction laws too the coefficients are taken.
-
-    Forces are impulses: `Trajectory.contact` gives the means over each saving interval.
-    `most_sweeps` over the contacts at most, until the laws hold to `tolerance` of the largest
-    velocity; where they end far from that, the run ends and says so.
+    rigid, stops that steps do not follow too; dry friction (`load.JointFriction`) sticks. Ideal
+    joints that rub do so by the reaction of the same step, an impact's impulse included, and stick
+    as contacts do; of their friction laws too the coefficients are taken. Forces are impulses:
+    `Trajectory.contact` gives the means over each saving interval.
 
     First derivatives through contacts are those of the motion, as far as the steps resolve it
-    (`through_impacts`): they are off by as much as places are beside the gap, nan where impacts
-    have made that grow to a hundredth, where those in other steps tell that they are off by more of
-    themselves, where contacts strike in one step that would not move alike, or where a run ends
-    before it takes an impact that is due: they want steps of a microsecond.
-    Not where surfaces wear, nor where ideal joints rub beside contacts: `jaxclear.sensitivity` is
-    the way there.
+    (`through_impacts`): they are off by as much as places are relative to the gap, nan where
+    impacts have made that grow to a hundredth, where those in other steps show that they are off by
+    more, where contacts strike in one step that would not move alike, or where a run ends before it
+    takes an impact that is due: they want steps of a microsecond. Not where surfaces wear, nor
+    where ideal joints rub beside contacts: `jaxclear.sensitivity` is the way there.
+
+    Args:
+        step: largest step [s], > 0.
+        theta: weight of a step's end in its mean speed [1], >= 0 and <= 1; 1/2 conserves the energy
+            of smooth motion.
+        gamma: share of a step within which a gap must close to count as closed [1], >= 0.
+        most_sweeps: largest number of sweeps over the contacts in a step [1], >= 1; where they end
+            far from the laws, the run ends and says so.
+        tolerance: residual of the contact laws relative to the largest velocity at which sweeps end
+            [1], > 0.
+        project: whether to move apart what overlaps by more than it would part or fall in a step,
+            so that a contact that strikes overlaps by at most a step of its speed, one at rest by a
+            step's fall; without it, as in the scheme's sources, resting contacts creep inwards.
 
     Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1; Jean 1999, Comput. Methods
     Appl. Mech. Eng. 177, 235.
@@ -406,4 +415,4 @@ class MoreauJean(AbstractIntegrator):
         if not may_strike(model.system):
             return found
         state = trusted_impacts(found.state, found.warm_start[1].figures)
-        return found._replace(state=derived_once(NO_SECOND, state))
+        return found._replace(state=allow_first_derivative(NO_SECOND, state))

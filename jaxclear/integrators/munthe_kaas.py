@@ -36,15 +36,38 @@ class AbstractGroup(AbstractQuantified):
 
     @abstractmethod
     def moved(self, y: Float[Array, " n"], increment: Float[Array, " m"]) -> Float[Array, " n"]:
-        """y exp(increment)."""
+        """The state after an increment, y exp(increment).
+
+        Args:
+            y: a state, an array (n,).
+            increment: increment in body axes, an array (m,).
+
+        Returns:
+            a state, an array (n,).
+        """
 
     @abstractmethod
     def bracket(self, a: Float[Array, " m"], b: Float[Array, " m"]) -> Float[Array, " m"] | None:
-        """Lie bracket; None for a group that commutes."""
+        """Lie bracket of two increments.
+
+        Args:
+            a, b: increments, arrays (m,).
+
+        Returns:
+            an increment, an array (m,); None for a group that commutes.
+        """
 
     @abstractmethod
     def tangent(self, y: Float[Array, " n"], increment: Float[Array, " m"]) -> Float[Array, " n"]:
-        """Change of y to first order in the increment, in which errors are measured."""
+        """Change of a state to first order in an increment, in which errors are measured.
+
+        Args:
+            y: a state, an array (n,).
+            increment: increment in body axes, an array (m,).
+
+        Returns:
+            the change, an array (n,).
+        """
 
 
 class Span(NamedTuple):
@@ -202,8 +225,12 @@ def stages(order: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 
 class GroupTerm(diffrax.AbstractTerm):
-    """dy/dt = y k(t, y) on a group: `vector_field(t, y, args)` gives k, the rates of the increments
-    in body axes.
+    """The equation dy/dt = y k(t, y) on a group, for diffrax.
+
+    Args:
+        vector_field: function (t, y, args) that returns k, the rates of the increments in body
+            axes.
+        group: the group, an `AbstractGroup`.
     """
 
     vector_field: Callable[[Any, Any, Any], Array]
@@ -251,6 +278,12 @@ class MuntheKaas(diffrax.AbstractAdaptiveSolver):
     error; the step ends with an evaluation at which the next begins. For steps of a fixed length
     see `FixedStep` ("munthe_kaas4"). For a group of your own:
     `diffrax.diffeqsolve(GroupTerm(vector_field, group), MuntheKaas(4), ...)`.
+
+    Args:
+        of_order: order of the method, an integer 1 to 4.
+
+    Raises:
+        ValueError: for another order.
 
     Source: Munthe-Kaas 1999, Applied Numerical Mathematics 29, 115.
     """

@@ -23,25 +23,29 @@ class NonColliding(AbstractIntegrator):
     stiffness, so steps follow the motion alone.
 
     Use where joints stay pressed (slow or well-loaded mechanisms); where a reaction passes through
-    zero a real journal would cross its gap and strike, which `Trajectory.switchings` tells and
-    compliant rungs show. Clearance joints are the same as there, one word changed; a regularised
-    friction law gives its coefficients, and a run says how much of the loss is another by that
-    (`Check.COULOMB_FRICTION`). Collars carry, and neither rub nor wear (`Check.COLLAR_FORCE`). What
-    no motion of a loop changes, such as forces along parallel axes, its closing joint does not
+    zero a real journal would cross its gap and strike, which `Trajectory.switchings` reports and
+    compliant integrators show. Clearance joints are the same as there, one word changed; a
+    regularised friction law gives its coefficients, and a run says how much of the loss changes by
+    that (`Check.COULOMB_FRICTION`). Collars carry, and neither rub nor wear (`Check.COLLAR_FORCE`).
+    What no motion of a loop changes, such as forces along parallel axes, its closing joint does not
     carry (`Check.INDETERMINATE_FORCE`), and parts follow their forces in their gaps at once
-    (`Check.GAP_MOTION`). Midpoint rule, order 2 in smooth motion and 1 across stick
-    and slip; coordinates on groups move by exponentials. Steps should end where loads jump.
+    (`Check.GAP_MOTION`). Midpoint rule, order 2 in smooth motion and 1 across stick and slip;
+    coordinates on groups move by exponentials. Steps should end where loads jump.
 
     A stop (`load.JointStop`) is rigid, and gives its restitution back within a step; dry friction
-    (`load.JointFriction`) sticks; the play of couplings is seated (`clearance.Backlash`).
+    (`load.JointFriction`) sticks; the play of couplings is seated (`clearance.Backlash`). Joints of
+    a closed loop that stick together share what holds it in no unique way.
 
-    `most_sweeps` over the joints at most, until friction changes by less than `tolerance` of its
-    bound; where they end far from that (a guide about to lock itself), the run ends and says so.
-    Joints of a closed loop that stick together share what holds it in no unique way.
-    `relaxation` rounds Coulomb's law over this share of the bound: a joint then creeps, and the
-    error is of its order (None: exact). `regularised` takes a friction law as the function of the
-    sliding speed that it is, for comparison: the joint creeps, and steps must be short beside the
-    time in which friction stops a joint that slides at the law's transition speed.
+    Args:
+        step: largest step [s], > 0.
+        most_sweeps: largest number of sweeps over the joints in a step [1], >= 1; where they end
+            far from the laws (a guide about to lock itself), the run ends and says so.
+        tolerance: change of a joint's friction relative to its bound at which sweeps end [1], > 0.
+        relaxation: share of the bound over which Coulomb's law is rounded [1], > 0: a joint then
+            creeps, and the error is of its order; None: exact.
+        regularised: whether to take a friction law as the function of the sliding speed that it is,
+            for comparison: the joint creeps, and steps must be short compared with the time in
+            which friction stops a joint that slides at the law's transition speed.
 
     Source: antenna paper (000) and guide paper (004).
     """

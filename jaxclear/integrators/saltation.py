@@ -49,7 +49,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import bare, unpacked
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, constant
-from jaxclear.ground.tangents import derived, moved, moving_with, pushed, where_wanted
+from jaxclear.ground.tangents import apply_if, derived, moved, moving_with, pushed
 from jaxclear.integrators.events import peaks
 from jaxclear.multibody.state import Layout, impact_speed_places
 
@@ -217,7 +217,7 @@ def _at_moving_time(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
         return state, _slopes(model, step.shares, here, ways, slopes), shift
 
     known = *jax.tree.map(moved, (state, slopes)), jnp.zeros(())
-    return where_wanted(jnp.any(step.shares > 0), moving, known)
+    return apply_if(jnp.any(step.shares > 0), moving, known)
 
 
 def _shift(model: Motion, step: Step, here: tuple, ways: tuple, slopes: tuple) -> Any:
@@ -272,7 +272,7 @@ def _behind(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
     changed = before != after
     wanted = jnp.any((before > 0) | changed if shifts else changed)
     state, growth, told = jax.tree.map(moved, tuple(known))
-    return where_wanted(wanted, behind, (state, jax.tree.map(moved, slopes), growth, told))
+    return apply_if(wanted, behind, (state, jax.tree.map(moved, slopes), growth, told))
 
 
 class Passed(NamedTuple):
@@ -464,7 +464,7 @@ def at_fixed_time(motion: Any, begun: Now, acting: Any, end: Any, moves: tuple) 
     if not motion.layout.joint_contacts:
         return way
     back = lambda way: way - shift * motion.rates(begun.arrays, acting, time, end)
-    return where_wanted(jnp.any(acting > 0), back, way)
+    return apply_if(jnp.any(acting > 0), back, way)
 
 
 def moves(tree: Any) -> bool:
@@ -521,7 +521,7 @@ def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple) -> Apart:
         path = (first.depths, last.depths, h * first.rates, h * last.rates)
         return passage(constant(path), 0.0, share, any_changed)
 
-    shares = where_wanted(any_changed, met, jnp.ones_like(before))
+    shares = apply_if(any_changed, met, jnp.ones_like(before))
     turns = jnp.where(any_changed, jnp.sum(changed.astype(int)) + 1, 0)
     if longer is not None:
         state = state - moved(time_way) * motion.rates(begun.arrays, before, time, begun.state)

@@ -34,7 +34,14 @@ from jaxclear.formulations.impact_speed import ContactMotion, cubic, passage, su
 from jaxclear.ground.grouping import bare, unpacked
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
-from jaxclear.ground.tangents import derived, derived_once, moved, pushed, where_wanted, zeros_with
+from jaxclear.ground.tangents import (
+    allow_first_derivative,
+    apply_if,
+    derived,
+    moved,
+    pushed,
+    zeros_with,
+)
 from jaxclear.integrators.base import SLIVER
 from jaxclear.integrators.derivative_error import NO_SECOND, PARTED, beside, unknown_way
 from jaxclear.integrators.events import Peaks, nothing_met, peaks
@@ -116,7 +123,7 @@ def so_far(beside: Beside) -> Beside:
 def trusted_beside(end: Any, met: Any, watch: Any, known: Beside) -> tuple:
     """All that was found of a run, where the derivative of the motion beside it can be trusted;
     events have none."""
-    end, met = derived_once(NO_SECOND, beside((end, met), known.parted))
+    end, met = allow_first_derivative(NO_SECOND, beside((end, met), known.parted))
     return end, met, unknown_way(watch) if watch is not None else None
 
 
@@ -290,7 +297,7 @@ def _at_end(motion: Any, gone: _Gone, whole: Any, way: Any, known: tuple) -> Par
         return state, y, late
 
     known = state, end, jnp.zeros(())
-    state, y, late = where_wanted(jnp.any(hit), behind, known)
+    state, y, late = apply_if(jnp.any(hit), behind, known)
     ahead = jnp.asarray(jnp.inf), jnp.zeros_like(acting)
     return Part(late, part.turns, y, state, highest, *ahead)
 

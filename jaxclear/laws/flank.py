@@ -22,9 +22,10 @@ __all__ = ["AbstractFlankLaw", "ElastoBacklash", "Nordin", "Stop"]
 class AbstractFlankLaw(AbstractLaw):
     """How a flank presses.
 
-    `has_twist`: where the shaft's far end is in the gap is a state. `left_by_torque`: the flank is
-    left where the torque would pull, else where the parts are no more beyond the touch.
-    `needs_damping`: the law has no meaning without d.
+    Class attributes of a member: `has_twist`, whether the position of the shaft's far end in the
+    gap is a state; `left_by_torque`, whether the flank is left where the torque would pull (else
+    where the parts are no longer beyond the touch); `needs_damping`, whether the law has no meaning
+    without damping.
     """
 
     has_twist: eqx.AbstractClassVar[bool]
@@ -33,8 +34,15 @@ class AbstractFlankLaw(AbstractLaw):
 
     @abstractmethod
     def torque(self, elastic: Scalar, viscous: Any) -> Scalar:
-        """Torque [N m] of a flank that presses, from k times the depth and d times its rate (0
-        without damping)."""
+        """Torque of a flank that presses.
+
+        Args:
+            elastic: stiffness times depth beyond the touch [N m] (of what slides [N]).
+            viscous: damping times rate of that depth [N m] (of what slides [N]); 0 without damping.
+
+        Returns:
+            the torque [N m] (a force [N] of what slides) that pushes the parts apart.
+        """
 
 
 class Nordin(AbstractFlankLaw):

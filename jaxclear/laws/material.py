@@ -18,7 +18,12 @@ USUAL_MODULUS = (1e6, 1.3e12, "is it in GPa or MPa? Moduli are in Pa.")
 
 
 class Material(AbstractQuantified):
-    """Linear isotropic elasticity, small strain."""
+    """Linear isotropic elasticity, small strain.
+
+    Args:
+        young_modulus: Young's modulus [Pa], > 0.
+        poisson_ratio: Poisson's ratio [1], > -1 and <= 0.5.
+    """
 
     young_modulus: Scalar = quantity(
         unit="Pa", meaning="Young's modulus", above=0, usual=USUAL_MODULUS
@@ -36,8 +41,18 @@ def combined_modulus(a: Material, b: Material) -> Scalar:
     r""":math:`E^*` [Pa] of two bodies pressed together: :math:`1/E^* = (1 - \nu_a^2)/E_a +
     (1 - \nu_b^2)/E_b`.
 
-    Symmetric in the two; below either body's plane-strain modulus. Source: Johnson 1985, Contact
-    Mechanics, ch. 4, doi:10.1017/CBO9781139171731.
+    Symmetric in the two; below either body's plane-strain modulus.
+
+    Args:
+        a, b: materials of the two bodies.
+
+    Returns:
+        the combined modulus [Pa].
+
+    Raises:
+        ValueError: if one of them is no `Material`.
+
+    Source: Johnson 1985, Contact Mechanics, ch. 4, doi:10.1017/CBO9781139171731.
     """
     for body in (a, b):
         expect(body, Material, "what combined_modulus presses together", "a jaxclear.Material")

@@ -37,8 +37,15 @@ HERTZ_SPHERE = 4 / 3
 
 
 class Shape(AbstractQuantified):
-    """Geometry of a journal in a bearing or a ball in a socket. Refuses (before tracing) an inner
-    body that does not fit.
+    """Geometry of a journal in a bearing or a ball in a socket.
+
+    Args:
+        inner_radius: radius of the journal or ball [m], > 0.
+        outer_radius: radius of the bearing's hole or of the socket [m], > 0.
+        length: length of the contact along the axis [m], > 0; None: a spherical pair.
+
+    Raises:
+        ValueError: if the inner radius is not below the outer one.
     """
 
     inner_radius: Scalar = quantity(unit="m", meaning="radius of the journal or ball", above=0)
@@ -68,7 +75,14 @@ class AbstractFit(AbstractQuantified):
 
     @abstractmethod
     def value(self, shape: Shape) -> Scalar:
-        """The number, in the unit of the field that holds the fit."""
+        """The number for a pair of surfaces.
+
+        Args:
+            shape: radii and length of the pair, a `Shape`.
+
+        Returns:
+            the number, in the unit of the field that holds the fit.
+        """
 
 
 # What a field of a law holds: a number, or before `fitted` the fit that gives it.
@@ -86,6 +100,10 @@ class HertzStiffness(AbstractFit):
     beside the radii, which an overlap near the clearance violates; for a cylinder it is customary
     but not Hertz (prefer the laws of `contact.cylinder`).
 
+    Args:
+        inner: material of the journal or ball.
+        outer: material of the bearing or socket.
+
     Source: Hertz 1882, J. reine angew. Math. 92, 156, doi:10.1515/crll.1882.92.156; in this form
     Lankarani & Nikravesh 1990, J. Mech. Des. 112, 369, doi:10.1115/1.2912617. Wan, Liu, Ma & Tong,
     "Investigation on Dynamic Interaction of Multiple Clearance Joints for Flap Actuation System",
@@ -101,7 +119,12 @@ class HertzStiffness(AbstractFit):
 
 
 class CombinedModulus(AbstractFit):
-    """E* of the two materials [Pa]; see `material.combined_modulus`."""
+    """E* of the two materials [Pa]; see `material.combined_modulus`.
+
+    Args:
+        inner: material of the journal or ball.
+        outer: material of the bearing or socket.
+    """
 
     inner: Material
     outer: Material
@@ -145,8 +168,19 @@ class LengthOf(AbstractFit):
 
 
 def fitted(law, shape: Shape):
-    """The law with every fit, at any depth, replaced by its number for this shape; differentiable
-    in the shape.
+    """Replace every fit of a law, at any depth, by its number for a shape.
+
+    The result is differentiable in the shape.
+
+    Args:
+        law: any law (or other tree) whose fields may hold fits.
+        shape: radii and length of the pair, a `Shape`.
+
+    Returns:
+        the law with numbers only.
+
+    Raises:
+        ValueError: if `shape` is no `Shape`, or lacks the length that a fit needs.
     """
 
     expect(shape, Shape, "the shape that a law is fitted to", "a jaxclear.stiffness.Shape")

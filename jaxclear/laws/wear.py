@@ -24,8 +24,15 @@ class AbstractWearLaw(AbstractLaw):
 
     @abstractmethod
     def volume_rate(self, normal_force: Scalar, slip_speed: Scalar, traction: Scalar) -> Scalar:
-        """m^3/s >= 0 from load [N] >= 0, sliding speed [m/s] >= 0 and friction force [N] >= 0 (0 if
-        frictionless).
+        """Volume that the surface loses per time.
+
+        Args:
+            normal_force: load [N], >= 0.
+            slip_speed: sliding speed [m/s], >= 0.
+            traction: friction force [N], >= 0; 0 without friction.
+
+        Returns:
+            worn volume per time [m^3/s], >= 0.
         """
 
 
@@ -34,6 +41,10 @@ class Archard(AbstractWearLaw):
 
     :math:`\dot V = k F_n v/H`. Use for mild dry wear at steady load; for impact-dominated or
     fretting joints prefer Fouvry.
+
+    Args:
+        wear_coefficient: share k of contact events that shed a particle [1], >= 0.
+        hardness: indentation hardness H of the softer body [Pa], > 0.
 
     Source: Archard 1953, J. Appl. Phys. 24, 981, eq. 4, doi:10.1063/1.1721448; for clearance joints
     Hou, Deng & Zeng 2021, J. Cent. South Univ. 28, 712, eq. 25, doi:10.1007/s11771-021-4640-y.
@@ -56,6 +67,9 @@ class Fouvry(AbstractWearLaw):
     :math:`\dot V = \alpha F_t v`. Use for fretting and for reciprocating joints whose friction
     varies; without friction it gives no wear at all, there prefer Archard. Equal to Archard with
     :math:`k/H = \alpha\mu` at constant :math:`\mu`.
+
+    Args:
+        energy_wear_coefficient: worn volume alpha per dissipated energy [m^3/J], >= 0.
 
     Source: Fouvry, Liskiewicz, Kapsa, Hannel & Sauger 2003, Wear 255, 287,
     doi:10.1016/S0043-1648(03)00117-0; the default is of the order reported for steels.

@@ -40,7 +40,12 @@ NEXT = (
 
 
 class BlockMesh(eqx.Module):
-    """Points (points, 3) [m], and groups of blocks: indices of points (blocks, i, j, k)."""
+    """A mesh of hexahedra in structured blocks that share points.
+
+    Args:
+        points: points of the mesh [m], an array (points, 3).
+        groups: indices of the points of blocks of one size, a tuple of arrays (blocks, i, j, k).
+    """
 
     points: Float[Array, "points 3"]
     groups: tuple[Int[np.ndarray, "blocks i j k"], ...]

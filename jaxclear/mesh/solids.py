@@ -25,8 +25,11 @@ ACROSS, ALL_WAYS = (1.0, 1.0, 0.0), (1.0, 1.0, 1.0)
 class Solid(eqx.Module):
     """A worn part: its mesh as new, and how the mesh follows the wear of its wall.
 
-    `into`: direction [1] from each point of the wall into the material; `position` [cells]: where
-    in the wear map it lies.
+    Args:
+        follow: function that maps a displacement of the wall [m] to all points of the mesh, a
+            `BlockDeformation`.
+        into: direction from each point of the wall into the material [1], an array (wall, 3).
+        position: where each point of the wall lies in the wear map [cells], two arrays (wall,).
     """
 
     follow: BlockDeformation
@@ -39,18 +42,39 @@ class Solid(eqx.Module):
         return self.follow.mesh
 
     def wall_depth(self, depth: Float[Array, "around along"]) -> Float[Array, " wall"]:
-        """Worn depth at the points of the wall [m]: the map's own splines, in both directions."""
+        """Worn depth at the points of the wall, by the map's own splines in both directions.
+
+        Args:
+            depth: worn depth of each cell of the map [m], an array (around, along).
+
+        Returns:
+            depths [m], an array (wall,).
+        """
         columns, rows, weights = stencil(*self.position, depth.shape)
         return jnp.sum(weights * depth[columns, rows], axis=(-2, -1))
 
     def displacement(self, depth: Float[Array, "around along"]) -> Float[Array, "points 3"]:
-        """Displacement of every point of the mesh [m] for a map of worn depth [m]."""
+        """Displacement of every point of the mesh.
+
+        Args:
+            depth: worn depth of each cell of the map [m], an array (around, along).
+
+        Returns:
+            displacements [m], an array (points, 3).
+        """
         wall = self.wall_depth(depth)[:, None] * self.into
         fixed = jnp.zeros((len(self.follow.held) - len(wall), 3))
         return self.follow(jnp.concatenate([wall, fixed]))
 
     def worn(self, depth: Float[Array, "around along"]) -> BlockMesh:
-        """The mesh of the worn part; the same points and cells, displaced."""
+        """The mesh of the worn part: the same points and cells, displaced.
+
+        Args:
+            depth: worn depth of each cell of the map [m], an array (around, along).
+
+        Returns:
+            the mesh, a `BlockMesh`.
+        """
         points = self.new.points + self.displacement(depth)
         return eqx.tree_at(lambda mesh: mesh.points, self.new, points)
 

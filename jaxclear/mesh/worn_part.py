@@ -26,14 +26,27 @@ def solid(
     thickness: float,
     cells: tuple[int, int, int] | None = None,
 ) -> Solid:
-    """The part of a joint whose `surface` wears, as hexahedra in blocks: `.new` is its mesh,
-    `.worn(run.worn_depth(joint, surface))` the worn one, with the same cells.
+    """Mesh the part of a joint that carries a worn surface, as hexahedra in blocks.
 
-    A bearing is a bush of this `thickness` [m], a socket a shell, a journal a pin (there the blocks
-    at the wall are this thick). `cells`: around (a multiple of 4), along (even; a socket has none)
-    and through (even); by default as fine as the wear map, and 8 through. Stands in the frame of
-    the bearing, journal or socket, z along its axis. What is inside follows the depth linearly, so
-    derivatives to it are exact. Raises `ValueError`.
+    `.new` is its mesh, `.worn(run.worn_depth(joint, surface))` the worn one, with the same cells,
+    in the frame of the bearing, journal or socket, z along its axis. The inside follows the depth
+    linearly, so derivatives to it are exact.
+
+    Args:
+        mechanism: the mechanism.
+        joint: name of the joint.
+        surface: name of the surface that wears: "bearing" (the part is a bush), "journal" (a pin)
+            or "socket" (a shell).
+        thickness: thickness of the part behind the wall [m], > 0; of a pin that of the blocks at
+            the wall, at most half its radius.
+        cells: number of cells around (a multiple of 4), along (even; a socket has none) and through
+            (even); by default as fine as the wear map, and 8 through.
+
+    Returns:
+        the part, a `Solid`.
+
+    Raises:
+        ValueError: if the surface does not wear, or thickness or cells do not fit it.
     """
     expect(mechanism, Mechanism, "what the part belongs to", "a jaxclear.Mechanism")
     wear_map = _wear_map(mechanism, joint, surface)
@@ -95,9 +108,21 @@ def _checked(cells: Any, part: str) -> tuple[int, int, int]:
 
 @answering
 def write(path: Any, worn: BlockMesh, new: BlockMesh | None = None) -> Path:
-    """Write a mesh to a file, in the format that its ending names (.vtu, .vtk, .xdmf, .inp, .msh
-    ...), through meshio. With the mesh as `new`, points carry their displacement [m]; cells carry
-    their scaled Jacobian. Returns the path. Raises `ValueError` where a cell is inverted.
+    """Write a mesh to a file through meshio, in the format of the file's ending (.vtu, .vtk, .xdmf,
+    .inp, .msh ...).
+
+    Cells carry their scaled Jacobian.
+
+    Args:
+        path: path of the file.
+        worn: the mesh, a `BlockMesh`.
+        new: mesh of the part as new; with it points carry their displacement [m].
+
+    Returns:
+        the path.
+
+    Raises:
+        ValueError: if a cell is inverted.
     """
     import meshio
 

@@ -100,16 +100,24 @@ class Assemblies(AbstractShown):
 def assemblies(
     mechanism: Mechanism, samples: int = assembly_modes.SEARCHES, *, concentric: bool = True
 ) -> Assemblies:
-    """The ways in which a mechanism can be assembled, as far as searches from beginnings drawn at
-    random find them.
+    """List the ways in which a mechanism can be assembled, as far as searches from random starts
+    find them.
 
-    `samples`: how many searches, at least 1. `concentric`: whether journals lie in the middle of
-    their bearings. What `start` gives is held. It is sampling: a mode to which few beginnings lead
-    may be missed, and `found` tells how often each was met. Where freedoms are left a mode is
-    whatever hangs together, of which the place nearest to what is guessed is listed, and to the
-    joints' homes where nothing is. Takes seconds. Returns `Assemblies`, a table to print;
-    `.guess(i)` is what to write as `Mechanism(guess=)`. Raises `ValueError` with a sentence for
-    what cannot be asked, and where no way to assemble was found.
+    What `start` gives is fixed. It is sampling: a mode to which few random starts lead may be
+    missed; `found` counts how often each was reached. Where freedoms are left, a mode is all
+    positions that can be reached from one another; the one nearest to the guess is listed, or
+    nearest to the joints' homes where nothing is guessed. Takes seconds.
+
+    Args:
+        mechanism: the mechanism, with numbers.
+        samples: number of searches, >= 1.
+        concentric: whether journals lie in the middle of their bearings.
+
+    Returns:
+        `Assemblies`, a table to print; `.guess(i)` is what to give as `Mechanism(guess=)`.
+
+    Raises:
+        ValueError: if numbers are traced, or no way to assemble was found.
     """
     check_double_precision()
     expect(mechanism, Mechanism, "what is assembled", "a jaxclear.Mechanism")

@@ -262,12 +262,21 @@ def _carried_on(mechanism: Mechanism, *rest: Any) -> tuple[Start, Array]:
 
 @answering
 def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
-    """Consistent start of a mechanism with numbers; refuses, by name, what cannot be: loops that do
-    not close, more given than they leave free, parts deep in each other.
+    """Assemble a mechanism: coordinates that close every loop, and speeds that keep it closed.
 
-    `concentric=False` leaves clearance joints where the guess puts them and closes ideal loops
-    only. Raises `ValueError`; warns where the guess has led to a way to assemble that is not the
-    nearest.
+    Warns where the guess has led to a way to assemble that is not the nearest.
+
+    Args:
+        mechanism: the mechanism, with numbers.
+        concentric: whether journals lie in the middle of their bearings; False leaves joints with
+            clearance where the guess puts them and closes ideal loops only.
+
+    Returns:
+        the consistent start.
+
+    Raises:
+        ValueError: with the joint's name, if loops do not close, more is given than they leave
+            free, or parts would start deep in each other.
     """
     check_double_precision()
     expect(mechanism, Mechanism, "what is assembled", "a jaxclear.Mechanism")

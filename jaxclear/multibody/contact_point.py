@@ -19,7 +19,7 @@ import jax.numpy as jnp
 
 from jaxclear.components.clearance import AbstractClearance, ContactCandidate, ContactLaws
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import traced_once
+from jaxclear.ground.compiling import share_trace
 from jaxclear.ground.numerics import rounded_norm, safe_sqrt
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import Scalar
@@ -255,7 +255,7 @@ def impact_speed_now(remembered: Any, rate: Any) -> Any:
     return jnp.where(remembered > 0, remembered, jnp.abs(rate))
 
 
-@traced_once
+@share_trace
 def gap_function(
     joint: AbstractClearance, pose: Pose, worn: dict[str, Any]
 ) -> tuple[GapFunction, ...]:

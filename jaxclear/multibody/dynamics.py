@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxclear.components.joint.base import drive_of
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import map_alike, map_many
+from jaxclear.ground.compiling import map_grouped, map_many
 from jaxclear.ground.grouping import MANY
 from jaxclear.ground.quantity import constant
 from jaxclear.multibody import constraints, kinematics, transmissions, tree
@@ -58,7 +58,7 @@ def equations_of_motion(system: System, forces: Forces) -> tuple[list, list]:
         for subtree in system.topology.subtrees
     ]
     with jax.named_scope("equations of motion"):
-        found = map_alike(subtree_equations, calls)
+        found = map_grouped(subtree_equations, calls)
     masses, right = [], []
     for subtree, (mass, bias) in zip(system.topology.subtrees, found, strict=True):
         applied = [force for i in subtree for force in forces.coordinate_forces[i]]

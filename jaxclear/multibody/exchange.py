@@ -16,7 +16,7 @@ from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.joint import AbstractDrivenJoint, AbstractJoint
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractStateLoad
-from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.pose_rows import closing_rows
 from jaxclear.multibody.topology import Topology, coordinate_joint, free_joint, grow
@@ -30,7 +30,7 @@ def exchanged(
 ) -> dict[str, Connection]:
     """The connections with another joint between the same markers. Raises `ValueError` with a
     sentence for names that there are not and joints that do not fit."""
-    check_known("joint", name, connections, " in this mechanism")
+    check_name("joint", name, connections, " in this mechanism")
     wanted = "one of jaxclear.joint or jaxclear.clearance"
     expect(joint, (AbstractJoint, AbstractClearance), f'what is put in place of "{name}"', wanted)
     old = connections[name]

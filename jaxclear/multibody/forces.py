@@ -22,7 +22,7 @@ from jaxclear.components.load import (
     MarkerMotion,
 )
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import map_alike, map_many
+from jaxclear.ground.compiling import map_grouped, map_many
 from jaxclear.ground.pose import Pose
 from jaxclear.laws.transmission import holding
 from jaxclear.multibody import closure_coordinates, contact_point, kinematics, transmissions, tree
@@ -69,7 +69,7 @@ def contact_reports(
         for (name, bearing), own in zip(system.bearings.items(), relative, strict=True)
     ]
     with jax.named_scope("contact"):
-        reports = map_alike(contact_point.evaluate, calls)
+        reports = map_grouped(contact_point.evaluate, calls)
     return dict(zip(system.bearings, reports, strict=True))
 
 
@@ -233,7 +233,7 @@ def pressing_of(
             known = followed.states.get(name)
             end = transmissions.end_at_start(own, twist) if known is None else known[0]
         calls.append((transmissions.compliance_of(own), twist, end, followed.shares.get(name)))
-    found = map_alike(transmissions.pressing, calls)
+    found = map_grouped(transmissions.pressing, calls)
     return dict(zip(system.transmissions, found, strict=True))
 
 

@@ -14,27 +14,39 @@ import jax
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.multibody.mechanism import Mechanism
 
 
 @answering
 def heated(mechanism: Mechanism, rise: Any, expansion: Any) -> Mechanism:
-    """The mechanism at a temperature `rise` [K] above that of its drawing.
+    """Change the dimensions of a mechanism by thermal expansion.
 
-    `expansion`: coefficient of linear expansion [1/K], one for all bodies and the ground, or by
-    body (of what is not named, the ground too, 0): steel some 11.5e-6, aluminium 23e-6 (Ashby 2011,
-    Materials Selection in Mechanical Design, 4th ed., appendix A). Places of markers and centres of
-    mass grow with their body; a bearing with the body of the connection's parent, its journal,
-    ball or slider with that of the child. Masses, inertias and stiffnesses stay. Pure, so that the
-    rise may be a `jaxclear.Condition`. Raises `ValueError` for a body that there is not.
+    Places of markers and centres of mass grow with their body; a bearing with the body of the
+    connection's parent, its journal, ball or slider with that of the child. Masses, inertias and
+    stiffnesses stay. Pure, so that the rise may be a `jaxclear.Condition`.
+
+    Args:
+        mechanism: the mechanism as drawn.
+        rise: temperature rise above that of the drawing [K].
+        expansion: coefficient of linear expansion [1/K], one number for all bodies and the ground,
+            or a dict by body (0 for what is not named, the ground too): steel some 11.5e-6,
+            aluminium 23e-6 (Ashby 2011, Materials Selection in Mechanical Design, 4th ed., appendix
+            A).
+
+    Returns:
+        the mechanism at that temperature.
+
+    Raises:
+        ValueError: for the name of a body that does not exist, or a joint that does not say how it
+            grows.
     """
     expect(mechanism, Mechanism, "what is heated", "a jaxclear.Mechanism")
     check_number("rise of heated", rise, "K")
     known = [GROUND, *mechanism.bodies]
     if isinstance(expansion, Mapping):
         for name, value in expansion.items():
-            check_known("body", name, known, " in this mechanism")
+            check_name("body", name, known, " in this mechanism")
             check_number(f'expansion of body "{name}"', value, "1/K")
         own = expansion
     else:

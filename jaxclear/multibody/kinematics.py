@@ -10,7 +10,7 @@ from typing import Any
 import jax
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import map_alike, map_many
+from jaxclear.ground.compiling import map_grouped, map_many
 from jaxclear.ground.pose import STILL, Pose, Twist
 from jaxclear.multibody import loops, tree
 from jaxclear.multibody.loops import Closure, Relative
@@ -22,7 +22,15 @@ JacobianRow = dict[int, Any]
 
 
 def along(row: JacobianRow, speeds: Any) -> Any:
-    """The row times a vector of speeds."""
+    """A row of a Jacobian times a vector of speeds.
+
+    Args:
+        row: entries of the row by the index of the speed, a dict.
+        speeds: speeds [m/s, rad/s], an array or tuple.
+
+    Returns:
+        the rate of what the row is the gradient of [per s].
+    """
     return sp.total(sp.mul(entry, speeds[j]) for j, entry in row.items())
 
 
@@ -32,7 +40,7 @@ def link_motions(system: System, q: tuple, v: tuple, time: Any) -> tuple[Motion,
         (*by_subtree(subtree, system.links, q, v), time) for subtree in system.topology.subtrees
     ]
     with jax.named_scope("kinematics"):
-        return tuple(motion for own in map_alike(tree.link_motions, calls) for motion in own)
+        return tuple(motion for own in map_grouped(tree.link_motions, calls) for motion in own)
 
 
 def link_accelerations(

@@ -25,6 +25,10 @@ class Baumgarte(AbstractQuantified):
     r"""Baumgarte's stabilisation, :math:`\ddot\Phi + 2\alpha\dot\Phi + \beta^2\Phi = 0`: drift of a
     row decays like :math:`e^{-\alpha t}` where beta = alpha.
 
+    Args:
+        alpha: damping of the drift [1/s], >= 0.
+        beta: stiffness of the drift [1/s], >= 0.
+
     Source: Baumgarte 1972, Comput. Methods Appl. Mech. Eng. 1, 1,
     doi:10.1016/0045-7825(72)90018-7.
     """
@@ -34,12 +38,13 @@ class Baumgarte(AbstractQuantified):
 
 
 class Projection(AbstractQuantified):
-    """After every step coordinates and speeds are moved back onto the closures, by the least change
+    """Moves coordinates and speeds back onto the closed loops after every step, by the least change
     in the metric of the masses.
 
     One Newton step each, which leaves the square of a step's drift. For integrators with fixed
-    steps; error control would take the jumps for errors. Source: Eich 1993, SIAM J. Numer. Anal.
-    30, 1467, doi:10.1137/0730076.
+    steps; error control would take the jumps for errors.
+
+    Source: Eich 1993, SIAM J. Numer. Anal. 30, 1467, doi:10.1137/0730076.
     """
 
 

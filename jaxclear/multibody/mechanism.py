@@ -20,7 +20,7 @@ from jaxclear.components.coupling import AbstractCoupling
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractLoad
-from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.printing import (
     INDENT,
     fields_in_words,
@@ -222,26 +222,39 @@ def _by_name(what: str, given: Any, needed: bool = False) -> dict[str, Any]:
 
 
 class Mechanism(AbstractQuantified):
-    """Bodies held together by connections, under loads; `couplings` tie their motions (gears,
-    screws: `jaxclear.coupling`).
+    """Bodies that connections hold together, under loads.
 
-    `start` gives coordinates by connection, or by body (its place in the ground): 1 number, all of
-    the joint's coordinates, for a spherical joint 3 numbers (a rotation vector [rad]), for a body
-    in space 3 (its origin [m]); `speeds` likewise, in the joint's own speeds [m/s, rad/s]. Both are
-    held; the rest is solved, nearest to the joints' homes and to rest, so that every loop closes
-    and journals lie in the middle of their bearings as far as what is given lets them. They may
-    name any joint: one that closes a loop, or one with clearance, whose turn and slide are those of
-    the ideal joint that it would be. More than the loops leave free is refused where it does not
-    close them already (to 1e-6 of a radian or of the longest arm). `guess`: rough coordinates
-    likewise; of the ways to assemble, and in what loops and `start` leave free, the nearest to all
-    of them together is taken, in radians and shares of the longest arm (a warning tells where a
-    second is about as near; `jaxclear.assemblies` lists them). In what is traced the first search
-    counts: guess the whole tree there, as its `.guess(i)` does. `stabilisation`: how closed loops
-    are kept closed; by default as the integrator of a run needs it, by `Projection` where its steps
-    would open them, else by `Baumgarte`. Raises `ValueError` with a sentence naming what is wrong.
+    What is given in `start` and `speeds` is fixed; the rest is solved, nearest to the joints' homes
+    and to rest, so that every loop closes and journals lie in the middle of their bearings as far
+    as what is given lets them. More than the loops leave free is refused where it does not close
+    them already (to 1e-6 of a radian or of the longest arm). In what is traced the first search
+    counts: guess the whole tree there, as `jaxclear.assemblies(...).guess(i)` does.
 
-    What is built stays built: parts are read-only. `with_joint`, `with_body`, `with_load` and
-    `with_coupling` give another mechanism.
+    Parts are read-only: `with_joint`, `with_body`, `with_load` and `with_coupling` give another
+    mechanism.
+
+    Args:
+        bodies: a `Body` by name, a dict.
+        connections: a `Connection` by name, a dict.
+        loads: loads by name, a dict of members of `jaxclear.load`; none by default.
+        couplings: couplings by name, which tie motions (gears, screws), a dict of members of
+            `jaxclear.coupling`; none by default.
+        start: coordinates at the start by the name of a connection, or of a body (its place in the
+            ground), a dict: 1 number [rad, m], all of the joint's coordinates, for a spherical
+            joint 3 numbers (a rotation vector [rad]), for a body in space 3 (its origin [m]). It
+            may name any joint: one that closes a loop, or one with clearance, whose turn and slide
+            are those of the ideal joint that it would be.
+        speeds: speeds at the start likewise, the joint's own [m/s, rad/s], a dict.
+        guess: rough coordinates likewise [rad, m], a dict. Of the ways to assemble, and of what
+            loops and `start` leave free, the nearest to all of them together is taken, in radians
+            and shares of the longest arm (a warning says where a second is about as near;
+            `jaxclear.assemblies` lists them).
+        stabilisation: how closed loops are kept closed, `Projection` or `Baumgarte`, or None;
+            "default": as the integrator of a run needs it, by `Projection` where its steps would
+            open them, else by `Baumgarte`.
+
+    Raises:
+        ValueError: with a sentence that names what is wrong.
     """
 
     # `Parts`: read-only, and in the order of their names, by which the tree grows; JAX sorts the
@@ -337,12 +350,21 @@ class Mechanism(AbstractQuantified):
 
     def with_joint(self, name: str, joint: AbstractJoint | AbstractClearance) -> "Mechanism":
         """The mechanism with another joint in place of one, such as one with clearance in place of
-        an ideal one; its name and markers, its start, its drive and loads on its coordinate stay.
-        Of a joint that had no drive and gets one, start and loads on the coordinate go: the drive
-        decides where it stands.
+        an ideal one.
 
-        `joint`: one that constrains no more than the old one does, or no less. Raises `ValueError`
-        with a sentence for a name that there is not and a joint that does not fit.
+        Name and markers, start, drive and loads on its coordinate stay. Of a joint that had no
+        drive and gets one, start and loads on the coordinate are left out: the drive decides where
+        it stands.
+
+        Args:
+            name: name of the connection.
+            joint: the new joint, which constrains no more than the old one does, or no less.
+
+        Returns:
+            the other `Mechanism`.
+
+        Raises:
+            ValueError: for a name that does not exist, or a joint that does not fit.
         """
         connections = exchanged(self.connections, self.bodies, name, joint)
         start = dict(self.given)
@@ -358,33 +380,70 @@ class Mechanism(AbstractQuantified):
         return rebuilt(self, connections=connections, loads=loads, **start)
 
     def with_body(self, name: str, body: Body) -> "Mechanism":
-        """The mechanism with another body in place of one, such as one of another mass; its joints
-        and all else stay. Raises `ValueError` with a sentence for a name that there is not: a new
-        body needs a connection too, so give both to `Mechanism`."""
-        check_known("body", name, self.bodies, " in this mechanism")
+        """The mechanism with another body in place of one, such as one of another mass.
+
+        Args:
+            name: name of the body.
+            body: the new body.
+
+        Returns:
+            the other `Mechanism`.
+
+        Raises:
+            ValueError: for a name that does not exist; a new body needs a connection too, so give
+                both to `Mechanism`.
+        """
+        check_name("body", name, self.bodies, " in this mechanism")
         expect(body, (Body, Beam), f'what is put in place of "{name}"', "a jaxclear.Body or Beam")
         return rebuilt(self, bodies=self.bodies | {name: body})
 
     def with_load(self, name: str, load: AbstractLoad | None) -> "Mechanism":
-        """The mechanism under one load more, or another in place of that of this name; with None,
-        without it. Everything else stays. Raises `ValueError` for a name that there is not."""
+        """The mechanism with one load more, with another in place of the one of this name, or
+        without it.
+
+        Args:
+            name: name of the load.
+            load: the load; None: without it.
+
+        Returns:
+            the other `Mechanism`.
+
+        Raises:
+            ValueError: for None and a name that does not exist.
+        """
         if load is None:
-            check_known("load", name, self.loads, " in this mechanism")
+            check_name("load", name, self.loads, " in this mechanism")
             return self.with_loads({n: own for n, own in self.loads.items() if n != name})
         return self.with_loads(self.loads | {name: load})
 
     def with_loads(self, loads: Mapping[str, AbstractLoad]) -> "Mechanism":
-        """The mechanism under other loads; everything else stays."""
+        """The mechanism under other loads; everything else stays.
+
+        Args:
+            loads: all loads by name, a dict.
+
+        Returns:
+            the other `Mechanism`.
+        """
         return rebuilt(self, loads=loads)
 
     def with_coupling(self, name: str, coupling: AbstractCoupling | None) -> "Mechanism":
-        """The mechanism with a coupling more, or another in the place of the one of this name; with
-        None, without it. Everything else stays. Raises `ValueError` with a sentence for one that
-        does not fit.
+        """The mechanism with one coupling more, with another in place of the one of this name, or
+        without it.
+
+        Args:
+            name: name of the coupling.
+            coupling: the coupling; None: without it.
+
+        Returns:
+            the other `Mechanism`.
+
+        Raises:
+            ValueError: for None and a name that does not exist, or a coupling that does not fit.
         """
         couplings: dict[str, Any] = dict(self.couplings)
         if coupling is None:
-            check_known("coupling", name, couplings, " in this mechanism")
+            check_name("coupling", name, couplings, " in this mechanism")
             del couplings[name]
         else:
             couplings[name] = coupling

@@ -17,7 +17,7 @@ from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_many
 from jaxclear.ground.grouping import LARGEST_UNROLLED, unstacked
-from jaxclear.ground.printing import shown_in_words
+from jaxclear.ground.printing import with_text_repr
 from jaxclear.ground.quantity import is_traced
 from jaxclear.multibody import constraints, given, kinematics, loops
 from jaxclear.multibody.given import at_start
@@ -31,7 +31,7 @@ from jaxclear.multibody.tree import Motion
 LOOP, GIVEN, JOURNAL, GUESS = "loop", "given", "journal", "guess"
 
 
-@shown_in_words
+@with_text_repr
 class Start(NamedTuple):
     """Consistent coordinates and speeds, and by name how they meet what is asked of them: what is
     left of each closure [m, 1], its Jacobian, what is left of the loops' rates [m/s, 1/s], by how

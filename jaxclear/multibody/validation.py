@@ -38,10 +38,10 @@ from jaxclear.components.load import (
     Gravity,
     MarkerMotion,
 )
-from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import check_kinds, check_range, is_one_number, is_traced, numbers
-from jaxclear.ground.warning import asked, shape_of, warn
+from jaxclear.ground.warning import call_user_function, shape_of, warn
 from jaxclear.ground.wording import listed, meant
 from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.contact_point import check_followed
@@ -63,7 +63,10 @@ def check_own_drive(name: str, drive: AbstractDrive | None) -> None:
     its motion."""
     if drive is not None and is_own(drive):
         what = f'the drive of joint "{name}", its motion(time),'
-        shape_of(lambda time: _numbers(what, asked(what, drive.motion, time), MOTION), NUMBER)
+        shape_of(
+            lambda time: _numbers(what, call_user_function(what, drive.motion, time), MOTION),
+            NUMBER,
+        )
         if not is_traced(drive):
             _check_rates(name, drive)
 
@@ -93,15 +96,15 @@ def check_own_load(name: str, load: Any) -> None:
         what = f'{kind} "{name}", its effect(time, positions, speeds, states),'
         count, states = len(load.coordinates()), (NUMBER,) * len(load.states())
         seen = (NUMBER,) * count
-        told = lambda *at: _on_coordinates(what, asked(what, load.effect, *at), load)
+        told = lambda *at: _on_coordinates(what, call_user_function(what, load.effect, *at), load)
         shape_of(told, NUMBER, seen, seen, states)
     if isinstance(load, AbstractCoordinateLoad):
         what = f'load "{name}", its force(time, position, speed),'
-        told = lambda *at: _numbers(what, asked(what, load.force, *at), ON_COORDINATE)
+        told = lambda *at: _numbers(what, call_user_function(what, load.force, *at), ON_COORDINATE)
         shape_of(told, NUMBER, NUMBER, NUMBER)
     if isinstance(load, AbstractBodyLoad):
         what, markers = f'load "{name}", its effect(time, motions),', load.markers()
-        told = lambda *at: _effect(what, asked(what, load.effect, *at), markers)
+        told = lambda *at: _effect(what, call_user_function(what, load.effect, *at), markers)
         shape_of(told, NUMBER, (SEEN,) * len(markers))
 
 
@@ -268,7 +271,7 @@ def _check_pressed(name: str, load: AbstractStateLoad, loads: dict, couplings: d
     if by is None:
         return
     acting = {n: own for n, own in loads.items() if isinstance(own, AbstractStateLoad)}
-    check_known("load or coupling", by, [*acting, *couplings], f' to press load "{name}"')
+    check_name("load or coupling", by, [*acting, *couplings], f' to press load "{name}"')
     coupling, presser = couplings.get(by), acting.get(by)
     if coupling is not None and not (coupling.gives or isinstance(coupling, AbstractForceCoupling)):
         raise ValueError(
@@ -287,7 +290,7 @@ def _check_acts(name: str, place: str, bodies: dict, connections: dict, known: l
     if place in known:
         return
     own = f' for load "{name}" to act on'
-    check_known("joint", place, [*connections, *known] if known else connections, own)
+    check_name("joint", place, [*connections, *known] if known else connections, own)
     joint = one_coordinate(
         f'load "{name}" acts on',
         place,
@@ -456,7 +459,7 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
                 raise ValueError(
                     f'coupling "{name}" names joint "{joint}" twice; it couples different joints.'
                 )
-            check_known("joint", joint, connections, f' for coupling "{name}"')
+            check_name("joint", joint, connections, f' for coupling "{name}"')
         if isinstance(coupling, AbstractForceCoupling):
             _check_forces(name, coupling, couplings, bodies, connections)
             continue
@@ -497,7 +500,7 @@ def _check_flanks(name: str, coupling: Any, bodies: dict, connections: dict) -> 
     first = coupling.terms()[0].joint if summed else coupling.seen_at()
     turns = True
     if isinstance(first, str):
-        check_known("joint", first, connections, f' for coupling "{name}"')
+        check_name("joint", first, connections, f' for coupling "{name}"')
         what = f'coupling "{name}" has a play that wears along'
         turns = one_coordinate(what, first, bodies, connections).units == ("rad",)
     if turns != (coupling.play.pitch_radius is not None):
@@ -537,7 +540,7 @@ def _check_forces(
     known, driven = _motors(bodies, connections, couplings), []
     for place in coupling.coordinates():
         if place not in coupling.joints():
-            check_known("motor", place, known, f' for coupling "{name}"')
+            check_name("motor", place, known, f' for coupling "{name}"')
             continue
         joint = one_coordinate(f'coupling "{name}" speaks of', place, bodies, connections)
         driven += [place] if drive_of(joint) is not None else []

@@ -28,10 +28,22 @@ POINTS = 100
 
 @answering
 def identification(found: Identified, *, ax: Any = None) -> Any:
-    """Each kind of statistic of the record over the 5 to 95 % bands of all runs (prior) and of the
-    tenth nearest to its estimates (posterior); what each unknown may be, beside its prior, with the
-    95 % interval; pairs of unknowns; and over the estimates of the sample's runs, each left out,
-    what they were. Of an identification by signals, unknowns and pairs alone. `ax`: as many axes.
+    """What a record says of the unknowns of a mechanism.
+
+    Panels: each kind of statistic of the record, over the 5 to 95 % bands of all runs (prior) and
+    of the tenth nearest to the estimates (posterior); the distribution of each unknown before and
+    after, with the 95 % interval; pairs of unknowns; estimates for the sample's own runs, each left
+    out, with their true values. An identification from signals has unknowns and pairs only.
+
+    Args:
+        found: a `Identified`, as `jaxclear.identify` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each panel; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `found` is something else.
     """
     expect(found, Identified, "the identification", "what jaxclear.identify returns")
     drawn = _panels(found)
@@ -49,8 +61,18 @@ def identification(found: Identified, *, ax: Any = None) -> Any:
 
 @answering
 def remaining_life(found: RemainingLife, *, ax: Any = None) -> Any:
-    """The unknown at each record with its 95 % interval, the band of the lines that the records
-    allow, and where these reach the limit. `ax`: one axis."""
+    """The unknown at each record, and the lines that the records allow, up to the limit.
+
+    Args:
+        found: a `RemainingLife`, as `jaxclear.remaining_life` returns it.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `found` is something else.
+    """
     expect(found, RemainingLife, "the life", "what jaxclear.remaining_life returns")
     sheet = panels("remaining_life", ax, 1, 1, (6.4, 4.0))
     (axis,) = sheet.axes.flat

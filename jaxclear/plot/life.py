@@ -18,8 +18,21 @@ from jaxclear.studies.life.wear_life import WearLives
 
 @answering
 def settled(found: Settled, *, ax: Any = None) -> Any:
-    """How far the ends of each cycle are apart, with the tolerance, and the responses of each, full
-    where they are taken as the motion. `ax`: axes for the ends and for each response."""
+    """Distance between the ends of each cycle, with the tolerance, and the responses of each cycle.
+
+    Filled marks are cycles that are taken as the motion.
+
+    Args:
+        found: a `Settled`, as `jaxclear.settled` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for the distance and one for each response; by
+            default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `found` is something else.
+    """
     expect(found, Settled, "the cycle", "what jaxclear.settled returns")
     table, units = found.table(), found.problem.units()
     names = list(found.problem.response_names)
@@ -46,7 +59,18 @@ def settled(found: Settled, *, ax: Any = None) -> Any:
 
 @answering
 def wear_lives(found: WearLives, *, ax: Any = None) -> Any:
-    """Largest depth and volume lost of every life over its cycles. `ax`: two axes."""
+    """Largest depth and worn volume of every life over its cycles.
+
+    Args:
+        found: a `WearLives`, as `jaxclear.wear_lives` returns it.
+        ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `found` is something else.
+    """
     expect(found, WearLives, "the lives", "what jaxclear.wear_lives returns")
     sheet = panels("wear_lives", ax, 1, 2, (9.0, 3.8))
     lives = [life for life in found.lives if life]
@@ -73,10 +97,21 @@ LEAST_SHARE = 1e-8
 
 @answering
 def wear_life(life: WearLife, *, ax: Any = None) -> Any:
-    """Largest depth and volume of every surface, and every response, over the cycles of a life: the
-    curves between stages, the stages as dots, 95 % errors as bands (depth, volume) and bars
-    (responses that are means over cycles). Below: what limits the trust in them.
-    `ax`: as many axes as there are quantities."""
+    """Largest depths, worn volumes and responses over the cycles of a life.
+
+    Dots are the stages, bands (depth, volume) and bars (responses that are means over cycles) 95 %
+    errors. Warnings stand below.
+
+    Args:
+        life: a `WearLife`, as `jaxclear.wear_life` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each quantity; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `life` is something else.
+    """
     expect(life, WearLife, "the life", "what jaxclear.wear_life returns")
     names = life.problem.response_names
     shown = [DEPTH, VOLUME, *names]
@@ -139,9 +174,20 @@ def _response(axis: Any, life: WearLife, name: str) -> None:
 
 @answering
 def design(found: Design, *, ax: Any = None) -> Any:
-    """Nominal values with their tolerances, before and after; how much of each limit is used up,
-    with 95 % errors, by the last verification; cost over the rounds. `ax`: three axes to draw
-    in."""
+    """Nominal values and tolerances of a design, its limits, and the cost over the rounds.
+
+    The limits are drawn as used shares, by the last verification, with 95 % errors.
+
+    Args:
+        found: a `Design`, as `jaxclear.design` returns it.
+        ax: three `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `found` is something else.
+    """
     expect(found, Design, "the design", "what jaxclear.design returns")
     names = found.question.freedom.names
     height = 2.2 + 0.34 * max(len(names), len(found.limits))
@@ -208,8 +254,21 @@ def _history(axis: Any, found: Design) -> None:
 
 @answering
 def design_front(found: Sequence[Design], limit: int = 0, *, ax: Any = None) -> Any:
-    """Cost against the bound of one limit, its designs that hold full and the others hollow.
-    `ax`: axes to draw in."""
+    """Cost of designs over the bound of one limit.
+
+    Designs that satisfy their limits are filled, the others hollow.
+
+    Args:
+        found: a sequence of `Design`, as `jaxclear.design_front` returns it.
+        limit: number of the limit, from 0 (default) on.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `found` is something else.
+    """
     for one in found:
         expect(one, Design, "a design of the front", "one that jaxclear.design_front returns")
     bounds = np.array([float(one.limits[limit].bound()) for one in found])

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.patches import Patch
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.plot.canvas import (
     MILLI,
     check_run,
@@ -32,8 +32,21 @@ from jaxclear.results.trajectory import Trajectory
 def displacement(
     runs: Mapping[str, Trajectory], ideal: Trajectory, body: str, *, ax: Any = None
 ) -> Any:
-    """Path of a body's centre of mass in x and y for several runs beside the ideal one, and their
-    distance from it. `ax`: three axes to draw in.
+    """Path of a body's centre of mass in x and y for several runs and the ideal one.
+
+    The third panel shows their distance from the ideal path.
+
+    Args:
+        runs: runs by the label of each.
+        ideal: run of the ideal mechanism, with the same saving times.
+        body: name of the body.
+        ax: three `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if there is no such body, or `runs` is no dictionary of runs.
     """
     expect(runs, Mapping, "runs", "a dictionary of runs by the label of each")
     for one in (*runs.values(), ideal):
@@ -71,8 +84,21 @@ def displacement(
 def angular_velocity(
     run: Trajectory, ideal: Trajectory, body: str, label: str = "with clearance", *, ax: Any = None
 ) -> Any:
-    """Angular velocity of a body about z with clearance and without, and their difference. `ax`:
-    two axes to draw in."""
+    """Angular velocity of a body about z with clearance and without, and their difference.
+
+    Args:
+        run: run of the mechanism with clearance.
+        ideal: run of the ideal mechanism, with the same saving times.
+        body: name of the body.
+        label: legend of `run`; "with clearance" by default.
+        ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if there is no such body, or an argument is no run.
+    """
     for one in (run, ideal):
         check_run(one)
     sheet = panels("angular_velocity", ax, 2, 1, (8.0, 6.0), sharex=True)
@@ -94,8 +120,19 @@ def angular_velocity(
 def journal_ends(run: Trajectory, joint: str, *, ax: Any = None) -> Any:
     """Centres of the journal's two ends in the bearing's end planes, with the clearance circle.
 
-    Indentation is of the order of a thousandth of the clearance, so points in contact lie on the
-    circle. `ax`: two axes to draw in.
+    The indentation is of the order of a thousandth of the clearance, so points in contact lie on
+    the circle.
+
+    Args:
+        run: the run.
+        joint: name of a `clearance.JournalBearing`.
+        ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if there is no such joint or it has no two ends.
     """
     ends = end_centres(run, joint)
     clearance = float(run.mechanism.connections[joint].joint.clearance)
@@ -120,8 +157,17 @@ def journal_ends(run: Trajectory, joint: str, *, ax: Any = None) -> Any:
 
 @answering
 def end_centres(run: Trajectory, joint: str) -> np.ndarray:
-    """Points where the journal's axis pierces the bearing's lower and upper end plane, (2, time, 2)
-    [m].
+    """Points where the journal's axis pierces the bearing's lower and upper end plane.
+
+    Args:
+        run: the run.
+        joint: name of a `clearance.JournalBearing`.
+
+    Returns:
+        Points [m] in the bearing's x and y axes, shape (2, time, 2).
+
+    Raises:
+        ValueError: if there is no such joint or it has no two ends.
     """
     check_run(run)
     history = run.contact(joint)
@@ -141,13 +187,25 @@ PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 def journal_orbit(
     run: Trajectory, joint: str, *, plane: str = "xy", since: float = 0.0, ax: Any = None
 ) -> Any:
-    """Path of a journal's (or ball's) centre in its bearing, coloured by time, with the circle of
-    the clearance. `plane` of the bearing's axes: "xy", "xz" or "yz"; `since` [s]: from when on.
-    `ax`: axes to draw in. Of both ends of a journal that tilts: `plot.journal_ends`. Raises
-    `ValueError` for a joint without radial clearance.
+    """Path of a journal's (or ball's) centre in its bearing, with the clearance circle.
+
+    The path is coloured by time. `plot.journal_ends` draws both ends of a journal that tilts.
+
+    Args:
+        run: the run.
+        joint: name of a joint with radial clearance.
+        plane: name of the plane of the bearing's axes: "xy" (default), "xz" or "yz".
+        since: time from which the path is drawn [s]; 0 by default.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if there is no such joint or plane, or the joint has no radial clearance.
     """
     check_run(run)
-    check_known("plane of journal_orbit", plane, PLANES)
+    check_name("plane of journal_orbit", plane, PLANES)
     check_number("since of journal_orbit", since, "s")
     history = run.contact(joint)
     gap: Any = run.mechanism.connections[joint].joint
@@ -178,10 +236,23 @@ def journal_orbit(
 
 @answering
 def hysteresis(run: Trajectory, joint: str, *, since: float = 0.0, ax: Any = None) -> Any:
-    """Friction of a joint over the displacement and over the speed with which it slides, coloured
-    by time: of a joint that slides its force along z [N], of one that turns its torque about z
-    [N m], as they act on the child. `since` [s]: from when on. `ax`: two axes to draw in. Raises
-    `ValueError` for a joint that does not rub.
+    """Friction of a joint over its displacement and over its sliding speed.
+
+    Of a joint that slides the force along z [N] is drawn, of one that turns the torque about z [N
+    m], as they act on the child. The curves are coloured by time.
+
+    Args:
+        run: the run.
+        joint: name of a joint with friction.
+        since: time from which the curves are drawn [s]; 0 by default.
+        ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if there is no such joint, it has no contacts or friction, or it slides in
+            several directions.
     """
     check_run(run)
     check_number("since of hysteresis", since, "s")
@@ -237,8 +308,20 @@ BAR = 0.8
 
 @answering
 def modes(run: Trajectory, *joints: str, ax: Any = None) -> Any:
-    """Free flight, impact and contact over time, a strip for each joint (all with clearance by
-    default). Impacts are drawn on top, and never too thin to be seen. `ax`: axes to draw in.
+    """Free flight, impact and contact over time, a strip for each joint.
+
+    Impacts are drawn on top, with a width of at least a thousandth of the chart.
+
+    Args:
+        run: the run.
+        joints: names of joints; all with clearance by default.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if there is no such joint with clearance.
     """
     check_run(run)
     names = joints or tuple(run.formulation.contact_joints(run.mechanism))
@@ -269,9 +352,22 @@ def modes(run: Trajectory, *joints: str, ax: Any = None) -> Any:
 
 @answering
 def pointing_budget(error: PointingError, *, ax: Any = None) -> Any:
-    """Pointing and position error of a tip over time, exact beside the adjoint model, with what
-    each joint contributes; beside it the root mean squares, each with its share of the mean
-    square. `ax`: four axes to draw in, over time and beside it, row by row."""
+    """Pointing and position error of a tip over time, with the contribution of each joint.
+
+    The exact error is drawn with that of the first-order model; bars show the root mean squares,
+    each with its share of the mean square.
+
+    Args:
+        error: a `PointingError`, as `jaxclear.pointing_error` returns it.
+        ax: four `matplotlib.axes.Axes` to draw in, row by row (over time, bars); by default a new
+            figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `error` is something else.
+    """
     expect(error, PointingError, "the error", "what jaxclear.pointing_error returns")
     sheet = panels("pointing_budget", ax, 2, 2, (10.0, 6.4), width_ratios=(2.4, 1.0))
     axes = sheet.axes

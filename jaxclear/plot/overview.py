@@ -54,8 +54,21 @@ from jaxclear.studies.worst_case import WorstCase
 
 @answering
 def overview(run: Trajectory, *, ax: Any = None) -> Any:
-    """How far each body has gone from its start over time, how fast it turns, and the normal forces
-    of joints with contacts. `ax`: three axes."""
+    """Displacement and angular velocity of each body, and normal forces of joints with contacts.
+
+    Displacements are distances from the start. Dotted lines show the largest force of a contact in
+    all steps.
+
+    Args:
+        run: the run.
+        ax: three `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `run` is no run.
+    """
     check_run(run)
     sheet = panels("overview", ax, 3, 1, (8.0, 8.0), sharex=True)
     places, turns, forces = sheet.axes.flat
@@ -82,8 +95,13 @@ def overview(run: Trajectory, *, ax: Any = None) -> Any:
 
 
 def draw_forces(axis: Any, run: Trajectory, *joints: str) -> None:
-    """Normal forces of joints at the saved instants, summed over their contacts, and as a dotted
-    line the largest of a contact in all steps."""
+    """Draw normal forces of joints at the saving times, and their peaks as dotted lines.
+
+    Args:
+        axis: matplotlib axes to draw in.
+        run: the run.
+        joints: names of the joints, whose contacts are summed.
+    """
     kept = reached(run, -np.inf)
     saved = [np.asarray(run.contact(name).normal_force)[kept].sum(axis=1) for name in joints]
     peaks = [float(PeakContactForce(name)(run)) for name in joints]
@@ -98,8 +116,18 @@ def draw_forces(axis: Any, run: Trajectory, *joints: str) -> None:
 
 @answering
 def positions(found: Positions, *, ax: Any = None) -> Any:
-    """Where centres of mass are (x and y), and where journals lie in their gaps, over the positions
-    that were asked for. `ax`: two axes."""
+    """Centres of mass (x and y), and journals in their gaps, over positions of the drives.
+
+    Args:
+        found: a `Positions`, as `jaxclear.positions` returns it.
+        ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `found` is something else.
+    """
     expect(found, Positions, "the positions", "what jaxclear.positions returns")
     sheet = panels("positions", ax, 1, 2, (10.0, 4.4))
     left, right = sheet.axes.flat
@@ -161,8 +189,19 @@ FIGURES: dict[type, Callable] = {
 
 @answering
 def result(found: Any, *, ax: Any = None) -> Any:
-    """The figure of any result of jaxclear: of a run, of a study. `ax`: axes to draw in, as many as
-    its own function takes. Raises `ValueError` for what is none."""
+    """The figure that belongs to a result of jaxclear, a run or the answer of a study.
+
+    Args:
+        found: the result.
+        ax: `matplotlib.axes.Axes` to draw in, as many as the figure's own function takes; by
+            default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `found` is no result with a figure.
+    """
     draw = FIGURES.get(type(found))
     if draw is None:
         kinds = listed(sorted(kind.__name__ for kind in FIGURES))

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_count, check_known, check_number, expect
+from jaxclear.ground.arguments import check_count, check_name, check_number, expect
 from jaxclear.plot.canvas import check_run, over_time, panels, readable, warned
 from jaxclear.results.relative_motion import relative_motion
 from jaxclear.results.trajectory import Trajectory
@@ -19,8 +19,16 @@ AXES, TURN, FORCE = ("x", "y", "z"), "turn", "force"
 
 
 class TimeCurve(NamedTuple):
-    """`values` over `time` [s] in `unit`, their `rates` [unit/s] (None where there are none), and
-    how they are called."""
+    """A quantity of a run over time.
+
+    Args:
+        time: saving times [s], shape (time,).
+        values: values in `unit`, shape (time,).
+        rates: their rates [unit/s], shape (time,); None where there are none.
+        unit: unit of the values.
+        label: name of the quantity.
+        rate_label: name of its rate.
+    """
 
     time: np.ndarray
     values: np.ndarray
@@ -35,7 +43,11 @@ class TimeCurve(NamedTuple):
         return factor * self.values, f"{self.label} [{unit}]"
 
     def rates_shown(self) -> tuple[np.ndarray, str]:
-        """Likewise of the rates. Raises `ValueError` where there are none."""
+        """Rates in a readable unit, and the axis label with it.
+
+        Raises:
+            ValueError: if there are none.
+        """
         if self.rates is None:
             raise ValueError(f"the {self.label} has no rate; name a place or a turn instead.")
         factor, unit = readable(self.rates, self.unit)
@@ -43,20 +55,30 @@ class TimeCurve(NamedTuple):
 
 
 def signal(run: Trajectory, of: str, axis: str | None = None) -> TimeCurve:
-    """A number of a body or a joint. Of a body: the place "x", "y" or "z" of its centre of mass, or
-    its "turn" about the z axis, in the ground frame. Of a joint: the place or the turn of the
-    child's marker in the axes of the parent's, or, of one with contacts, the normal "force" of all
-    of them. By default the place of a body or of a journal in its clearance, the coordinate of a
-    joint without. Raises `ValueError`.
+    """A quantity of a body or a joint over time, with its rate.
+
+    Args:
+        run: the run.
+        of: name of a body or joint.
+        axis: "x", "y" or "z": position of the centre of mass of a body in the ground frame, or of
+            the child's marker in the axes of the parent's; "turn": angle about z of the same;
+            "force": normal force of all contacts of a joint. By default x for a body or a journal
+            in its clearance, else the coordinate of the joint.
+
+    Returns:
+        The `TimeCurve`.
+
+    Raises:
+        ValueError: if there is no such body, joint or axis.
     """
     check_run(run)
     mechanism = run.mechanism
-    check_known("body or joint", of, [*mechanism.bodies, *mechanism.connections],
+    check_name("body or joint", of, [*mechanism.bodies, *mechanism.connections],
                 " in this mechanism")  # fmt: skip
     time = np.asarray(run.time)
     if of in mechanism.bodies:
         axis = "x" if axis is None else axis
-        check_known("axis", axis, (*AXES, TURN), f' of body "{of}"')
+        check_name("axis", axis, (*AXES, TURN), f' of body "{of}"')
         motion = run.body(of)
         if axis == TURN:
             turn = np.asarray(motion.rotation)
@@ -79,7 +101,7 @@ def _usual(run: Trajectory, of: str) -> str:
 def _of_joint(run: Trajectory, of: str, axis: str) -> TimeCurve:
     touching = of in run.formulation.contact_joints(run.mechanism)
     known = (*AXES, TURN, *([FORCE] if touching else []))
-    check_known("axis", axis, known, f' of joint "{of}"')
+    check_name("axis", axis, known, f' of joint "{of}"')
     time = np.asarray(run.time)
     if axis == FORCE:
         force = np.asarray(run.contact(of).normal_force).sum(axis=1)
@@ -94,7 +116,15 @@ def _of_joint(run: Trajectory, of: str, axis: str) -> TimeCurve:
 
 
 def reached(run: Trajectory, since: float) -> np.ndarray:
-    """Which saving times a run reached, from `since` [s] on."""
+    """Mask of the saving times that a run reached.
+
+    Args:
+        run: the run.
+        since: earliest time [s].
+
+    Returns:
+        True or False, shape (time,).
+    """
     time = np.asarray(run.time)
     return (time >= since) & (time <= float(run.ended) * (1 + 1e-12))
 
@@ -107,9 +137,23 @@ BETWEEN = 4
 def phase_portrait(
     run: Trajectory, of: str, axis: str | None = None, *, since: float = 0.0, ax: Any = None
 ) -> Any:
-    """Rate over value, coloured by time: of a body the place "x", "y", "z" of its centre of mass or
-    its "turn" about z (ground frame), of a joint that of the child's marker in the parent's axes.
-    `since` [s]: from when on. `ax`: axes to draw in. Raises `ValueError`.
+    """Rate of a quantity over its value, coloured by time.
+
+    Args:
+        run: the run.
+        of: name of a body or joint.
+        axis: "x", "y" or "z": position of the centre of mass of a body in the ground frame, or of
+            the child's marker of a joint in the axes of the parent's; "turn": angle about z of the
+            same. By default x for a body or a journal in its clearance, else the coordinate of the
+            joint.
+        since: time from which the curve is drawn [s]; 0 by default.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if there is no such body, joint or axis, or the quantity has no rate.
     """
     own = signal(run, of, axis)
     check_number("since of phase_portrait", since, "s")
@@ -125,8 +169,19 @@ def phase_portrait(
 
 
 def at_periods(own: TimeCurve, period: float, since: float, until: float) -> tuple:
-    """(times [s], values, rates) once a period from `since` to `until` [s]; between saving times by
-    cubics through values and rates."""
+    """Values and rates of a quantity once a period.
+
+    Between saving times they are those of a cubic through values and rates.
+
+    Args:
+        own: the quantity.
+        period: period [s], > 0.
+        since: first time [s].
+        until: last time [s].
+
+    Returns:
+        Times [s], values and rates, each of shape (periods,).
+    """
     times = np.arange(since, until * (1 + 1e-12), period)
     kept = own.time <= until * (1 + 1e-12)
     curve = CubicHermiteSpline(own.time[kept], own.values[kept], np.asarray(own.rates)[kept])
@@ -157,9 +212,25 @@ def poincare_section(
     since: float = 0.0,
     ax: Any = None,
 ) -> Any:
-    """Value and rate once a `period` [s] (that of the drive) from `since` [s] on: one point for a
-    motion that repeats, n for one that repeats every n periods, a cloud for a chaotic one. What it
-    is of as in `phase_portrait`. `ax`: axes to draw in. Raises `ValueError`.
+    """Value and rate of a quantity once a period.
+
+    A motion that repeats each period shows one point, one that repeats every n periods n points, a
+    chaotic one a cloud.
+
+    Args:
+        run: the run.
+        of: name of a body or joint.
+        axis: name of the quantity, "x", "y", "z" or "turn", as of `phase_portrait`.
+        period: period of the drive [s], > 0.
+        since: time of the first point [s]; 0 by default.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if there is no such body, joint or axis, the quantity has no rate, or no whole
+            period follows `since`.
     """
     own = signal(run, of, axis)
     until = _checked(run, own, period, since, "poincare_section")
@@ -186,9 +257,25 @@ def bifurcation(
     over: str = "radial clearance [m]",
     ax: Any = None,
 ) -> Any:
-    """Value once a `period` [s] from `since` [s] on, over a number: `runs` by that number, `over`
-    says what it is, with its unit. One point where the motion repeats each period. What it is of as
-    in `phase_portrait`. `ax`: axes to draw in. Raises `ValueError`.
+    """Values of a quantity once a period, over a number that varies from run to run.
+
+    A motion that repeats each period shows one point for its number.
+
+    Args:
+        runs: runs by the number that varies.
+        of: name of a body or joint.
+        axis: name of the quantity, "x", "y", "z" or "turn", as of `phase_portrait`.
+        period: period of the drive [s], > 0.
+        since: time of the first point [s]; 0 by default.
+        over: name of the number with its unit in brackets; "radial clearance [m]" by default.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `runs` is empty, there is no such body, joint or axis, the quantity has no
+            rate, or no whole period follows `since`.
     """
     expect(runs, Mapping, "runs", "a dictionary of runs by the number that varies")
     if not runs:
@@ -220,9 +307,21 @@ FEWEST, HARMONICS = 8, 10
 
 
 def spectral_density(time: np.ndarray, values: np.ndarray, segments: int) -> tuple:
-    """(frequencies [Hz], one-sided power spectral density [unit^2/Hz]) by Welch's method: Hann
-    windows that overlap by half, each without its mean. Raises `ValueError` unless the times are
-    evenly spread."""
+    """One-sided power spectral density by Welch's method.
+
+    Windows are Hann's, overlap by half, and have their mean removed.
+
+    Args:
+        time: evenly spaced times [s], shape (time,), at least 8.
+        values: values in some unit, shape (time,).
+        segments: number of windows, >= 1.
+
+    Returns:
+        Frequencies [Hz] and densities [unit^2/Hz].
+
+    Raises:
+        ValueError: if the times are not evenly spaced.
+    """
     from scipy.signal import welch
 
     steps = np.diff(time)
@@ -246,13 +345,24 @@ def spectrum(
     segments: int = 3,
     ax: Any = None,
 ) -> Any:
-    """Root of the power spectral density over frequency, by Welch's method: of a body the place
-    "x", "y", "z" or the "turn" about z (ground frame), of a joint those of the child's marker in
-    the parent's axes, or the normal "force" of its contacts.
+    """Root of the power spectral density of a quantity over frequency, by Welch's method.
 
-    `since` [s]: from when on. `period` [s] of the drive: its harmonics are marked. `segments`:
-    means over so many halves that overlap; more are smoother and tell frequencies less apart.
-    `ax`: axes to draw in. Raises `ValueError` for saving times that are not evenly spread.
+    Args:
+        run: the run, with evenly spaced saving times.
+        of: name of a body or joint.
+        axis: name of the quantity, "x", "y", "z" or "turn", as of `phase_portrait`, or "force": the
+            normal force of a joint's contacts.
+        since: time from which values are used [s]; 0 by default.
+        period: period of the drive [s], > 0, whose harmonics are marked; None by default.
+        segments: number of windows, overlapping by half, over which is averaged, >= 1; 3 by
+            default. More give a smoother curve of lower resolution.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if there is no such body, joint or axis, or saving times are not evenly spaced.
     """
     own = signal(run, of, axis)
     check_number("since of spectrum", since, "s")

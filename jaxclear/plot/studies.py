@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.printing import as_typed
 from jaxclear.plot.canvas import Roomy, key, panels, readable
 from jaxclear.studies.advice import PRESENT, Advice
@@ -42,8 +42,19 @@ SENTENCES = re.compile(r"(?<=[.!?]) +(?=[A-Z0-9])")
 
 @answering
 def monte_carlo(study: MonteCarlo | Campaign, *, ax: Any = None) -> Any:
-    """Histogram of every response over the sample (or a campaign's), with mean and 5 to 95 % range.
-    `ax`: one axes for each response."""
+    """Histogram of every response over the sample, with its mean and 5 to 95 % range.
+
+    Args:
+        study: a `MonteCarlo` or `Campaign`, as `jaxclear.monte_carlo` or `jaxclear.campaign`
+            returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `study` is something else.
+    """
     study = _sampled(study)
     names = list(study.responses)
     sheet = panels("monte_carlo", ax, 1, len(names), (4.6 * len(names), 3.8))
@@ -88,8 +99,19 @@ def _warned_samples(study: MonteCarlo) -> list[str]:
 
 @answering
 def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
-    """Every derivative by every method, with its 95 % interval; a method that refused is named, not
-    drawn. `ax`: one axes for each derivative.
+    """Every derivative by every method, with its 95 % interval.
+
+    A method that refused is named, not drawn.
+
+    Args:
+        study: a `Sensitivity`, as `jaxclear.sensitivity` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each derivative; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `study` is something else.
     """
     expect(study, Sensitivity, "the study", "what jaxclear.sensitivity returns")
     entries = list(study.derivatives.items())
@@ -129,9 +151,21 @@ def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
 
 @answering
 def sweep(study: Sweep, *, ax: Any = None) -> Any:
-    """Every response over the first swept variable, with a line for each value of a second one, or
-    over both as colours where these are many. `ax`: one axes for each response. Raises `ValueError`
-    for more than two variables."""
+    """Every response over one swept variable or two.
+
+    A second variable gives a line for each of its values, or colours over both where it has more
+    than 8.
+
+    Args:
+        study: a `Sweep`, as `jaxclear.sweep` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `study` is something else or has more than two variables.
+    """
     expect(study, Sweep, "the study", "what jaxclear.sweep returns")
     if len(study.over) > 2:
         raise ValueError(
@@ -164,12 +198,21 @@ def sweep(study: Sweep, *, ax: Any = None) -> Any:
 
 @answering
 def work_precision(advice: Advice, *, ax: Any = None) -> Any:
-    """Error of every setting against its work, one line a method, with the accuracy asked and the
-    recommended setting.
+    """Error of every setting of an integrator over its work, with the required accuracy.
 
-    Hollow marks: other models of contact, off by what they leave out. Triangles at the upper edge:
-    settings that err by LARGEST_ERROR or more, or failed; errors of less than LEAST_ERROR of the
-    accuracy are drawn there. `ax`: axes to draw in.
+    Each method is a line; the recommended setting has a ring. Hollow marks: other models of
+    contact, with the error of the model. Triangles at the upper edge: settings that failed or have
+    an error of 1 or more. Errors below a hundredth of the accuracy are drawn there.
+
+    Args:
+        advice: a `Advice`, as `jaxclear.advise` returns it.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `advice` is something else.
     """
     expect(advice, Advice, "the advice", "what jaxclear.advise returns")
     sheet = panels("work_precision", ax, size=(8.0, 5.4))
@@ -224,8 +267,18 @@ def _interval(axis: Any, row: float, value: float, low: float, high: float, **ho
 
 @answering
 def worst_case(study: WorstCase, *, ax: Any = None) -> Any:
-    """Nominal value and the ends of each response: found by runs, and of first order. `ax`: axes
-    for each response."""
+    """Nominal value and extremes of each response, by runs and of first order.
+
+    Args:
+        study: a `WorstCase`, as `jaxclear.worst_case` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `study` is something else.
+    """
     expect(study, WorstCase, "the study", "what jaxclear.worst_case returns")
     names = list(study.nominal)
     sheet = panels("worst_case", ax, 1, len(names), (WIDE * len(names), 2.6))
@@ -253,12 +306,26 @@ def _sampled(study: MonteCarlo | Campaign) -> MonteCarlo:
 
 @answering
 def error_budget(study: MonteCarlo | Campaign, *responses: str, ax: Any = None) -> Any:
-    """What each variable contributes to the variance of responses (all by default), as shares of it
-    with 95 % intervals. `ax`: axes for each response."""
+    """Contribution of each variable to the variance of responses, with 95 % intervals.
+
+    Contributions are percentages of the variance.
+
+    Args:
+        study: a `MonteCarlo` or `Campaign`, as `jaxclear.monte_carlo` or `jaxclear.campaign`
+            returns it.
+        responses: names of responses; all by default.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `study` is something else or there is no such response.
+    """
     study = _sampled(study)
     names = responses or tuple(study.responses)
     for name in names:
-        check_known("response", name, study.responses, " in this study")
+        check_name("response", name, study.responses, " in this study")
     rows = len(study.problem.names) + 1
     size = (WIDE * len(names), 1.4 + 0.35 * rows)
     sheet = panels("error_budget", ax, 1, len(names), size, sharey=True)
@@ -308,8 +375,18 @@ def _by_variable(
 
 @answering
 def sobol_indices(study: SobolIndices, *, ax: Any = None) -> Any:
-    """First-order and total index of each variable, with 95 % intervals. `ax`: axes for each
-    response."""
+    """First-order and total Sobol' index of each variable, with 95 % intervals.
+
+    Args:
+        study: a `SobolIndices`, as `jaxclear.sobol_indices` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `study` is something else.
+    """
     expect(study, SobolIndices, "the study", "what jaxclear.sobol_indices returns")
     kinds = {"first order": study.first, "total": study.total}
     return _by_variable("sobol_indices", study, kinds, ax, "index of", "Sobol' indices").done()
@@ -317,8 +394,18 @@ def sobol_indices(study: SobolIndices, *, ax: Any = None) -> Any:
 
 @answering
 def screening(study: Screening, *, ax: Any = None) -> Any:
-    """Mean size `mu*` and deviation `sigma` of the elementary effects of each variable, with 95 %
-    intervals. `ax`: axes for each response."""
+    """Mean size and standard deviation of each variable's elementary effects, with 95 % intervals.
+
+    Args:
+        study: a `Screening`, as `jaxclear.screening` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `study` is something else.
+    """
     expect(study, Screening, "the study", "what jaxclear.screening returns")
     kinds = {"mu*": study.mu_star, "sigma": study.sigma}
     told = "elementary effect on", "Screening", True
@@ -327,7 +414,18 @@ def screening(study: Screening, *, ax: Any = None) -> Any:
 
 @answering
 def shapley_effects(study: ShapleyEffects, *, ax: Any = None) -> Any:
-    """Effect of each variable, with 95 % intervals. `ax`: axes for each response."""
+    """Shapley effect of each variable, with 95 % intervals.
+
+    Args:
+        study: a `ShapleyEffects`, as `jaxclear.shapley_effects` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `study` is something else.
+    """
     expect(study, ShapleyEffects, "the study", "what jaxclear.shapley_effects returns")
     told = "Shapley effect on", "Shapley effects"
     sheet = _by_variable("shapley_effects", study, {"effect": study.effects}, ax, *told)
@@ -336,8 +434,18 @@ def shapley_effects(study: ShapleyEffects, *, ax: Any = None) -> Any:
 
 @answering
 def surface(found: ResponseSurface, *, ax: Any = None) -> Any:
-    """What a surface says of each run that it has not seen, over what the run says. `ax`: axes for
-    each response."""
+    """Predictions of a response surface over runs that it was fitted without (leave-one-out).
+
+    Args:
+        found: a `ResponseSurface`, as `jaxclear.surface` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `found` is something else.
+    """
     expect(found, ResponseSurface, "the surface", "what jaxclear.surface returns")
     names = list(found.problem.response_names)
     sheet = panels("surface", ax, 1, len(names), (WIDE * len(names), 4.0))
@@ -376,8 +484,18 @@ def _means(what: str, means: dict, deviations: dict, problem: Any, ax: Any, titl
 
 @answering
 def corrected(study: Corrected, *, ax: Any = None) -> Any:
-    """Mean and standard deviation of each response with their 95 % errors. `ax`: axes for each
-    response."""
+    """Mean and standard deviation of each response by a corrected surface, with 95 % errors.
+
+    Args:
+        study: a `Corrected`, as `jaxclear.corrected` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `study` is something else.
+    """
     expect(study, Corrected, "the study", "what jaxclear.corrected returns")
     title = f"Surface corrected by {study.runs} runs"
     problem = study.surface.problem
@@ -386,8 +504,18 @@ def corrected(study: Corrected, *, ax: Any = None) -> Any:
 
 @answering
 def multi_fidelity(study: MultiFidelity, *, ax: Any = None) -> Any:
-    """Mean and standard deviation of each response with their 95 % errors. `ax`: axes for each
-    response."""
+    """Mean and standard deviation of each response by models of several costs, with 95 % errors.
+
+    Args:
+        study: a `MultiFidelity`, as `jaxclear.multi_fidelity` returns it.
+        ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `study` is something else.
+    """
     expect(study, MultiFidelity, "the study", "what jaxclear.multi_fidelity returns")
     spread = study.standard_deviations
     title = f"{study.runs[0]} runs of the problem and {sum(study.runs[1:])} of cheaper ones"
@@ -396,8 +524,20 @@ def multi_fidelity(study: MultiFidelity, *, ax: Any = None) -> Any:
 
 @answering
 def reliability(study: Reliability, *, ax: Any = None) -> Any:
-    """Probability of failing by each method, with 95 % intervals, the answer that stands in black;
-    importance of the variables. `ax`: two axes."""
+    """Probability of failure by each method, with 95 % intervals, and importance of the variables.
+
+    The method of the answer is drawn in black.
+
+    Args:
+        study: a `Reliability`, as `jaxclear.reliability` returns it.
+        ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `study` is something else.
+    """
     expect(study, Reliability, "the study", "what jaxclear.reliability returns")
     found = {name: own for name, own in study.estimates.items() if np.isfinite(own.value)}
     shares = study.importance()

@@ -82,9 +82,21 @@ def _wall(wear_map: Any, surface: str) -> Wall:
 
 @answering
 def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing", *, ax: Any = None) -> Any:
-    """Worn depth over direction and position along the axis, the wall rolled out flat; beside it
-    the deepest cell of each row. Of a guide or slider the depth along either wall. `ax`: two axes
-    to draw in.
+    """Worn depth of a surface, unrolled, and the largest depth of each row.
+
+    Of a guide or slider the depth along either wall is drawn.
+
+    Args:
+        run: the run.
+        joint: name of the joint.
+        surface: name of the surface; "bearing" by default.
+        ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if there is no such surface that wears, or it has a single depth.
     """
     wear_map, depth = _wear(run, joint, surface)
     if wear_map.flat:
@@ -145,8 +157,21 @@ def wear_surface(
     *,
     ax: Any = None,
 ) -> Any:
-    """The worn wall in space, depth exaggerated so that the deepest place shows as a fifth of the
-    radius. `ax`: axes in space to draw in.
+    """The worn wall in space, with its depth exaggerated.
+
+    Args:
+        run: the run.
+        joint: name of the joint.
+        surface: name of the surface; "bearing" by default.
+        exaggeration: factor of the depth [1]; by default the deepest place is drawn as a fifth of
+            the radius.
+        ax: `matplotlib.axes.Axes` with projection="3d" to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if there is no such surface that wears, it has a single depth, or it is flat.
     """
     wear_map, depth = _wear(run, joint, surface)
     if wear_map.flat:

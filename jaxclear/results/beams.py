@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.components.beam import Beam, piece_name
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.laws.section import Rectangle
 
@@ -18,7 +18,7 @@ LINES = ("chord", "start")
 
 def _beam(run: "Trajectory", name: str) -> Beam:
     beams = {n: own for n, own in run.mechanism.bodies.items() if isinstance(own, Beam)}
-    check_known("beam", name, beams, " in this mechanism")
+    check_name("beam", name, beams, " in this mechanism")
     return beams[name]
 
 
@@ -27,7 +27,7 @@ def deflection(
 ) -> Float[Array, "time place 3"]:
     """See `Trajectory.deflection`."""
     beam = _beam(run, name)
-    check_known("line in relative_to", relative_to, LINES)
+    check_name("line in relative_to", relative_to, LINES)
     ends = beam.ends()
     pieces = [run.body(piece_name(name, i)) for i in range(len(ends) - 1)]
     tip = pieces[-1].origin + (ends[-1] - ends[-2]) * pieces[-1].rotation[:, :, 0]

@@ -33,7 +33,7 @@ from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import NOTHING
-from jaxclear.results.state_history import StateHistory, check_known, columns, over_time
+from jaxclear.results.state_history import StateHistory, check_name, columns, over_time
 
 # Vectors of a clearance joint and numbers of each of its contacts.
 OF_JOINT = ("offset", "force", "torque")
@@ -69,13 +69,20 @@ def _range(name: str, values: np.ndarray, unit: str) -> dict[str, Any]:
 
 
 class BodyHistory(AbstractHistory):
-    """Motion of a body in the ground frame: `com` place [m] and `velocity` [m/s] of its centre of
-    mass, `rotation` its axes in the ground's (time, 3, 3), `spin` angular velocity [rad/s] in
-    ground axes, `origin` place of the body frame [m].
+    """Motion of a body in the ground frame.
 
-    Accelerations follow from the equations of motion at the saved states, and are computed when
-    asked for. Where contact forces are means over saving intervals (MoreauJean, joints that always
-    touch), what these add to an acceleration is such a mean too, impacts included.
+    Accelerations follow from the equations of motion at the saved states. Where contact forces are
+    means over the saving intervals (MoreauJean, joints that always touch), their part of an
+    acceleration is such a mean, impacts included.
+
+    Args:
+        com: position of the centre of mass [m], shape (time, 3).
+        rotation: axes of the body in the ground frame [1], shape (time, 3, 3).
+        velocity: velocity of the centre of mass [m/s], shape (time, 3).
+        spin: angular velocity [rad/s], shape (time, 3), ground axes.
+        origin: position of the origin of the body frame [m], shape (time, 3).
+        history: the saved states.
+        name: name of the body.
     """
 
     com: Float[Array, "time 3"] = measured("m")
@@ -88,24 +95,29 @@ class BodyHistory(AbstractHistory):
 
     @property
     def acceleration(self) -> Float[Array, "time 3"]:
-        """Of the centre of mass [m/s^2], ground axes."""
+        """Acceleration of the centre of mass [m/s^2], shape (time, 3), ground axes."""
         return _accelerations(self.history)[self.name][0]
 
     @property
     def angular_acceleration(self) -> Float[Array, "time 3"]:
-        """Rate of `spin` [rad/s^2], ground axes."""
+        """Angular acceleration [rad/s^2], shape (time, 3), ground axes."""
         return _accelerations(self.history)[self.name][1]
 
     @property
     def quaternion(self) -> Float[Array, "time 4"]:
-        """Orientation as unit quaternions, scalar first and not negative."""
+        """Orientation as unit quaternions, shape (time, 4), scalar first and not negative."""
         return quaternion_from_rotation(self.rotation)
 
 
 class MarkerHistory(AbstractHistory):
-    """Motion of a marker in the ground frame: `position` [m] and `rotation`, its axes in the
-    ground's; `body`: that of its body. Over the positions of a mechanism that does not move there
-    are these alone.
+    """Motion of a marker in the ground frame.
+
+    For positions of a mechanism at rest only `position` and `rotation` exist.
+
+    Args:
+        position: position of its origin [m], shape (time, 3).
+        rotation: its axes in the ground frame [1], shape (time, 3, 3).
+        body: the motion of its body.
     """
 
     position: Float[Array, "time 3"] = measured("m")
@@ -114,21 +126,25 @@ class MarkerHistory(AbstractHistory):
 
     @property
     def velocity(self) -> Float[Array, "time 3"]:
-        """Of its origin [m/s], ground axes."""
+        """Velocity of its origin [m/s], shape (time, 3), ground axes."""
         return self.body.velocity + jnp.cross(self.body.spin, self.position - self.body.com)
 
     @property
     def acceleration(self) -> Float[Array, "time 3"]:
-        """Of its origin [m/s^2], ground axes: the rate of `velocity`, without gravity. From the
-        equations of motion, as of a `BodyHistory`."""
+        """Acceleration of its origin [m/s^2], shape (time, 3), ground axes: the rate of `velocity`.
+
+        It follows from the equations of motion, as that of a `BodyHistory`.
+        """
         linear, angular = _accelerations(self.body.history)[self.body.name]
         spin, arm = self.body.spin, self.position - self.body.com
         return linear + jnp.cross(angular, arm) + jnp.cross(spin, jnp.cross(spin, arm))
 
     @property
     def specific_force(self) -> Float[Array, "time 3"]:
-        """What an accelerometer on it reads [m/s^2], along its own axes: acceleration less that of
-        gravity, so that one at rest reads g upwards."""
+        """Reading of an accelerometer on the marker [m/s^2], shape (time, 3), along its own axes.
+
+        It is the acceleration minus that of gravity: at rest it is g upwards.
+        """
         gravity = sp.stack(self.body.history.model().system.gravity)
         return jnp.einsum("tji,tj->ti", self.rotation, self.acceleration - gravity)
 
@@ -147,14 +163,20 @@ def marker(read: Callable[[str], Any], body: str | Marker, at: Any) -> MarkerHis
 
 
 class ContactHistory(AbstractHistory):
-    """A clearance joint over time, in the bearing's axes (the parent's marker); one column per
-    possible contact.
+    """A clearance joint over time, in the bearing's axes (the parent's marker).
 
-    `offset` [m] from the bearing's centre to the journal's and `axis` [1], the journal's z axis;
-    per contact the `indentation` [m] (positive in contact), `normal_force` [N], `slip_speed` [m/s],
-    `traction` [N] (magnitude of friction) and `place` [m] of touch; `force` [N] and `torque` [N m]
-    on the journal (the child), about its marker. `names` of the contacts are those of the columns;
-    `table()` has everything under labels with units, over `time` [s].
+    Args:
+        time: saving times [s], shape (time,).
+        offset: from the bearing's centre to the journal's [m], shape (time, 3).
+        axis: the journal's z axis [1], shape (time, 3).
+        indentation: of each possible contact [m], positive in contact, shape (time, contacts).
+        normal_force: of each contact [N], shape (time, contacts).
+        slip_speed: sliding speed at each contact [m/s], shape (time, contacts).
+        traction: magnitude of friction at each contact [N], shape (time, contacts).
+        place: point of contact [m], shape (time, contacts, 3).
+        force: force on the journal (the child) [N], shape (time, 3).
+        torque: torque on the journal about its marker [N m], shape (time, 3).
+        names: names of the contacts, in the order of the columns.
     """
 
     time: Float[Array, " time"] = measured("s")
@@ -171,7 +193,14 @@ class ContactHistory(AbstractHistory):
 
     @on_numbers
     def table(self) -> Any:
-        """A pandas table over time [s], a column for each number, labelled with its unit."""
+        """A table over time with a column for each number.
+
+        Returns:
+            A pandas table, its index the time [s], its columns labelled with units.
+
+        Raises:
+            ValueError: if numbers are being traced.
+        """
         columns = {"time [s]": np.asarray(self.time)}
         units = units_of(ContactHistory)
         for field in OF_JOINT:
@@ -184,11 +213,15 @@ class ContactHistory(AbstractHistory):
 
 
 class ReactionHistory(AbstractHistory):
-    """`force` [N] and `torque` [N m] that the child receives from the parent at the child's marker,
-    in ground axes; those of loads and couplings on the joint's own coordinate included. `unique`:
-    False where overconstrained loops leave open how they share what they carry; these reactions
-    then belong to the least multipliers of the joints that close loops, torques measured by the
-    longest arm.
+    """Force and torque on the child at its marker, in ground axes.
+
+    Those of loads and couplings on the joint's own coordinate are included.
+
+    Args:
+        force: force [N], shape (time, 3).
+        torque: torque [N m], shape (time, 3).
+        unique: False where overconstrained loops do not determine the reaction; it is then the one
+            of least norm over the joints that close loops, torques divided by the longest arm.
     """
 
     force: Float[Array, "time 3"] = measured("N")
@@ -197,10 +230,19 @@ class ReactionHistory(AbstractHistory):
 
 
 class EnergyHistory(AbstractHistory):
-    """Energy balance [J]: kinetic + potential + contact_stored + losses = start + input + error.
+    """Energy balance: kinetic + potential + contact_stored + losses = start + input + error.
 
-    `contact_stored` [J] in the springs of contacts; lost since the start: `contact_loss` [J] in
-    contacts, `friction_loss` [J], `damping_loss` [J] in dampers.
+    Losses and input are counted from the start of the run.
+
+    Args:
+        kinetic: kinetic energy [J], shape (time,).
+        potential: potential energy of gravity and springs [J], shape (time,).
+        contact_stored: elastic energy of the contacts [J], shape (time,).
+        contact_loss: lost in the damping of contacts [J], shape (time,).
+        friction_loss: lost in friction [J], shape (time,).
+        damping_loss: lost in dampers [J], shape (time,).
+        input: work of drives and loads [J], shape (time,).
+        error: what the balance misses [J], shape (time,).
     """
 
     kinetic: Float[Array, " time"] = measured("J")
@@ -215,7 +257,7 @@ class EnergyHistory(AbstractHistory):
 
 def body(history: StateHistory, name: str) -> BodyHistory:
     """Motion of a body."""
-    check_known(name, history.mechanism.bodies, "body")
+    check_name(name, history.mechanism.bodies, "body")
     com, rotation, velocity, spin, origin = _body(history, name)
     return BodyHistory(com, rotation, velocity, spin, origin, history, name)
 
@@ -288,7 +330,7 @@ def contact_impulse(history: StateHistory, name: str) -> Float[Array, " time"]:
 
 def check_contact_joint(history: StateHistory, name: str) -> None:
     """Raises `ValueError` where the formulation tells of no contacts in a joint."""
-    check_known(name, history.formulation.contact_joints(history.mechanism), "clearance joint")
+    check_name(name, history.formulation.contact_joints(history.mechanism), "clearance joint")
 
 
 @eqx.filter_jit
@@ -315,7 +357,7 @@ def reaction(history: StateHistory, name: str) -> ReactionHistory:
         for n, own in couplings.items()
         if isinstance(own, AbstractBodyCoupling) and own.motor is None
     ]
-    check_known(name, [*history.mechanism.connections, *meshing], "joint")
+    check_name(name, [*history.mechanism.connections, *meshing], "joint")
     kind = "coupling" if name in couplings else "joint"
     unique = is_unique(history, name, f'the reaction of {kind} "{name}"')
     return dataclasses.replace(_reaction(history, name), unique=unique)

@@ -25,7 +25,7 @@ import scipy
 
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.printing import shown_in_words
+from jaxclear.ground.printing import with_text_repr
 from jaxclear.ground.table import as_table
 from jaxclear.ground.warning import warn
 from jaxclear.integrators.events import Events
@@ -246,7 +246,7 @@ SHARE = 0.05
 
 
 class Mode(enum.IntEnum):
-    """How a journal moves in its bearing."""
+    """How a journal moves in its bearing: free flight, impact or contact."""
 
     FREE_FLIGHT = 0
     IMPACT = 1
@@ -258,11 +258,18 @@ class Mode(enum.IntEnum):
         return self.name.lower().replace("_", " ")
 
 
-@shown_in_words
+@with_text_repr
 class Phase(NamedTuple):
-    """A mode from `start` to `stop` [s]; `approach` [m/s]: speed at the touch, of an impact;
-    `known_by`: what tells of its start: an event of the run, its saving times, or that the run
-    started there."""
+    """A time interval in which a journal moves in one mode.
+
+    Args:
+        start: start [s].
+        stop: end [s].
+        mode: free flight, impact or contact.
+        approach: speed at the touch [m/s] of an impact; nan for others.
+        known_by: source of the start: an event of the run, its saving times, or the start of the
+            run.
+    """
 
     start: float
     stop: float

@@ -153,15 +153,28 @@ ROUNDING = 1e-15
 
 
 class PointingError(AbstractShown):
-    """Error of a tip over the saving times; twists [m, rad] of shape (time, 6), rows of
-    `deviations` in the bearings' axes.
+    """Error of a tip over the saving times of a run.
 
-    `exact` is the logarithm of the displacement from the nominal to the actual tip, `model` its
-    first order, the sum of `contributions` by joint (and "motion" against another run); `plays` are
-    these taken apart.
-    `pointing_angle` [rad] lies between the z axes of the two tips, `position_error` [m] between
-    their origins; `warnings` are those of the run. `budget()` shares the error out among the
-    joints, `sentence()` says it in words, `jaxclear.plot.pointing_budget` draws it.
+    Twists are linear then angular, in the axes of the nominal tip, whose z axis is the boresight.
+    `budget()` gives the contribution of each joint, `sentence()` says it in words,
+    `jaxclear.plot.pointing_budget` draws it.
+
+    Args:
+        time: saving times [s], shape (time,).
+        exact: logarithm of the displacement from the nominal to the actual tip [m, rad], shape
+            (time, 6).
+        model: its first-order approximation, the sum of `contributions` [m, rad], shape (time, 6).
+        contributions: twist of the tip that each joint causes [m, rad], shape (time, 6), by joint;
+            "motion" for differing coordinates against another run.
+        plays: these by joint and direction of its play [m, rad], shape (time, 6).
+        deviations: twist of each joint from its ideal [m, rad], shape (time, 6), in the bearing's
+            axes.
+        pointing_angle: angle between the z axes of both tips [rad], shape (time,).
+        position_error: distance of the origins of both tips [m], shape (time,).
+        names: names of the contributions.
+        tip: body of the tip.
+        base: body from which the tip is seen.
+        warnings: warnings of the runs.
     """
 
     time: np.ndarray
@@ -178,13 +191,19 @@ class PointingError(AbstractShown):
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def budget(self, by_play: bool = False) -> Any:
-        """What each joint contributes, as a pandas table with the model's and the exact error as
-        its last rows. `by_play`: what its displacement across its axis, along it, and its tilt
-        contribute, each for itself.
+        """The contribution of each joint to the error.
 
-        A share is the mean over time of the joint's contribution times the model's error, divided
-        by the mean square of the latter: shares add up to 1, and one below zero marks a joint that
-        makes up for others.
+        A share is the mean over time of the product of the joint's contribution and the model's
+        error, divided by the mean square of the latter: shares add up to 1; a negative share marks
+        a joint that compensates others.
+
+        Args:
+            by_play: True for a row for each direction of play (across the axis, along it, tilt) of
+                each joint; False by default.
+
+        Returns:
+            A pandas table by joint: root mean square and largest pointing [rad] and position [m],
+            shares [1]; its last rows are the model's error and the exact one.
         """
         check_flags("budget", by_play=by_play)
         parts = self._parts(by_play)
@@ -195,8 +214,11 @@ class PointingError(AbstractShown):
         return as_table([{"joint": name} | row for name, row in rows.items()], index="joint")
 
     def to_dataset(self) -> Any:
-        """Everything over the saving times as an xarray Dataset with units and provenance: errors,
-        and the twist [m, rad] that each joint contributes."""
+        """Errors and contributions over the saving times.
+
+        Returns:
+            An xarray Dataset with units and provenance.
+        """
         twist, over = ("time", "component"), ("time", "joint", "component")
         parts = np.stack([self.contributions[name] for name in self.names], axis=1)
         meaning = "twist of the tip; first three components in m, the others in rad"
@@ -237,13 +259,19 @@ class PointingError(AbstractShown):
 
     @property
     def model_error(self) -> float:
-        """Largest difference between the first-order and the exact error, the larger of its shares
-        in turn and in place [1].
+        """Largest difference between the first-order and the exact error [1].
+
+        It is divided by the largest exact error; the larger of the values for rotation and
+        displacement is taken.
         """
         return max(_difference(self.model, self.exact, part) for part in (PLACE, slice(3, 6)))
 
     def sentence(self) -> str:
-        """The error and its largest share in plain words."""
+        """The error and its largest contributions in words.
+
+        Returns:
+            The text.
+        """
         table = self.budget()
         text = (
             f'The z axis of the tip on "{self.tip}", seen from "{self.base}", is off by '
@@ -308,19 +336,29 @@ def pointing_error(
     through: str | tuple[str, ...] = (),
     nominal: Trajectory | None = None,
 ) -> PointingError:
-    """Error of a tip, a marker whose z axis is the boresight, relative to a base, over the saving
-    times of a run.
+    """Error of a tip relative to a base over the saving times of a run, joint by joint.
 
-    The chain of connections from base to tip must be serial; where there are several, `through`
-    names connections until one is left. Without `nominal` the error is that against ideal joints at
-    the very coordinates of the run: what the clearances take from an antenna that knows its joint
-    angles. With `nominal`, a run of the ideal mechanism saved at the same times, the joints'
-    coordinates differ as well, which appears as a contribution "motion". A joint with clearance
-    deviates by what the ideal joint of the same kind (its `ideal_rows`) would not let it do: a
-    `PlanarJournalBearing` has no rows against tilt, so its tilt is motion and no error; an ideal
-    joint contributes nothing. The model is of first order: good while deviations are small, and
-    differences of motion too. Raises `ValueError` with a sentence for a tip, base or chain that is
-    not there.
+    Without `nominal` the error is that against ideal joints at the coordinates of the run itself:
+    the part that clearances cause in an antenna that measures its joint angles. With `nominal`, the
+    joints' coordinates differ as well, which appears as a contribution "motion". A joint with
+    clearance deviates by the motion that the ideal joint of its kind (its `ideal_rows`) would
+    prevent: the tilt of a `PlanarJournalBearing` is motion and no error. The model is of first
+    order, for small deviations.
+
+    Args:
+        trajectory: the run.
+        tip: a `Marker`, or the name of a body, whose frame it then is; its z axis is the boresight.
+        base: name of the body from which the tip is seen; "ground" by default.
+        through: names of connections (or one name) that the chain from base to tip passes, needed
+            where there are several chains.
+        nominal: a run of the ideal mechanism with the same saving times; None by default.
+
+    Returns:
+        The `PointingError`.
+
+    Raises:
+        ValueError: if there is no such tip, base or chain, if the chain is not serial, or if the
+            runs have different chains or saving times.
     """
     _check(trajectory, nominal)
     links, configuration, errors = tip_errors(

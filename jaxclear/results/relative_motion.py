@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from jaxclear.components.body import GROUND, Marker
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 
 
 class RelativeMotion(NamedTuple):
@@ -51,7 +51,7 @@ def seen(run: Any, marker: Marker) -> Seen:
 def relative_motion(run: Any, name: str) -> RelativeMotion:
     """Motion of a connection's child against its parent over a run. Raises `ValueError` for a name
     that there is not."""
-    check_known("joint", name, run.mechanism.connections, " in this mechanism")
+    check_name("joint", name, run.mechanism.connections, " in this mechanism")
     connection = run.mechanism.connections[name]
     parent, child = seen(run, connection.parent), seen(run, connection.child)
     away = child.place - parent.place

@@ -18,9 +18,9 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.argument_errors import nothing_else
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.ground.numerics import safe_sqrt
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_given, count
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, lenient_converter
 from jaxclear.ground.wording import described
 from jaxclear.multibody.topology import coordinate_units, turns
 from jaxclear.multibody.transmissions import torque_on_flanks
@@ -57,48 +57,104 @@ REACHES = {
 
 
 class AbstractResponse(AbstractQuantified):
-    """A number drawn from a run; `unit` is that of the number."""
+    """A number computed from a run, with its unit.
+
+    A subclass defines `__call__` and `unit`, and `drawn_from` where only a part of the run has to
+    be accurate for it.
+
+    Its field `unit` is the unit of the number, "" where `unit_in` derives it from the mechanism.
+    """
 
     unit: eqx.AbstractVar[str]
 
     def unit_in(self, mechanism: Any) -> str:
-        """The unit, of a number drawn from runs of this mechanism."""
+        """The unit of the number for runs of a mechanism.
+
+        Args:
+            mechanism: the `Mechanism` whose runs are read.
+
+        Returns:
+            The unit as text, by default `unit`.
+        """
         return self.unit
 
     def drawn_from(self) -> str:
-        """What of a run it needs to be right: its "motion", "forces", "peak forces", "wear",
-        "worn depth", "places in gaps" (at an instant) or "anything". A warning that concerns
-        something else does not concern it."""
+        """The part of a run that has to be accurate for this response.
+
+        A warning of a run about another part does not concern the response.
+
+        Returns:
+            One of "motion", "forces", "peak forces", "wear", "worn depth", "places in gaps" (at an
+            instant), "anything" (the default).
+        """
         return "anything"
 
     @abstractmethod
     def __call__(self, run: Trajectory) -> Scalar:
-        """The response of a run."""
+        """The response of a run.
+
+        Args:
+            run: a `Trajectory`.
+
+        Returns:
+            One number, an array of shape (), in `unit`.
+        """
 
 
 class AbstractSignal(AbstractQuantified):
-    """Numbers drawn from a run, one for each of its saving times: what a sensor sees of it."""
+    """Numbers computed from a run, one for each saving time, as a sensor records them."""
 
     @abstractmethod
     def __call__(self, run: Trajectory) -> Float[Array, " time"]:
-        """The signal of a run, at its saving times."""
+        """The signal of a run.
+
+        Args:
+            run: a `Trajectory`.
+
+        Returns:
+            Values at the saving times, shape (time,), in the unit of the signal.
+        """
 
 
 def needs_of(response: Any) -> str:
-    """What of a run a response needs to be right, as `drawn_from` says; a plain function may need
-    "anything"."""
+    """The part of a run that has to be accurate for a response.
+
+    Args:
+        response: an `AbstractResponse` or a function of a run.
+
+    Returns:
+        As `AbstractResponse.drawn_from`; "anything" for a plain function.
+    """
     return response.drawn_from() if isinstance(response, AbstractResponse) else "anything"
 
 
 def concerned(response: Any, concerns: str) -> bool:
-    """Whether a warning that `concerns` a part of a run concerns a response; any does that of a
-    plain function."""
+    """Whether a warning about a part of a run concerns a response.
+
+    Args:
+        response: an `AbstractResponse` or a function of a run; every warning concerns a plain
+            function.
+        concerns: the part that the warning is about: "motion", "places", "forces", "peak forces",
+            "wear", "worn depth" or "places in gaps".
+
+    Returns:
+        True where the response uses that part, or a part that follows from it (forces follow the
+        motion, wear follows the forces).
+    """
     needs = needs_of(response)
     return needs == "anything" or needs in REACHES.get(concerns, (needs,))
 
 
 def unit_of(response: Any, mechanism: Any) -> str:
-    """Unit of a response of a mechanism; "1" for a plain function."""
+    """The unit of a response.
+
+    Args:
+        response: an `AbstractResponse` or a function of a run.
+        mechanism: the `Mechanism` whose runs are read.
+
+    Returns:
+        The unit as text; "1" for a plain function.
+    """
     return response.unit_in(mechanism) if isinstance(response, AbstractResponse) else "1"
 
 
@@ -111,7 +167,14 @@ SAME_FORCE = 1e-9
 
 
 class PeakWornDepth(AbstractResponse):
-    """Largest depth of a wear map at the end of the run [m]."""
+    """Largest depth of a wear map at the end of the run [m].
+
+    Args:
+        joint: name of a joint, or of a coupling whose flanks wear.
+        surface: name of the surface, such as "bearing" (default) or "journal"; "upper" or "lower"
+            for a flank of a coupling.
+        unit: unit of the number, "m".
+    """
 
     joint: str = eqx.field(static=True)
     surface: str = eqx.field(static=True, default="bearing")
@@ -125,7 +188,14 @@ class PeakWornDepth(AbstractResponse):
 
 
 class WornVolume(AbstractResponse):
-    """Volume lost by a surface over the run [m3]."""
+    """Volume worn off a surface during the run [m^3].
+
+    Args:
+        joint: name of a joint, or of a coupling whose flanks wear.
+        surface: name of the surface, such as "bearing" (default) or "journal"; "upper" or "lower"
+            for a flank of a coupling.
+        unit: unit of the number, "m^3".
+    """
 
     joint: str = eqx.field(static=True)
     surface: str = eqx.field(static=True, default="bearing")
@@ -139,12 +209,26 @@ class WornVolume(AbstractResponse):
 
 
 class PositionError(AbstractResponse):
-    """Root mean square distance [m] of a body's centre of mass from a reference path at the saving
-    times, along some or all of the ground's axes."""
+    """Root mean square distance of a centre of mass from a reference path [m].
+
+    The mean is over the saving times.
+
+    Args:
+        body: name of the body.
+        reference: positions of the reference path [m], shape (time, 3), ground frame, such as
+            `run.body(name).com` of a run with the same duration and saving times.
+        axes: numbers of the ground's axes along which the distance is measured, some of 0, 1, 2 (x,
+            y, z); all by default.
+        unit: unit of the number, "m".
+
+    Raises:
+        ValueError: if the reference has another shape, is not finite, or has another number of
+            saving times than the run; if `axes` names other axes.
+    """
 
     body: str = eqx.field(static=True)
     reference: Float[Array, "time 3"] = eqx.field(
-        converter=as_given(lambda path: jnp.asarray(path, float))
+        converter=lenient_converter(lambda path: jnp.asarray(path, float))
     )
     axes: tuple[int, ...] = eqx.field(
         static=True,
@@ -188,12 +272,18 @@ class PositionError(AbstractResponse):
 
 
 class PointingAngle(AbstractResponse):
-    """Angle between the boresight (z axis) of a tip and that of the same chain with ideal joints at
-    the same coordinates [rad]: root mean square over the saving times, or the largest with
-    `peak=True`.
+    """Angle between the boresight of a tip and that of the same chain with ideal joints [rad].
 
-    `tip`: a marker or a body's name; `base`, `through`: as in `jaxclear.pointing_error`, which
-    shows where the error comes from.
+    The boresight is the z axis of the tip. The ideal chain has the joint coordinates of the run.
+    `jaxclear.pointing_error` shows which joints cause the angle.
+
+    Args:
+        tip: a `Marker`, or the name of a body, whose frame it then is.
+        base: name of the body from which the tip is seen; "ground" by default.
+        through: names of connections that the chain from base to tip passes, needed where there are
+            several chains.
+        peak: False (default): root mean square over the saving times; True: the largest value.
+        unit: unit of the number, "rad".
     """
 
     tip: Marker = eqx.field(converter=checked_tip)
@@ -232,9 +322,15 @@ class LargestDeflection(AbstractResponse):
 
 
 class LostMotion(AbstractResponse):
-    """Largest difference [rad, m] of a joint's coordinate under the loads and under reversed loads,
-    over the positions of a `PositionProblem` with `both_ways=True`: how far its play lets it turn
-    or slide while the drives stand still. `unit`: by default that of the coordinate."""
+    """Largest difference of a joint's coordinate under the loads and under reversed loads [rad, m].
+
+    It is the angle or distance that play allows while the drives stand still. It reads the
+    positions of a `PositionProblem` with `both_ways=True`.
+
+    Args:
+        joint: name of the joint.
+        unit: unit of the number; by default ("") that of the coordinate.
+    """
 
     joint: str = eqx.field(static=True)
     unit: str = eqx.field(static=True, default="", kw_only=True)
@@ -251,9 +347,14 @@ class LostMotion(AbstractResponse):
 
 
 class MeanContactForce(AbstractResponse):
-    """Mean over the run of the normal forces of a joint with clearance, summed over its contacts
-    [N]: their impulse (`Trajectory.contact_impulse`) over the duration, so it does not hang on the
-    saving times.
+    """Mean normal force of a joint with clearance over the run, summed over its contacts [N].
+
+    It is the impulse (`Trajectory.contact_impulse`) divided by the duration, and does not depend on
+    the choice of saving times.
+
+    Args:
+        joint: name of the joint.
+        unit: unit of the number, "N".
     """
 
     joint: str = eqx.field(static=True)
@@ -267,14 +368,17 @@ class MeanContactForce(AbstractResponse):
 
 
 class PeakContactForce(AbstractResponse):
-    """Largest normal force of a contact of a clearance joint [N], at the saving times and in all
-    steps between them: there the force at the end of any step, damping included, and the elastic
-    force at the deepest indentation.
+    """Largest normal force of a contact of a clearance joint, in all steps of the run [N].
 
-    So it does not hang on the saving times, but where forces are means over these (rigid contact,
-    joints that always touch) and where the law follows a worn radius (`Wearing.worn_radius`), which
-    is not known between them. Its derivative is that of the largest of all: of the force at a
-    saving time, or where the force is largest between the ends of a step.
+    It is the largest of three: the forces at the saving times, the force at the end of any step
+    (damping included) and the elastic force at the largest indentation. Only saving times count
+    where forces are means over the saving intervals (rigid contact, joints that always touch);
+    where the law follows a worn radius (`Wearing.worn_radius`) the elastic force at the largest
+    indentation is left out. The derivative is that of the largest of the three.
+
+    Args:
+        joint: name of the joint.
+        unit: unit of the number, "N".
     """
 
     joint: str = eqx.field(static=True)
@@ -288,8 +392,16 @@ class PeakContactForce(AbstractResponse):
 
 
 class PeakTransmitted(AbstractResponse):
-    """Largest torque [N m] or force [N] that a coupling transmits, as `Trajectory.transmitted` has
-    it, whichever way: at the saving times, and of flanks with play in all steps between them."""
+    """Largest magnitude of the torque [N m] or force [N] that a coupling transmits.
+
+    It is that of `Trajectory.transmitted` at the saving times and, for flanks with play, in all
+    steps between them.
+
+    Args:
+        coupling: name of the coupling.
+        unit: unit of the number; by default ("") "N m" for a coupling that turns, "N" for one that
+            slides.
+    """
 
     coupling: str = eqx.field(static=True)
     unit: str = eqx.field(static=True, default="", kw_only=True)
@@ -302,13 +414,22 @@ class PeakTransmitted(AbstractResponse):
         return "peak forces"
 
     def __call__(self, run):
-        check_known("coupling", self.coupling, run.mechanism.couplings)
+        check_name("coupling", self.coupling, run.mechanism.couplings)
         saved = jnp.max(jnp.abs(run.transmitted(self.coupling)))
         return peak_of_steps(run, self.coupling, saved)
 
 
 def peak_of_steps(run: Trajectory, name: str, saved: Scalar) -> Scalar:
-    """The largest force of a joint or a flank in all steps, from that at the saving times."""
+    """The largest force of a joint or a flank in all steps of a run.
+
+    Args:
+        run: a `Trajectory`.
+        name: name of a joint or of a coupling with play.
+        saved: the largest force at the saving times [N, N m], shape ().
+
+    Returns:
+        The larger of `saved` and the peak of the steps [N, N m], shape ().
+    """
     met = _largest_met(run, name)
     # A saving time is the end of a step too; as large, the peak beside it is the larger.
     return jnp.where(met >= (1 - SAME_FORCE) * saved, met, saved)
@@ -339,8 +460,12 @@ def _largest_met(run: Trajectory, joint: str) -> Scalar:
 
 
 class FinalCoordinate(AbstractResponse):
-    """A coordinate of a connection (or floating body) at the end of the run. `unit`: by default
-    that of the coordinate.
+    """A coordinate of a connection or of a floating body at the end of the run [rad, m, 1].
+
+    Args:
+        connection: name of the connection, or of the floating body.
+        index: number of the coordinate, 0 (default) or more.
+        unit: unit of the number; by default ("") that of the coordinate.
     """
 
     connection: str = eqx.field(static=True)
@@ -365,11 +490,19 @@ class FinalCoordinate(AbstractResponse):
 
 
 class FromFunction(AbstractResponse):
-    """What a function of a run (or of positions) returns, one number, in `unit`: a plain function
-    will do, but has none, so that tables, figures and a design's prices show its number as it is.
+    """A function of a run as a response with a unit.
 
-    `needs`: what of the run must be right for it, as `drawn_from` says; a warning that concerns
-    something else then does not concern it.
+    A plain function is accepted wherever a response is; it has no unit, so that tables and figures
+    show its number without one.
+
+    Args:
+        function: takes a `Trajectory` (or `Positions`) and returns one number.
+        unit: unit of the number.
+        needs: part of the run that has to be accurate for it, as `AbstractResponse.drawn_from`
+            returns it; "anything" by default.
+
+    Raises:
+        ValueError: if `needs` is not such a part.
     """
 
     function: Callable[[Any], Any]
@@ -377,7 +510,7 @@ class FromFunction(AbstractResponse):
     needs: str = eqx.field(static=True, default="anything")
 
     def __check_init__(self):
-        check_known("part of a run", self.needs, ["anything", *sorted(DRAWN)], " to draw from")
+        check_name("part of a run", self.needs, ["anything", *sorted(DRAWN)], " to draw from")
 
     def drawn_from(self):
         return self.needs
@@ -387,7 +520,15 @@ class FromFunction(AbstractResponse):
 
 
 def coordinate_unit(mechanism: Any, name: str, index: int) -> str:
-    """Unit of a coordinate of a joint or floating body; "1" where there is none, which a run
-    refuses."""
+    """Unit of a coordinate of a joint or floating body.
+
+    Args:
+        mechanism: the `Mechanism`.
+        name: name of the connection, floating body or motor.
+        index: number of the coordinate, from 0 on.
+
+    Returns:
+        The unit as text; "1" where there is no such coordinate, which a run refuses.
+    """
     units = coordinate_units(mechanism, name)
     return units[index] if index < len(units) else "1"

@@ -46,8 +46,14 @@ QUIET, IMPACT = (0.02, 0.05, 0.1), 1.0
 
 
 class Signal(NamedTuple):
-    """Signals of one sampling: `values` (signals, samples) in their own unit, `rate` [Hz], and
-    `turns` (signals, turns, samples a turn), the same over the angle (None: nothing tells it)."""
+    """Signals of one sampling rate.
+
+    Args:
+        values: samples in the signal's own unit, shape (signals, samples).
+        rate: sampling rate [Hz], > 0.
+        turns: the same signals over the angle, shape (signals, turns, samples per turn); None
+            (default) where no angle is available.
+    """
 
     values: np.ndarray
     rate: float
@@ -55,7 +61,11 @@ class Signal(NamedTuple):
 
     @property
     def size(self) -> np.ndarray:
-        """Standard deviation (signals, 1) of the mean cycle, or of the whole without turns."""
+        """Standard deviation of the mean cycle, shape (signals, 1).
+
+        It is that of all samples without turns, and where the mean cycle has hardly any amplitude
+        (below 1e-6 of it); it is 1 for a constant signal.
+        """
         whole = self.values.std(axis=1, keepdims=True)
         own = whole if self.turns is None else self.turns.mean(1).std(axis=1, keepdims=True)
         # Of a cycle that is all noise, the whole.
@@ -66,9 +76,25 @@ class Signal(NamedTuple):
 def by_turns(
     values: np.ndarray, rate: float, angle: np.ndarray, turns: int, samples: int
 ) -> Signal:
-    """Signals (signals, samples) with their last so many whole `turns`, each sampled `samples`
-    times over the `angle` [rad] (signals, samples), which grows or falls throughout; turns begin at
-    whole multiples of 2 pi. Raises `ValueError` where there are fewer.
+    """Signals with their last whole turns, sampled anew over the angle (order tracking).
+
+    Turns begin at whole multiples of 2 pi.
+
+    Args:
+        values: samples in the signal's own unit, shape (signals, samples).
+        rate: sampling rate [Hz], > 0.
+        angle: angle at each sample [rad], shape (samples,) or (signals, samples), increasing or
+            decreasing throughout.
+        turns: number of turns, >= 1.
+        samples: number of samples per turn, >= 1.
+
+    Returns:
+        A `Signal` with `turns`.
+
+    Raises:
+        ValueError: if the angle passes through fewer whole turns.
+
+    Source: Fyfe & Munck 1997, Mech. Syst. Signal Process. 11, 187, doi:10.1006/mssp.1996.0056.
     """
     found = np.empty((len(values), turns, samples))
     for i, (own, at) in enumerate(zip(values, np.broadcast_to(angle, values.shape), strict=True)):
@@ -85,52 +111,126 @@ def by_turns(
 
 
 def whole_turns(angle: np.ndarray) -> tuple[int, int]:
-    """The numbers of the first and the last whole turn's ends of an angle [rad]."""
+    """The first and the last boundary between turns that an angle passes.
+
+    Args:
+        angle: angle at each sample [rad], shape (samples,).
+
+    Returns:
+        Two whole numbers, as multiples of 2 pi; their difference is the number of whole turns.
+    """
     ends = sorted((angle[0], angle[-1])) if angle[-1] > angle[0] else sorted(-angle[[0, -1]])
     slack = 1e-9
     return math.ceil(ends[0] / (2 * math.pi) - slack), math.floor(ends[1] / (2 * math.pi) + slack)
 
 
 def synchronous_average(signal: Signal, bins: int = 32) -> np.ndarray:
-    """The mean over the turns in so many `bins` of phase, beside the mean cycle's size [1]."""
+    """The mean over the turns, relative to the size of the mean cycle [1].
+
+    Args:
+        signal: a `Signal` with turns.
+        bins: number of equal parts of a turn, >= 1; 32 by default.
+
+    Returns:
+        Means, shape (signals, bins) (fewer where a turn has fewer samples).
+
+    Raises:
+        ValueError: if the signal has no turns.
+
+    Source: McFadden & Toozhy 2000, Mech. Syst. Signal Process. 14, 981, doi:10.1006/mssp.2000.1309.
+    """
     cycle = _turns(signal, "synchronous_average").mean(1)
     return _binned(cycle, bins) / signal.size
 
 
 def spread_by_phase(signal: Signal, bins: int = 32) -> np.ndarray:
-    """Logarithm of the standard deviation about the mean cycle in so many `bins` of phase, beside
-    the mean cycle's size [1]: where in the turn motion does not repeat."""
+    """Logarithm of the standard deviation about the mean cycle, relative to the cycle's size [1].
+
+    It shows in which part of a turn the motion does not repeat.
+
+    Args:
+        signal: a `Signal` with turns.
+        bins: number of equal parts of a turn, >= 1; 32 by default.
+
+    Returns:
+        Natural logarithms, shape (signals, bins) (fewer where a turn has fewer samples).
+
+    Raises:
+        ValueError: if the signal has no turns.
+    """
     turns = _turns(signal, "spread_by_phase")
     spread = turns.std(axis=1)
     return np.log(_binned(spread, bins) / signal.size + LEAST)
 
 
 def order_spectrum(signal: Signal, bands: int = 24) -> np.ndarray:
-    """Logarithm of the mean power in so many `bands` of orders (multiples of the speed of turning),
-    equally wide in their logarithm from 1.5 up to half the samples a turn, beside the mean of all
-    [1]; of the whole turns together under a Hann window."""
+    """Logarithm of the mean power in bands of orders, relative to the mean power of all [1].
+
+    Orders are multiples of the speed of turning. All turns together are transformed, under a Hann
+    window.
+
+    Args:
+        signal: a `Signal` with turns.
+        bands: number of bands, equally wide in their logarithm, from order 1.5 to half the samples
+            per turn; 24 by default. Bands narrower than a spectral line are merged.
+
+    Returns:
+        Natural logarithms, shape (signals, bands).
+
+    Raises:
+        ValueError: if the signal has no turns.
+    """
     turns = _turns(signal, "order_spectrum")
     return _powers(turns.reshape(len(turns), -1), bands, 1.5 * turns.shape[1])
 
 
 def band_energies(signal: Signal, bands: int = 24) -> np.ndarray:
-    """Logarithm of the mean power in so many `bands` of frequency, equally wide in their logarithm
-    from four periods in the whole signal up to half the sampling rate, beside the mean of all
-    [1]."""
+    """Logarithm of the mean power in bands of frequency, relative to the mean power of all [1].
+
+    The whole signal is transformed, under a Hann window.
+
+    Args:
+        signal: a `Signal`.
+        bands: number of bands, equally wide in their logarithm, from four periods in the signal to
+            half the sampling rate; 24 by default. Bands narrower than a spectral line are merged.
+
+    Returns:
+        Natural logarithms, shape (signals, bands).
+    """
     return _powers(signal.values, bands, 4.0)
 
 
 def jerk_quantiles(signal: Signal, shares: tuple[float, ...] = JERKS) -> np.ndarray:
-    """Logarithms of quantiles of the change between two samples, its sign left out, beside the mean
-    cycle's size [1]; of an acceleration this is jerk over the sampling rate."""
+    """Logarithms of quantiles of the change from sample to sample [1].
+
+    The magnitude of the change is taken, relative to the size of the mean cycle. For an
+    acceleration it is the jerk divided by the sampling rate.
+
+    Args:
+        signal: a `Signal`.
+        shares: shares of the samples below each quantile [1], each between 0 and 1; nine from 0.25
+            to 0.999 by default.
+
+    Returns:
+        Natural logarithms, shape (signals, shares).
+    """
     found = np.quantile(_jerks(signal), shares, axis=1).T
     return np.log(found + LEAST)
 
 
 def peaks(signal: Signal, shares: tuple[float, ...] = SIZES) -> np.ndarray:
-    """Logarithms of quantiles of the signal's size, and mean and standard deviation of the
-    logarithm of the largest of each turn (of each sixteenth part without turns), beside the mean
-    cycle's size [1]."""
+    """Logarithms of large magnitudes of the signal, relative to the size of the mean cycle [1].
+
+    Args:
+        signal: a `Signal`.
+        shares: shares of the samples below each quantile [1], each between 0 and 1; 0.9, 0.99,
+            0.995, 0.999 by default.
+
+    Returns:
+        Shape (signals, shares + 2): natural logarithms of the quantiles of the magnitude; mean and
+        standard deviation of the logarithm of the largest magnitude of each turn (of each sixteenth
+        of the signal without turns).
+    """
     sizes = np.abs(signal.values) / signal.size
     parts = signal.turns
     if parts is None:
@@ -143,8 +243,16 @@ def peaks(signal: Signal, shares: tuple[float, ...] = SIZES) -> np.ndarray:
 
 
 def impact_rate(signal: Signal) -> np.ndarray:
-    """Shares of samples that change by less than 0.02, 0.05 and 0.1 of the mean cycle's size, and
-    how many changes by more than that size begin, beside the number of samples [1]."""
+    """How many changes from sample to sample are small, and how many large ones begin [1].
+
+    Args:
+        signal: a `Signal`.
+
+    Returns:
+        Shape (signals, 4): the shares of samples that change by less than 0.02, 0.05 and 0.1 of the
+        mean cycle's size, and the number of times that a change larger than that size begins,
+        divided by the number of samples.
+    """
     jerks = _jerks(signal)
     quiet = [(jerks < limit).mean(1) for limit in QUIET]
     hit = jerks > IMPACT
@@ -152,15 +260,30 @@ def impact_rate(signal: Signal) -> np.ndarray:
 
 
 def levels(signal: Signal) -> np.ndarray:
-    """Mean, and logarithm of the standard deviation, in the signal's own unit: what a gain or an
-    offset changes."""
+    """Mean and logarithm of the standard deviation, in the signal's own unit.
+
+    A gain or an offset changes these, and none of the other statistics.
+
+    Args:
+        signal: a `Signal`.
+
+    Returns:
+        Shape (signals, 2).
+    """
     spread = signal.values.std(axis=1)
     return np.column_stack([signal.values.mean(1), np.log(spread + np.finfo(float).tiny)])
 
 
 def usual_statistics(turns: bool) -> dict[str, Callable[[Signal], np.ndarray]]:
-    """Those that `jaxclear.identify` takes by itself, by their names; with `turns` the ones over
-    the angle too."""
+    """The statistics that `jaxclear.identify` uses by default.
+
+    Args:
+        turns: whether the signals have turns; the statistics over the angle then take the place of
+            `band_energies`.
+
+    Returns:
+        Functions of a `Signal` by name.
+    """
     over_angle = (synchronous_average, spread_by_phase, order_spectrum)
     own = over_angle if turns else (band_energies,)
     every = (*own, jerk_quantiles, peaks, impact_rate, levels)

@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxclear.components.beam import hinge_names
 from jaxclear.components.body import GROUND, Body, Connection
-from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.wording import described
 from jaxclear.results.relative_motion import marker_frame, relative_motion, seen
 
@@ -253,7 +253,7 @@ def checked_meshes(run: Any, meshes: Any) -> dict[str, Triangles]:
         return {}
     expect(meshes, Mapping, "meshes", "a dictionary from names of bodies")
     for name in meshes:
-        check_known("body", name, [*run.mechanism.bodies, GROUND], " in this mechanism")
+        check_name("body", name, [*run.mechanism.bodies, GROUND], " in this mechanism")
     found = {}
     for name, given in meshes.items():
         own = given if isinstance(given, Mapping) else {"": given}

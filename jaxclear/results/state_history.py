@@ -32,9 +32,15 @@ from jaxclear.native import over_rows
 
 
 class StateHistory(eqx.Module):
-    """`time` [s] and the raw `states` (time, n) [m, rad, m/s ...]; `read`:
-    worn surfaces as the gaps saw them up to each saving time; `mechanism` as the formulation sees
-    it; `balanced`: energies are tracked.
+    """The saved states of a run, with what is needed to read them.
+
+    Args:
+        mechanism: the mechanism as the formulation treats it.
+        formulation: how contact enters the equations of motion.
+        time: saving times [s], shape (time,).
+        states: raw states [m, rad, m/s, ...], shape (time, n).
+        read: worn surfaces as the gaps used them up to each saving time, by joint.
+        balanced: whether energies are tracked.
     """
 
     mechanism: Mechanism
@@ -45,26 +51,40 @@ class StateHistory(eqx.Module):
     balanced: bool = eqx.field(static=True)
 
     def check_single(self) -> None:
-        """Raises `ValueError` for the runs of a batch."""
+        """Refuse a batch of runs.
+
+        Raises:
+            ValueError: if there are several runs.
+        """
         check_single(self.time)
 
     def model(self) -> Model:
-        """The model that the states belong to, its surfaces new."""
+        """The model that the states belong to, with new surfaces."""
         self.check_single()
         return model_of(self.mechanism, self.formulation, self.balanced)
 
     def layout(self) -> Layout:
-        """Where everything sits in a state."""
+        """The positions of all quantities in a state."""
         return self.model().layout
 
     def coordinate(self, name: str, speeds: bool) -> Float[Array, "time ..."]:
-        """Coordinates or speeds of a connection (or floating body) of the tree, or of a drive: over
-        time alone where it has a single one."""
+        """Coordinates or speeds over time.
+
+        Args:
+            name: name of a connection of the tree, floating body, driven joint or motor.
+            speeds: True for speeds [rad/s, m/s], False for coordinates [rad, m].
+
+        Returns:
+            Shape (time,) for a single coordinate, else (time, coordinates).
+
+        Raises:
+            ValueError: if there is no such connection or it has no coordinates.
+        """
         self.check_single()
         topology = self.mechanism.topology
         floating = [b.body for b in topology.branches if b.connection is None]
         known = [*self.mechanism.connections, *floating, *topology.motors]
-        check_known(name, known, "joint or floating body")
+        check_name(name, known, "joint or floating body")
         if name in dict(topology.geared):
             own = geared_motors(self.mechanism)[name]
             found = own.ratio * self.coordinate(own.joint, speeds)
@@ -91,8 +111,13 @@ class StateHistory(eqx.Module):
         return single(found[speeds])
 
     def mean_forces(self, layout: Layout) -> Float[Array, "time components"]:
-        """Impulses gained over each saving interval, divided by its length; at the start those of
-        the first interval.
+        """Mean forces over the saving intervals, at the end of each [N, N m].
+
+        Args:
+            layout: the positions of all quantities in a state.
+
+        Returns:
+            Shape (time, components); the first row is that of the first interval.
         """
         impulses = self.states[:, layout.impulse_start : layout.energy_start]
         means = jnp.diff(impulses, axis=0) / jnp.diff(self.time)[:, None]
@@ -100,8 +125,14 @@ class StateHistory(eqx.Module):
 
 
 def check_single(along: Array) -> None:
-    """Raises `ValueError` for what `jax.vmap` has made many of; `along`: an array over the times
-    or positions of one."""
+    """Refuse what `jax.vmap` has made a batch of.
+
+    Args:
+        along: an array over the times or positions of one run.
+
+    Raises:
+        ValueError: if the array has more than one axis.
+    """
     if len(along.shape) > 1:
         count = along.shape[0]
         raise ValueError(
@@ -111,7 +142,20 @@ def check_single(along: Array) -> None:
 
 
 def one_of(batch: Any, along: Array, index: int) -> Any:
-    """One of such a batch."""
+    """One run, or one set of positions, of a batch.
+
+    Args:
+        batch: the batch, a pytree of arrays with the batch first.
+        along: an array of the batch over times or positions.
+        index: number of the run; negative numbers count from the end.
+
+    Returns:
+        The run, of the same type as the batch.
+
+    Raises:
+        ValueError: if it is no batch.
+        IndexError: if the batch has fewer runs.
+    """
     if len(along.shape) == 1:
         raise ValueError(
             "this is one run, not a batch of them; saved instants are rows of what is read from "
@@ -125,20 +169,42 @@ def one_of(batch: Any, along: Array, index: int) -> Any:
 
 
 def single(values: Float[Array, "time k"]) -> Float[Array, "time ..."]:
-    """Coordinates over time, without the axis of a single one: beside an array over time it would
-    make a square of both."""
+    """Coordinates without the axis of a single one.
+
+    Args:
+        values: coordinates over time, shape (time, k).
+
+    Returns:
+        Shape (time,) for k = 1, else `values`.
+    """
     return values[:, 0] if values.shape[1] == 1 else values
 
 
-def check_known(name: str, names: Any, kind: str) -> None:
-    """Raises `ValueError` where there is no such thing."""
+def check_name(name: str, names: Any, kind: str) -> None:
+    """Refuse a name that does not exist in the mechanism.
+
+    Args:
+        name: the name.
+        names: the names that exist.
+        kind: kind of thing, for the message, such as "joint".
+
+    Raises:
+        ValueError: if the name is not among them.
+    """
     if not isinstance(name, str) or name not in names or name == GROUND:
         raise ValueError(unknown(kind, name, names, " in this mechanism"))
 
 
 def over_time(history: StateHistory, function: Callable[[Instant], Any]) -> Any:
-    """Maps a function of an `Instant` over the saved states; tuples of numbers become arrays with
-    time first.
+    """Map a function of an instant over the saved states.
+
+    Args:
+        history: the saved states.
+        function: takes an `Instant` and returns numbers, or nested tuples or dictionaries of
+            numbers.
+
+    Returns:
+        What the function returns, as arrays with time first.
     """
     check_double_precision()
     model = history.model()
@@ -157,17 +223,31 @@ def over_time(history: StateHistory, function: Callable[[Instant], Any]) -> Any:
 
 
 def columns(value: Any) -> Any:
-    """Nested tuples of columns (time,) as one array with time first."""
+    """Nested tuples of columns as one array.
+
+    Args:
+        value: an array (time,), or nested tuples of such.
+
+    Returns:
+        An array with time first.
+    """
     if isinstance(value, tuple):
         return jnp.stack([columns(part) for part in value], axis=1)
     return value
 
 
 class SavedMotion(eqx.Module):
-    """How a mechanism stands and moves at a `time` [s]: `coordinates` and `speeds` of its tree [m,
-    rad, 1, m/s, rad/s], and what is `remembered` beside them (impact speeds [m/s], deflections of
-    bristles [m], angles with their turns [rad]); `names` and `remembered_names` name their entries.
-    `redundancy`: of the loops' rows, as the run knew it.
+    """Coordinates and speeds of a mechanism at a time.
+
+    Args:
+        time: the time [s], shape ().
+        coordinates: coordinates of the tree [m, rad, 1], shape (q,).
+        speeds: speeds of the tree [m/s, rad/s], shape (v,).
+        remembered: further states of the laws, shape (m,): impact speeds [m/s], deflections of
+            bristles [m], angles that count turns [rad].
+        names: names of the coordinates and speeds.
+        remembered_names: names of the entries of `remembered`.
+        redundancy: dependent rows of the loops as the run found them; None without.
     """
 
     time: Float[Array, ""]
@@ -185,15 +265,23 @@ class SavedMotion(eqx.Module):
 
 
 class State(AbstractQuantified):
-    """Where a run begins. `run.state()` is where another one stood: from there a run goes on, at
-    its time, as it moved, with what its laws remember and its worn surfaces; where lengths have
-    changed, from the nearest place that closes the loops.
+    """A state at which a run begins.
 
-    `worn`: depths [m] by joint and surface, such as `run.worn`; new surfaces by default, and where
-    nothing is given. `concentric`: at the mechanism's own start journals lie in the middle of their
-    bearings and move with them, as far as `start` and `speeds` of the mechanism let them; False
-    closes ideal loops only. `jaxclear.seated` gives a state in which they lie where reactions press
-    them. `motion`: as a run has saved it; None for the mechanism's own start.
+    `run.state()` is a state of another run: a new run continues from there, at its time, with its
+    speeds, the memory of its laws and its worn surfaces. Where lengths have changed since, it
+    begins at the nearest state that closes the loops. `jaxclear.seated` returns a state in which
+    journals rest in their bearings.
+
+    Args:
+        worn: worn depths [m] by joint and surface, such as `run.worn`; surfaces that are not named
+            are new (all by default).
+        concentric: for a start of the mechanism itself: True (default) puts journals in the middle
+            of their bearings, moving with them, as far as `start` and `speeds` of the mechanism
+            allow; False closes ideal loops only.
+        motion: a `SavedMotion` of a run; None (default) for the mechanism's own start.
+
+    Raises:
+        ValueError: if an argument is of another kind.
     """
 
     worn: dict[str, dict[str, Array]] | None = None
@@ -213,7 +301,7 @@ class State(AbstractQuantified):
 
     @property
     def begins(self) -> Scalar:
-        """Time [s] at which a run from it begins."""
+        """Time at which a run from this state begins [s]."""
         return 0.0 if self.motion is None else self.motion.time
 
     def _shown(self):

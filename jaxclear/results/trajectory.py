@@ -19,8 +19,8 @@ from jaxtyping import Array, Float, Int
 from jaxclear.components.beam import on_piece
 from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
-from jaxclear.ground.arguments import check_count, check_flags, check_known
-from jaxclear.ground.printing import AbstractShown, shown_in_words
+from jaxclear.ground.arguments import check_count, check_flags, check_name
+from jaxclear.ground.printing import AbstractShown, with_text_repr
 from jaxclear.ground.quantity import constant, is_traced, on_host, on_numbers
 from jaxclear.ground.table import as_table
 from jaxclear.integrators.checks import Checks, Outcome
@@ -41,14 +41,19 @@ from jaxclear.results.transmissions import CouplingHistory
 from jaxclear.results.verification import AbstractVerification, Estimate, Unverified, checked
 
 
-@shown_in_words
+@with_text_repr
 class SingularPosition(eqx.Module):
-    """A singular position of a run, at the `time` [s]: the loop is the one that `joint` closes.
+    """A position of a run at which the drives do not determine the motion of a loop.
 
-    `free`: the joint of which drives do not say how it goes on there, with its `speeds` before and
-    after [rad/s, m/s]; `turned`: whether the run left by another way than that by which its inertia
-    leads on (None: not known). `drives`: joints whose drives hold the loop. A run that ended there
-    tells `joint` and `time` alone.
+    A run that ended there gives `joint` and `time` only.
+
+    Args:
+        joint: the joint that closes the loop.
+        time: time [s].
+        free: the joint whose direction the drives do not determine there.
+        drives: joints whose drives act on the loop.
+        turned: whether the run left in another direction than inertia requires; None: not known.
+        speeds: speed of the joint `free` before and after [rad/s, m/s].
     """
 
     joint: str = eqx.field(static=True)
@@ -60,7 +65,7 @@ class SingularPosition(eqx.Module):
 
     @property
     def passed(self) -> bool:
-        """Whether the run went on as its inertia has it."""
+        """Whether the run continued in the direction that inertia requires."""
         return self.turned is False
 
     def __str__(self) -> str:
@@ -84,7 +89,14 @@ class SingularPosition(eqx.Module):
 
 
 def in_sentences(found: tuple[SingularPosition, ...]) -> tuple[str, ...]:
-    """A sentence for the first of each loop and kind, and how many more there are."""
+    """A sentence for the first singular position of each loop and kind, with the number of others.
+
+    Args:
+        found: singular positions in the order of time.
+
+    Returns:
+        The sentences.
+    """
     kinds: dict[tuple, list[SingularPosition]] = {}
     for one in found:
         kinds.setdefault((one.joint, one.free, one.turned), []).append(one)
@@ -97,8 +109,12 @@ def in_sentences(found: tuple[SingularPosition, ...]) -> tuple[str, ...]:
 
 
 class RunStats(AbstractShown):
-    """What a run took: steps accepted and rejected; `verdict` on its time loops is a number,
-    `loops` its sentence.
+    """The number of steps of a run.
+
+    Args:
+        accepted_steps: steps taken, shape ().
+        rejected_steps: steps tried and repeated with another length, shape ().
+        verdict: a code for how the time loops were executed, shape (); `loops` says it in words.
     """
 
     accepted_steps: Int[Array, ""]
@@ -113,15 +129,21 @@ class RunStats(AbstractShown):
 
     @property
     def loops(self) -> str:
-        """Whether the time loops ran as machine code, or why not."""
+        """Whether the time loops ran as machine code, or the reason why not."""
         return explain(np.max(self.verdict))
 
 
 class Extremes(AbstractShown):
-    """The largest of all steps, whatever the saving times: `indentation` [m] of every possible
-    contact and normal `force` [N] (None: no contact damps, so that it follows from the
-    indentation); `contacts`: their joints, or couplings with play, whose flanks are pressed by an
-    angle [rad] and a torque [N m] where they `turn`."""
+    """Largest indentations and forces in all steps of a run, independent of the saving times.
+
+    Args:
+        indentation: largest indentation of each possible contact [m], shape (contacts,); for flanks
+            of a coupling that turns an angle [rad].
+        force: largest normal force of each contact [N], shape (contacts,), for such flanks a torque
+            [N m]; None where no contact has damping, so that it follows from the indentation.
+        contacts: the joint, or coupling with play, of each contact.
+        turn: whether each contact is a flank that turns.
+    """
 
     indentation: Float[Array, "*batch contacts"]
     force: Float[Array, "*batch contacts"] | None
@@ -140,12 +162,24 @@ class Extremes(AbstractShown):
 
 
 class Trajectory(AbstractShown):
-    """A simulated run. `history` holds the states; `worn` are depth maps [m] by joint and surface
-    at the end, `outcome` tells how the run ended (an `Outcome`), `ended` when [s], `stats` what it
-    cost, `invariants` what no finer run would tell of it, `verification` how far its numbers are
-    off; `extremes`: of all its steps (None: its integrator follows none); `noted`: touches and
-    releases, where they were asked for; `doubts` are sentences on how it was assembled,
-    `singular_positions` where drives did not say which way its loops go on.
+    """A simulated run: its saved states and everything that is read from them.
+
+    `print` shows how the run ended and its answers with their numerical errors. Methods compute
+    bodies, contacts, reactions and energies from the saved states on demand.
+
+    Args:
+        history: the saved states.
+        worn: worn depths [m] at the end, by joint and surface, shape (around, along).
+        outcome: how the run ended, an `Outcome`, shape ().
+        ended: time at which it ended [s], shape ().
+        stats: number of steps.
+        invariants: checks of the run that finer steps would not reveal.
+        extremes: largest indentations and forces of all steps; None where the integrator records
+            none.
+        noted: touches and releases, where `save=Saving(events=...)` records them; else None.
+        verification: numerical errors of the run.
+        doubts: warnings about the assembly of the mechanism.
+        singular_positions: positions at which the drives do not determine the motion.
     """
 
     history: StateHistory
@@ -161,49 +195,59 @@ class Trajectory(AbstractShown):
     singular_positions: tuple[SingularPosition, ...] = ()
 
     def __getitem__(self, index: int) -> "Trajectory":
-        """One run of a batch, as `jax.vmap` makes it of a function that simulates."""
+        """One run of a batch that `jax.vmap` has made.
+
+        Args:
+            index: number of the run; negative numbers count from the end.
+
+        Returns:
+            The run.
+
+        Raises:
+            ValueError: if this is one run.
+            IndexError: if the batch has fewer runs.
+        """
         return one_of(self, self.time, index)
 
     @property
     def mechanism(self) -> Mechanism:
-        """The mechanism as its formulation saw it."""
+        """The mechanism as the formulation treats it."""
         return self.history.mechanism
 
     @property
     def formulation(self) -> AbstractFormulation:
-        """How contact entered the equations of motion."""
+        """How contact enters the equations of motion."""
         return self.history.formulation
 
     @property
     def time(self) -> Float[Array, " time"]:
-        """Saving times [s]."""
+        """Saving times [s], shape (time,)."""
         return self.history.time
 
     @property
     def states(self) -> Float[Array, "time n"]:
-        """Raw states at the saving times; `state_names()` names the columns."""
+        """Raw states at the saving times, shape (time, n); `state_names()` names the columns."""
         return self.history.states
 
     @property
     def accepted_steps(self) -> Int[Array, ""]:
-        """Steps taken."""
+        """Number of steps taken."""
         return self.stats.accepted_steps
 
     @property
     def rejected_steps(self) -> Int[Array, ""]:
-        """Steps tried and taken back."""
+        """Number of steps tried and repeated with another length."""
         return self.stats.rejected_steps
 
     @property
     def succeeded(self) -> Any:
-        """True where the run reached its end."""
+        """Whether the run reached its end."""
         return on_host(self.outcome) == Outcome.REACHED
 
     @property
     @on_numbers
     def result(self) -> str:
-        """A sentence: that the run reached its end, or when and why it did not; and what it warns
-        of."""
+        """Whether the run reached its end, or when and why it did not; then its warnings."""
         self.history.check_single()
         run = constant(self)
         sentence = Outcome(int(run.outcome)).sentence
@@ -220,10 +264,13 @@ class Trajectory(AbstractShown):
     @property
     @on_numbers
     def warnings(self) -> tuple[str, ...]:
-        """Its `doubts`, a sentence for each of its `invariants` beyond its limit, one for answers
-        whose numerical error is beyond what the integrator promises, and one where a loop left a
-        singular position by another way than its inertia's; empty for a clean run. Of one that
-        ended early, those of boundless figures only where there is no other."""
+        """Warnings of the run, a sentence each; empty for a run without.
+
+        They are about the assembly, invariants beyond their limits, numerical errors beyond the
+        tolerance of the integrator, and singular positions that the run left in another direction
+        than inertia requires. A run that ended early gives those about unbounded numbers only where
+        there are no others.
+        """
         self.history.check_single()
         if self.succeeded:
             turned = in_sentences(tuple(one for one in self.singular_positions if not one.passed))
@@ -231,9 +278,20 @@ class Trajectory(AbstractShown):
         return self.doubts + (self.invariants.before_the_end or self.invariants.warnings)
 
     def estimate(self, response: Callable[["Trajectory"], Any]) -> Estimate:
-        """The value of a response, or of any function of a run that returns numbers, and its
-        numerical error: twice what half the steps (tolerances 16 times tighter, surfaces worn twice
-        as often) change. Without replicas the error is nan, and the estimate says why.
+        """The value of a response with its numerical error.
+
+        The error is twice the difference from companion runs with half the step (tolerances 16
+        times tighter, surfaces updated twice as often). Without companion runs (replicas) it is
+        nan, and the estimate gives the reason.
+
+        Args:
+            response: an `AbstractResponse`, or any function of a run that returns numbers.
+
+        Returns:
+            The `Estimate`.
+
+        Raises:
+            ValueError: if the response is no function.
 
         Source: Richardson 1911, doi:10.1098/rsta.1911.0009; Roache 1994, J. Fluids Eng. 116, 405.
         """
@@ -254,14 +312,28 @@ class Trajectory(AbstractShown):
         return *lines, *self.verification._parts(), *known
 
     def state_names(self) -> list[str]:
-        """Names of the columns of `states`."""
+        """Names of the columns of `states`.
+
+        Returns:
+            A list of names.
+        """
         model = self.history.model()
         return state.names(model.system, model.layout)
 
     def state(self, index: int = -1) -> State:
-        """The state at a saving time, by default the last, for another run to begin there:
-        `simulate(..., state=run.state())`. Raises `ValueError` for a time that the run did not
-        reach, and before its end where surfaces wear: their depths are known there only.
+        """The state at a saving time, from which another run can begin.
+
+        Use it as `simulate(..., state=run.state())`.
+
+        Args:
+            index: number of the saving time; the last (-1) by default.
+
+        Returns:
+            The `State`.
+
+        Raises:
+            ValueError: if there is no such saving time, if the run ended before it, or if surfaces
+                wear and it is not the last: depths are saved at the end only.
         """
         self.history.check_single()
         count = len(self.time)
@@ -286,12 +358,33 @@ class Trajectory(AbstractShown):
         return State(self.worn or None, motion=motion)
 
     def body(self, name: str) -> BodyHistory:
-        """Motion of a body."""
+        """Motion of a body.
+
+        Args:
+            name: name of the body.
+
+        Returns:
+            A `BodyHistory`: positions, rotations and velocities over time.
+
+        Raises:
+            ValueError: if there is no such body.
+        """
         return histories.body(self.history, name)
 
     def marker(self, body: str | Marker, at: Any = None) -> MarkerHistory:
-        """Motion of a point of a body, `at` in the body frame [m], or of a `Marker`: position,
-        velocity, acceleration, and what an accelerometer there reads."""
+        """Motion of a point of a body.
+
+        Args:
+            body: name of the body, or a `Marker`.
+            at: position of the point in the body frame [m], 2 or 3 numbers; not beside a `Marker`.
+
+        Returns:
+            A `MarkerHistory`: position, velocity, acceleration, and the reading of an
+            accelerometer.
+
+        Raises:
+            ValueError: if there is no such body, or `at` is given beside a `Marker`.
+        """
         where = body if isinstance(body, Marker) or at is None else Marker(body, at)
         at = at if isinstance(body, Marker) else None
         return histories.marker(self.body, on_piece(self.mechanism.bodies, where), at)
@@ -334,108 +427,248 @@ class Trajectory(AbstractShown):
         """Forces and gaps of a clearance joint.
 
         Where forces are no functions of the state (rigid contact, joints that always touch) they
-        are means over the saving intervals, at the start over the first; a joint that always
-        touches leans in its gap as its reaction says.
+        are means over the saving intervals, at the start over the first interval. A joint that
+        always touches has the offset that its reaction causes.
+
+        Args:
+            name: name of the joint.
+
+        Returns:
+            A `ContactHistory`.
+
+        Raises:
+            ValueError: if there is no such clearance joint.
         """
         return histories.contact(self.history, name)
 
     def contact_impulse(self, name: str) -> Float[Array, " time"]:
-        """Impulse of a joint's normal forces since the start, summed over its contacts [N s]: the
-        run's steps add up the forces with which they were made, so it misses no impact between the
-        saving times."""
+        """Impulse of a joint's normal forces since the start, summed over its contacts.
+
+        The steps of the run add it up, so impacts between saving times are included.
+
+        Args:
+            name: name of the joint.
+
+        Returns:
+            Impulse [N s], shape (time,).
+
+        Raises:
+            ValueError: if there is no such clearance joint.
+        """
         return histories.contact_impulse(self.history, name)
 
     @on_numbers
     def modes(self, name: str) -> Any:
-        """How the journal of a clearance joint moves: free flight, impact, contact (`Mode`), as a
-        pandas table of the phases (from [s], to [s], mode, approach speed [m/s] of an impact, what
-        tells of its start). What parts impact from contact stands in `results.modes`. A run with
-        `save=Saving(events=...)` knows touches and releases within its steps; without, they are
-        those of the saving times (`.attrs["instants"]` says which), and one saves a few times a
-        contact. Forces that are means over saving intervals (MoreauJean) tell them to an interval.
+        """Free flight, impact and contact of a clearance joint over time.
+
+        `results.modes` defines when an impact becomes contact. With `save=Saving(events=...)`
+        instants of touches and releases are located within the steps; without, between the saving
+        times (`.attrs["instants"]` says which), which must then lie a few in each contact. Where
+        forces are means over the saving intervals (MoreauJean) instants are known to an interval.
+
+        Args:
+            name: name of the joint.
+
+        Returns:
+            A pandas table with a row for each phase: from [s], to [s], mode, approach speed [m/s]
+            of an impact, source of the start.
+
+        Raises:
+            ValueError: if there is no such clearance joint, or numbers are being traced.
         """
         return modes.table(self.history, name, self.noted)
 
     @on_numbers
     def events(self, *names: str) -> Any:
-        """Touches and releases of joints (all with clearance by default) in their order, as a
-        pandas table (time [s], joint, contact, event, speed [m/s], of flanks that turn [rad/s]):
-        instants of the run, located within its steps, whatever the saving times. Needs
-        `save=Saving(events=...)`; warns where there were more than that many of a contact between
-        two saving times."""
+        """Touches and releases in the order of time, located within the steps.
+
+        Needs `save=Saving(events=...)`. Warns where a contact had more events between two saving
+        times than that.
+
+        Args:
+            names: names of joints with clearance, or of couplings with play; all by default.
+
+        Returns:
+            A pandas table: time [s], joint, contact, event, speed [m/s] (of flanks that turn
+            [rad/s]).
+
+        Raises:
+            ValueError: if the run recorded no events, there is no such joint, or numbers are being
+                traced.
+        """
         return modes.events(self.history, self.noted, names)
 
     @on_numbers
     def combined_modes(self, *names: str) -> Any:
-        """The modes of several joints (all with clearance by default) side by side, as a pandas
-        table: a row whenever one of them changes."""
+        """The modes of several joints side by side.
+
+        Args:
+            names: names of joints with clearance; all by default.
+
+        Returns:
+            A pandas table with a row whenever one of them changes: from [s], to [s], a column of
+            modes for each joint.
+
+        Raises:
+            ValueError: if there is no such clearance joint, or numbers are being traced.
+        """
         known = self.formulation.contact_joints(self.mechanism)
         return modes.combined(self.history, names or known, self.noted)
 
     def situations(self, name: str) -> Int[Array, " time"]:
-        """How a joint that always touches carries: 0 not at all, 1 at one point, 2 at two points on
-        opposite sides, 3 along a line (two points on one side). Needs a run by
-        integrator.NonColliding."""
+        """Number and arrangement of the contacts of a joint that always touches.
+
+        Args:
+            name: name of the joint, in a run by `integrator.NonColliding`.
+
+        Returns:
+            Shape (time,): 0 no contact, 1 one point, 2 two points on opposite sides, 3 a line (two
+            points on one side).
+
+        Raises:
+            ValueError: if there is no such joint or another integrator ran.
+        """
         return histories.situations(self.history, name)
 
     @on_numbers
     def switchings(self, name: str) -> Any:
-        """Instants at which such a joint begins to carry in another way, or another flank of a
-        coupling with play to press, as a pandas table (time [s], from, to).
+        """Instants at which the arrangement of contacts, or the flank in contact, changes.
+
+        Args:
+            name: name of a joint that always touches, or of a coupling with play.
+
+        Returns:
+            A pandas table: time [s], from, to.
+
+        Raises:
+            ValueError: if there is no such joint or coupling, or numbers are being traced.
         """
         if name in self.mechanism.couplings:
             return transmissions.switchings(self.history, name)
         return histories.switchings(self.history, name)
 
     def reaction(self, name: str) -> ReactionHistory:
-        """Force and torque in a connection, ideal or with clearance; friction that is no function
-        of the state enters as its mean over the saving interval, as in `contact`. Where loops are
-        overconstrained and leave a reaction open it is the least one, and a warning says so."""
+        """Force and torque in a connection, ideal or with clearance.
+
+        Friction that is no function of the state enters as its mean over the saving interval, as in
+        `contact`. Where overconstrained loops do not determine a reaction, it is the one of least
+        norm, and a warning says so.
+
+        Args:
+            name: name of the connection, or of a coupling of bodies.
+
+        Returns:
+            A `ReactionHistory`: on the child, in ground axes.
+
+        Raises:
+            ValueError: if there is no such connection.
+        """
         return histories.reaction(self.history, name)
 
     def transmitted(self, name: str) -> Float[Array, " time"]:
-        """What a coupling transmits over time, or a drive gives: of coordinates the torque [N m]
-        (force [N] where it slides) on the first of them; of bodies the force [N] along its line of
-        action; of a driven joint the torque or force along its coordinate, the friction of its own
-        bearing taken off. Of drives it is unique by power where reactions are not; where redundant
-        couplings leave it open it is the least, and a warning says so. Of a coupling with play or
-        stiffness where its play is seen; of a motor that turns with a joint on that joint. Of a
-        load on a coordinate, by its name, what it gives there: friction at rest what it holds;
-        where it is no function of the state (a rigid stop, friction that sticks) means over the
-        saving intervals."""
+        """Force or torque of a coupling, a drive or a load on a coordinate, over time.
+
+        Of a coupling of coordinates: on its first coordinate; with play or stiffness, where the
+        play is measured; of a motor, on the joint that it turns. Of a coupling of bodies: the force
+        along its line of action. Of a driven joint: along its coordinate, without the friction of
+        its own bearing; it is unique even where reactions are not. Of a load: along its coordinate.
+        Where redundant couplings do not determine it, it is the one of least norm, and a warning
+        says so. Where it is no function of the state (rigid stops, sticking friction) it is a mean
+        over the saving intervals.
+
+        Args:
+            name: name of the coupling, driven joint or load.
+
+        Returns:
+            Torque [N m] or force [N], shape (time,).
+
+        Raises:
+            ValueError: if there is no such coupling, driven joint or load.
+        """
         return transmissions.transmitted(self.history, name)
 
     def coupling(self, name: str) -> CouplingHistory:
-        """Twist and torque of a coupling with play or stiffness over time, and which flank presses;
-        touches and releases of its flanks tell `events`."""
+        """Twist, torque and flank in contact of a coupling with play or stiffness.
+
+        Args:
+            name: name of the coupling.
+
+        Returns:
+            A `CouplingHistory`. `events` gives touches and releases of the flanks.
+
+        Raises:
+            ValueError: if there is no such coupling.
+        """
         return transmissions.coupling(self.history, name)
 
     def coordinate(self, name: str) -> Float[Array, "time ..."]:
-        """Coordinate [rad, m] of a connection of the tree, of a driven joint or of a motor (by its
-        coupling's name and ".motor"), over time; of one
-        with several (or a floating body) an array (time, coordinates)."""
+        """Coordinates over time.
+
+        Args:
+            name: name of a connection of the tree, a driven joint, a floating body, or a motor (its
+                coupling's name and ".motor").
+
+        Returns:
+            Coordinate [rad, m], shape (time,); (time, coordinates) where there are several.
+
+        Raises:
+            ValueError: if there is no such joint or it has no coordinates.
+        """
         return self.history.coordinate(name, speeds=False)
 
     def speed(self, name: str) -> Float[Array, "time ..."]:
-        """Speed [rad/s, m/s] of a connection of the tree or of a driven joint, over time; of one
-        with several (or a floating body) an array (time, speeds)."""
+        """Speeds over time.
+
+        Args:
+            name: name of a connection of the tree, a driven joint, a floating body, or a motor (its
+                coupling's name and ".motor").
+
+        Returns:
+            Speed [rad/s, m/s], shape (time,); (time, speeds) where there are several.
+
+        Raises:
+            ValueError: if there is no such joint or it has no coordinates.
+        """
         return self.history.coordinate(name, speeds=True)
 
     def worn_volume(self, joint: str, surface: str) -> Float[Array, " time"]:
-        """Volume lost by a surface of a joint, or a flank ("upper", "lower") of a coupling, over
-        time [m3]."""
+        """Volume worn off a surface over time.
+
+        Args:
+            joint: name of a joint or coupling.
+            surface: name of the surface, such as "bearing"; "upper" or "lower" for a flank of a
+                coupling.
+
+        Returns:
+            Volume [m^3], shape (time,).
+
+        Raises:
+            ValueError: if there is no such surface that wears.
+        """
         self._check_wears(joint, surface)
         return histories.worn_volume(self.history, joint, surface)
 
     def worn_depth(self, joint: str, surface: str) -> Float[Array, "around along"]:
-        """Wear map of a surface of a joint, or a flank of a coupling, at the end of the run [m]."""
+        """Wear map of a surface at the end of the run.
+
+        Args:
+            joint: name of a joint or coupling.
+            surface: name of the surface, such as "bearing"; "upper" or "lower" for a flank of a
+                coupling.
+
+        Returns:
+            Depth [m], shape (around, along).
+
+        Raises:
+            ValueError: if there is no such surface that wears.
+        """
         self._check_wears(joint, surface)
         return self.worn[joint][surface]
 
     def _check_wears(self, joint, surface):
         self.history.check_single()
         known = [*self.mechanism.connections, *self.mechanism.couplings]
-        check_known("joint or coupling", joint, known, " in this mechanism")
+        check_name("joint or coupling", joint, known, " in this mechanism")
         if not isinstance(surface, str) or surface not in self.worn.get(joint, {}):
             wearing = ", ".join(f'"{j}" {s}' for j, surfaces in self.worn.items() for s in surfaces)
             raise ValueError(
@@ -444,20 +677,40 @@ class Trajectory(AbstractShown):
             )
 
     def drift(self) -> dict[str, Float[Array, " time"]]:
-        """Largest residual [m, 1] of each loop closure over time, by the joint that closes the
-        loop.
+        """Largest residual of each loop closure over time.
+
+        Returns:
+            Residuals [m, 1], shape (time,), by the joint that closes the loop.
         """
         return histories.drift(self.history)
 
     def energy_balance(self) -> EnergyHistory:
-        """Energies over time; needs a run with `balance=True`."""
+        """Energies over time.
+
+        Returns:
+            An `EnergyHistory`.
+
+        Raises:
+            ValueError: if the run was simulated without `balance=True`.
+        """
         return histories.energies(self.history)
 
     @on_numbers
     def to_dataset(self, *, flat: bool = False) -> Any:
-        """Everything as an xarray DataTree by body and joint, with units: `tree["crank"].com`,
-        `tree["B/bearing"].worn_depth`. `flat`: as one Dataset with names such as "crank.com", which
-        NetCDF 3 holds; the tree answers to these names too, with a warning, for this version."""
+        """All histories as an xarray DataTree by body and joint, with units.
+
+        Use it as `tree["crank"].com`, `tree["B/bearing"].worn_depth`.
+
+        Args:
+            flat: True for one Dataset with names such as "crank.com", which NetCDF 3 can store;
+                False by default.
+
+        Returns:
+            The DataTree, or Dataset.
+
+        Raises:
+            ValueError: if numbers are being traced.
+        """
         check_flags("to_dataset", flat=flat)
         said = {"result": self.result, "warnings": " ".join(self.warnings)}
         attributes = {**said, "accepted_steps": int(self.accepted_steps)}
@@ -466,10 +719,22 @@ class Trajectory(AbstractShown):
 
     @on_numbers
     def to_vtk(self, folder: Any, *, frames: int = 200, meshes: Any = None) -> Path:
-        """Writes a time series for ParaView into a folder: `run.pvd` names a file for each of at
-        most so many `frames`, spread over the saving times; returns its path. Each holds bodies
-        (shapes and `meshes` as in `plot.animate`) and worn walls where they are then, the
+        """Write a time series for ParaView into a folder.
+
+        `run.pvd` names a file for each frame. Each file holds the bodies and the worn walls, the
         `velocity` [m/s] of points, the `body` of cells (0 the ground, then in the order of
-        `mechanism.bodies`) and the `worn depth` [m] at the end of the run. Needs
-        `pip install "jaxclear[mesh]"`."""
+        `mechanism.bodies`) and the `worn depth` [m] at the end of the run. Needs `pip install
+        "jaxclear[mesh]"`.
+
+        Args:
+            folder: path of the folder, which is created where it does not exist.
+            frames: largest number of frames, spread over the saving times, >= 1; 200 by default.
+            meshes: shapes of bodies, as of `plot.animate`.
+
+        Returns:
+            The path of `run.pvd`.
+
+        Raises:
+            ValueError: if the folder is a file, `frames` is no count, or numbers are being traced.
+        """
         return export.write_vtk(self, folder, frames, meshes)

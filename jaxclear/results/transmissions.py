@@ -28,14 +28,22 @@ from jaxclear.results.histories import (
     measured,
     solved,
 )
-from jaxclear.results.state_history import StateHistory, check_known, over_time
+from jaxclear.results.state_history import StateHistory, check_name, over_time
 
 
 class CouplingHistory(AbstractHistory):
-    """A coupling with play or stiffness: its `twist` (lost motion and wind-up together) with its
-    `rate`, the `torque` that acts against it, and the power `lost` in it [W], where its play is
-    seen (m, m/s, N for a length). `flank`: 1 while the upper one presses, where the twist is
-    largest, -1 while the lower one does, 0 in the gap; 0 throughout without play."""
+    """A coupling with play or stiffness over time, where its play is measured.
+
+    Units are those of a coupling that turns; for one that slides m, m/s and N.
+
+    Args:
+        twist: lost motion and wind-up together [rad], shape (time,).
+        rate: rate of the twist [rad/s], shape (time,).
+        torque: torque that acts against the twist [N m], shape (time,).
+        lost: power lost in it [W], shape (time,).
+        flank: 1 while the upper flank presses (where the twist is largest), -1 while the lower one
+            does, 0 in the gap or without play, shape (time,).
+    """
 
     twist: Float[Array, " time"] = measured("rad")
     rate: Float[Array, " time"] = measured("rad/s")
@@ -50,7 +58,7 @@ def coupling(history: StateHistory, name: str) -> CouplingHistory:
     history.check_single()
     every = history.mechanism.couplings
     known = [n for n, own in every.items() if own.gives or own.play is not None]
-    check_known(name, known, "coupling with play or stiffness")
+    check_name(name, known, "coupling with play or stiffness")
     return _coupling(history, name) if every[name].gives else _seated(history, name)
 
 
@@ -103,7 +111,7 @@ def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
     mechanism = history.mechanism
     loads = [n for n, x in mechanism.loads.items() if isinstance(x, AbstractStateLoad)]
     known = (*mechanism.couplings, *mechanism.driven, *loads)
-    check_known(name, known, "coupling, driven joint or load on a coordinate")
+    check_name(name, known, "coupling, driven joint or load on a coordinate")
     if name in loads and name not in (*mechanism.couplings, *mechanism.driven):
         return _of_load(history, name)
     if name not in mechanism.couplings:

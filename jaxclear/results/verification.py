@@ -12,17 +12,22 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxclear.ground.printing import AbstractShown, in_few, shown_in_words, with_error
+from jaxclear.ground.printing import AbstractShown, in_few, with_error, with_text_repr
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described
 
 
-@shown_in_words
+@with_text_repr
 class Estimate(AbstractShown):
-    """What was drawn from a run: its `value`, its numerical `error` (nan: not known) in the same
-    `unit` ("": not told), and, in `why`, what the error comes from or why it is not known. Of
-    arrays and of collections of numbers the error has their form."""
+    """A number computed from a run, with its numerical error.
+
+    Args:
+        value: the number, or an array or collection of numbers.
+        error: its numerical error in the same unit, of the same form; nan where it is not known.
+        why: what the error comes from, or why it is not known.
+        unit: unit of both; "" where none is given.
+    """
 
     value: Any
     error: Any
@@ -30,7 +35,15 @@ class Estimate(AbstractShown):
     unit: str = eqx.field(static=True, default="")
 
     def of(self, response: Any, mechanism: Any) -> "Estimate":
-        """The same with the unit of a response of this mechanism; a plain function has none."""
+        """The same estimate with the unit of a response.
+
+        Args:
+            response: an `AbstractResponse`, or a plain function, which has no unit.
+            mechanism: the `Mechanism` of the run.
+
+        Returns:
+            The estimate.
+        """
         unit_in = getattr(response, "unit_in", None)
         return self if unit_in is None else replace(self, unit=unit_in(mechanism))
 
@@ -61,34 +74,54 @@ def checked(response: Any) -> Any:
 
 
 class AbstractVerification(AbstractShown):
-    """What is known of a run's numerical errors."""
+    """The numerical errors of a run."""
 
     @property
     @abstractmethod
     def warnings(self) -> tuple[str, ...]:
-        """A sentence for answers beyond what the integrator promises."""
+        """A sentence for answers whose error exceeds the tolerance of the integrator."""
 
     @property
     @abstractmethod
     def beyond(self) -> frozenset[str]:
-        """The parts of the promise (`Promise`'s fields) beyond which some answer is."""
+        """The fields of `Promise` that some answer exceeds."""
 
     @abstractmethod
     def estimate(self, run: Any, response: Callable[[Any], Any]) -> Estimate:
-        """The value of a response of this run, and its error."""
+        """The value of a response of this run, and its error.
+
+        Args:
+            run: the `Trajectory`.
+            response: a function of a run that returns numbers.
+
+        Returns:
+            The `Estimate`.
+        """
 
     @abstractmethod
     def table(self) -> Any:
-        """A pandas table of the standard answers: value, error, unit, the error as a share and what
-        is promised of it."""
+        """A table of the standard answers.
+
+        Returns:
+            A pandas table: value, error, unit, the error as a share, and the tolerance for that
+            share.
+        """
 
     @abstractmethod
     def attributes(self) -> dict[str, str]:
-        """What goes as text with saved data."""
+        """Texts that are stored with saved data.
+
+        Returns:
+            Texts by name.
+        """
 
 
 class Unverified(AbstractVerification):
-    """Of a run without replicas: nobody has looked, and `why`."""
+    """A run without companion runs, whose numerical error is not known.
+
+    Args:
+        why: the reason, as part of a sentence.
+    """
 
     why: str = eqx.field(static=True, default="it has no replicas")
 

@@ -30,7 +30,7 @@ from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.joint import Free, Revolute
 from jaxclear.components.load import MotorTorque
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_known, check_number
+from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact import CarvalhoMartins
 from jaxclear.laws.friction import AbstractFrictionLaw, Coulomb, ThreeZone
@@ -95,7 +95,7 @@ def driving_torques(drive: str | tuple) -> tuple[Any, Any]:
     """
     if isinstance(drive, tuple) and len(drive) == 2:
         return drive
-    check_known("drive of the antenna (beside two torques)", drive, DRIVES)
+    check_name("drive of the antenna (beside two torques)", drive, DRIVES)
     if drive == "periodic":
         first, second = TORQUES
         return PeriodicTorque(first), PeriodicTorque(second)
@@ -108,7 +108,7 @@ def friction_law(friction: Any) -> AbstractFrictionLaw | None:
     """
     if friction is None or isinstance(friction, AbstractFrictionLaw):
         return friction
-    check_known("friction of the antenna (beside a law, and None)", friction, FRICTIONS)
+    check_name("friction of the antenna (beside a law, and None)", friction, FRICTIONS)
     if friction == "set_valued":
         return Coulomb(mu_kinetic=MU_KINETIC, mu_static=MU_STATIC)
     return ThreeZone(
@@ -121,7 +121,7 @@ def friction_law(friction: Any) -> AbstractFrictionLaw | None:
 
 def bearing(kind: str, clearance: Any, rub: AbstractFrictionLaw | None) -> Any:
     """A joint of the antenna: "spatial" (FSRJ) or "planar" (FPRJ) with clearance, or "ideal"."""
-    check_known("kind", kind, KINDS, " of antenna")
+    check_name("kind", kind, KINDS, " of antenna")
     if kind == "ideal":
         return Revolute()
     contact = CarvalhoMartins(stiffness=HertzStiffness(steel(), steel()), restitution=RESTITUTION)
@@ -166,14 +166,26 @@ def antenna(
     friction: Any = "set_valued",
     offset: float = OFFSET,
 ) -> Mechanism:
-    """The satellite with links 1 and 2, both joints ("J1", "J2") being `kind`: "spatial", "planar"
-    or "ideal".
+    """The antenna pointing mechanism on its satellite: links 1 and 2, joints "J1" and "J2".
 
-    `clearance`: radial [m]. `drive`: "periodic", "step" or two torques. `friction`: "set_valued"
-    (Coulomb, for integrator.NonColliding and MoreauJean), "regularised" (three zones, for compliant
-    integrators too), a law, or None. `offset` [m]: how far link 2 lies beside link 1. The planar
-    kind leaves a journal free to tilt and slide unless its joint always touches: take it with
-    integrator.NonColliding only. Everything starts at rest, link 2 level.
+    Everything starts at rest, link 2 level.
+
+    Args:
+        kind: kind of both joints, a text: "spatial", "planar" or "ideal". The planar kind leaves a
+            journal free to tilt and slide unless its joint always touches: take it with
+            `integrator.NonColliding` only.
+        clearance: radial clearance [m], > 0.
+        drive: torques of both motors: "periodic", "step", or a tuple of two [N m], numbers or
+            functions of time [s].
+        friction: "set_valued" (Coulomb, for `NonColliding` and `MoreauJean`), "regularised" (three
+            zones, for compliant integrators too), a friction law, or None.
+        offset: distance of link 2 from link 1 along the axis of J2 [m].
+
+    Returns:
+        the mechanism.
+
+    Raises:
+        ValueError: for an unknown word, or a clearance that is not positive.
     """
     check_number("clearance of antenna", clearance, "m", above=0)
     check_number("offset of antenna", offset, "m")

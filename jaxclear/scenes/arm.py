@@ -279,13 +279,23 @@ def arm(
     way: Way | None = None,
     driven: bool = False,
 ) -> Mechanism:
-    """The arm with its gripper, on its way from pick to place. `kind`: "ideal", reducers that are
-    rigid and without play; "play", all seven elastic with `play`; or the names of those joints, of
-    joint1 to joint7, that have it, the others being ideal.
+    """The robot arm xArm7 with its gripper, moving from pick to place.
 
-    `play` [rad] of the joint between both flanks, one or seven of them; 0 leaves the elasticity.
-    `way`: the angles that the servos follow, your own in place of `pick_and_place()`. `driven`:
-    joints stand where the way wants them, without servos: the commanded path.
+    Args:
+        kind: "ideal", reducers that are rigid and without play; "play", all seven elastic with
+            `play`; or a list of the names, of joint1 to joint7, of those that have it, the others
+            being ideal.
+        play: play of the joint between both flanks [rad], >= 0, one number or seven; 0 leaves the
+            elasticity.
+        way: path of the joint angles that the servos follow; None: that of `pick_and_place()`.
+        driven: whether joints are driven along the path, without servos: the commanded path.
+
+    Returns:
+        the mechanism.
+
+    Raises:
+        ValueError: for an unknown word or name, or a play that is negative or not one number or
+            seven.
     """
     slack = slack_joints("arm", kind, KINDS, JOINTS)
     check_flags("arm", driven=driven)

@@ -106,10 +106,20 @@ def flap(
     lever_ratio: float = 1.0,
     drive: AbstractDrive | None = None,
 ) -> Mechanism:
-    """The mechanism of the paper. `kind`: "planar", all four joints with `clearance` (radial [m]);
-    "ideal", none; or the names of those, of J1 to J4, that have it, the others being ideal.
-    `lever_ratio` [1]: distance of J3 from the pivot of lever arm 1, over that of J2. `drive`: of
-    the actuator along x [m], your own in place of the paper's.
+    """The flap actuation mechanism of the paper, with joints "J1" to "J4".
+
+    Args:
+        kind: "planar", all four joints with clearance; "ideal", none; or a list of the names, of J1
+            to J4, of those that have it, the others being ideal.
+        clearance: radial clearance [m], > 0.
+        lever_ratio: distance of J3 from the pivot of lever arm 1 over that of J2 [1], > 0.
+        drive: motion of the actuator along x [m], one of `jaxclear.drive`; None: the paper's.
+
+    Returns:
+        the mechanism.
+
+    Raises:
+        ValueError: for an unknown word or name, or a number out of its range.
     """
     slack = slack_joints("flap", kind, KINDS, JOINTS)
     check_number("clearance of flap", clearance, "m", above=0)

@@ -31,7 +31,7 @@ from jaxclear.components.joint import Revolute, Spherical
 from jaxclear.components.load import Gravity
 from jaxclear.components.wear_map import Wearing
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_flags, check_known, check_number
+from jaxclear.ground.arguments import check_flags, check_name, check_number
 from jaxclear.laws.contact import LankaraniNikravesh
 from jaxclear.laws.friction import ThreeZone
 from jaxclear.laws.material import steel
@@ -115,15 +115,25 @@ def four_bar(
     cells: tuple[int, int] | None = None,
     follower_offset: float = FOLLOWER_OFFSET,
 ) -> Mechanism:
-    """The mechanism of the paper, joint "B" between coupler and follower being `kind`: "spatial",
-    "planar" or "ideal".
+    """The four-bar mechanism of the paper, with joint "B" between coupler and follower.
 
-    `clearance`: radial [m]. `crank_speed` [rad/s]. `friction`, `wear`: False leaves them out.
-    `cells` of the wear map around and along the bearing: 72 by 20 in space, 288 around in the
-    plane, if None; how deep it wears in space takes 144 by 320. `follower_offset` [m]: distance
-    between the planes of coupler and follower (spatial only).
+    Args:
+        kind: kind of joint B, a text: "spatial", "planar" or "ideal".
+        clearance: radial clearance [m], > 0.
+        crank_speed: speed of the crank [rad/s].
+        friction: whether the joint has friction.
+        wear: whether the joint wears.
+        cells: number of cells of the wear map around and along the bearing; None: 72 by 20 in
+            space, 288 around in the plane. How deep it wears in space takes 144 by 320.
+        follower_offset: distance between the planes of coupler and follower [m] (spatial only).
+
+    Returns:
+        the mechanism.
+
+    Raises:
+        ValueError: for an unknown word, or a clearance that is not positive.
     """
-    check_known("kind", kind, KINDS, " of four_bar")
+    check_name("kind", kind, KINDS, " of four_bar")
     check_number("clearance of four_bar", clearance, "m", above=0)
     check_number("follower_offset of four_bar", follower_offset, "m")
     check_flags("four_bar", friction=friction, wear=wear)

@@ -38,7 +38,7 @@ from jaxclear.components.joint import Prismatic, Revolute
 from jaxclear.components.load import AbstractLoad, Gravity, JointTorque
 from jaxclear.components.wear_map import Wearing
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_known, check_number
+from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.laws.contact import CarvalhoMartins
 from jaxclear.laws.friction import AbstractFrictionLaw, Coulomb, CoulombTanh
 from jaxclear.laws.material import steel
@@ -74,7 +74,7 @@ def friction_law(friction: Any) -> AbstractFrictionLaw | None:
     """
     if friction is None or isinstance(friction, AbstractFrictionLaw):
         return friction
-    check_known("friction of the guide (beside a law, and None)", friction, FRICTIONS)
+    check_name("friction of the guide (beside a law, and None)", friction, FRICTIONS)
     if friction == "set_valued":
         return Coulomb(mu_kinetic=MU)
     return CoulombTanh(mu_kinetic=MU, transition_speed=REGULARISING_SPEED)
@@ -87,7 +87,7 @@ def slider_joint(
     as this with both parts wearing, or "ideal"; `middle` of the guide [m] along it from where the
     slider starts.
     """
-    check_known("kind", kind, KINDS, " of guide")
+    check_name("kind", kind, KINDS, " of guide")
     if kind == "ideal":
         return Prismatic()
     walls: dict[str, Any] = {}
@@ -143,21 +143,35 @@ def guide(
     torque: Any | None = None,
     gravity: float | None = GRAVITY,
 ) -> Mechanism:
-    """The mechanism of the paper, joint "P" between guide and slider being `kind`: "guide" with
-    clearance, "wearing" as this with both parts wearing, or "ideal".
+    """The mechanism of the paper whose joint "P" between guide and slider has clearance.
 
-    `clearance`: gap on each side of the centred slider [m]. `friction`: "set_valued" (NonColliding,
-    MoreauJean), "regularised" (compliant runs; NonColliding takes its coefficients), a law, or
-    None. `drive` of the crank: "constant" from `crank_angle` [rad] with `crank_speed` [rad/s], or
-    your own drive (starting at `crank_angle`), or None: a free crank that starts so, under `torque`
-    [N m] (a number or a function of time). `gravity` [m/s2] along -y, None: absent.
+    Args:
+        kind: kind of joint P, a text: "guide" with clearance, "wearing" as this with both parts
+            wearing, or "ideal".
+        clearance: gap on each side of the centred slider [m], > 0.
+        friction: "set_valued" (for `NonColliding` and `MoreauJean`), "regularised" (for compliant
+            integrators; `NonColliding` takes its coefficients), a friction law, or None.
+        drive: drive of the crank: "constant" from `crank_angle` with `crank_speed`; or one of
+            `jaxclear.drive` that starts at `crank_angle`; or None: a free crank that starts so,
+            under `torque`.
+        crank_angle: angle of the crank at the start [rad].
+        crank_speed: speed of the crank, at the start or throughout [rad/s].
+        torque: torque on a free crank [N m], a number or a function of time [s]; none by default.
+        gravity: acceleration of free fall along -y [m/s^2]; None: absent.
+
+    Returns:
+        the mechanism.
+
+    Raises:
+        ValueError: for an unknown word, a clearance that is not positive, or a torque on a driven
+            crank.
     """
     check_number("clearance of guide", clearance, "m", above=0)
     check_number("crank_angle of guide", crank_angle, "rad")
     reach, tilt = _from_pivot_to_crank(crank_angle)
     joint = slider_joint(kind, clearance, friction_law(friction), GUIDE_ARM - reach)
     if isinstance(drive, str):
-        check_known("drive of guide (beside a drive of your own, and None)", drive, ["constant"])
+        check_name("drive of guide (beside a drive of your own, and None)", drive, ["constant"])
         drive = ConstantSpeed(crank_speed, crank_angle)
     if drive is not None and torque is not None:
         raise ValueError(

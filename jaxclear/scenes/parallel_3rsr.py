@@ -129,15 +129,30 @@ def parallel_3rsr(
     cells: tuple[int, int] = (12, 12),
     worn_radius: bool = False,
 ) -> Mechanism:
-    """The mechanism of the paper. `kind`: "one", ball joint S1 with `clearance` (radial [m]);
-    "all", each of S1 to S3; "ideal", none; or the names of those that have it.
+    """The 3RSR parallel mechanism of the paper.
 
-    `period` [s] of the drives; `drives`: three of the joints A1 to A3 [rad], your own in place of
-    the paper's. `friction`, `wear`: False leaves them out. `cells` of the wear map, in azimuth and
-    elevation. `worn_radius`: whether the contact is as stiff as the socket's radius and clearance
-    are where it is worn, as in the paper, or as they were made. Legs are numbered: drive rods
-    "drive 1" ... stand on the ground at A1 ..., transmission rods "rod 1" ... hang from the
-    "platform" at B1 ....
+    Legs are numbered: drive rods "drive 1" ... stand on the ground at A1 ..., transmission rods
+    "rod 1" ... hang from the "platform" at B1 ..., balls "S1" ... join them.
+
+    Args:
+        kind: "one", ball joint S1 with clearance; "all", each of S1 to S3; "ideal", none; or a list
+            of the names of those that have it.
+        clearance: radial clearance [m], > 0.
+        period: period of the drives [s], > 0.
+        drives: drives of the joints A1 to A3 [rad], a list of three of `jaxclear.drive`; None: the
+            paper's.
+        friction: whether joints with clearance have friction.
+        wear: whether their sockets wear.
+        cells: number of cells of the wear map, in azimuth and elevation.
+        worn_radius: whether the contact is as stiff as the socket's radius and clearance are where
+            it is worn, as in the paper; else as they were made.
+
+    Returns:
+        the mechanism.
+
+    Raises:
+        ValueError: for an unknown word or name, a number out of its range, or other than three
+            drives.
     """
     slack = slack_joints("parallel_3rsr", kind, KINDS, BALLS)
     check_number("clearance of parallel_3rsr", clearance, "m", above=0)

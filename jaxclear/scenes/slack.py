@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.arguments import check_name, expect
 
 
 def slack_joints(
@@ -14,10 +14,10 @@ def slack_joints(
     """The joints that have clearance in a scene of this `kind`: one of the words of `kinds`, or
     names of its `joints`. Raises `ValueError` with a sentence."""
     if isinstance(kind, str):
-        check_known("kind", kind, kinds, f" of {scene} (beside a list of joints)")
+        check_name("kind", kind, kinds, f" of {scene} (beside a list of joints)")
     slack = kinds[kind] if isinstance(kind, str) else kind
     words = ", ".join(f'"{word}"' for word in kinds)
     expect(slack, (tuple, list), f"kind of {scene}", f"{words}, or a list of joints")
     for name in slack:
-        check_known("joint", name, joints, f" in kind of {scene}")
+        check_name("joint", name, joints, f" in kind of {scene}")
     return slack

@@ -22,7 +22,7 @@ from jaxclear.components.joint import Prismatic, Revolute
 from jaxclear.components.load import Gravity
 from jaxclear.components.wear_map import Wearing
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_known, check_number
+from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.laws.contact import AbstractContactLaw, LankaraniNikravesh
 from jaxclear.laws.friction import AbstractFrictionLaw, Ambrosio
 from jaxclear.laws.material import Material
@@ -67,17 +67,29 @@ def slider_crank(
     drive: AbstractDrive | None = None,
     gravity: float | None = 9.81,
 ) -> Mechanism:
-    """The mechanism, joint "B" between rod and slider being `kind`: "planar" with clearance,
-    "ideal", or a joint of your own.
+    """The planar slider-crank, with joint "B" between rod and slider.
 
-    `clearance`: radial [m]. `contact`, `friction`, `wear` of "planar": a law (for wear a
-    `Wearing`), True for the scene's own, False or None (friction, wear) to leave it out.
-    `crank_speed` [rad/s], or your own `drive` of the crank. `gravity` [m/s2] along -y, None:
-    absent. Raises ValueError for another word as `kind`.
+    Args:
+        kind: "planar" with clearance, "ideal", or a joint of your own.
+        clearance: radial clearance [m], > 0.
+        contact: contact law of "planar", one of `jaxclear.contact`; None: the scene's own.
+        friction: friction law of "planar", one of `jaxclear.friction`; True: the scene's own; False
+            or None: no friction.
+        wear: wear of "planar", a `Wearing`; True: the scene's own; False or None: no wear.
+        crank_speed: speed of the crank [rad/s].
+        drive: drive of the crank in place of the constant speed, one of `jaxclear.drive`; none by
+            default.
+        gravity: acceleration of free fall along -y [m/s^2]; None: absent.
+
+    Returns:
+        the mechanism.
+
+    Raises:
+        ValueError: for an unknown word, or a clearance that is not positive.
     """
     joint = kind
     if isinstance(kind, str):
-        check_known("kind", kind, KINDS, " of slider_crank (beside a joint of your own)")
+        check_name("kind", kind, KINDS, " of slider_crank (beside a joint of your own)")
         check_number("clearance of slider_crank", clearance, "m", above=0)
         planar = kind == "planar"
         joint = bearing(clearance, contact, friction, wear) if planar else Revolute()

@@ -208,7 +208,7 @@ def _ending_at(integrator: AbstractIntegrator, breaks: np.ndarray) -> AbstractIn
 def _seen(question: Key) -> tuple[np.ndarray, dict[str, float]]:
     """The times [s] at which steps that find their own length are to end, and by name the shares
     that others pass over."""
-    everything, times, step, fixed = question.asked
+    everything, times, step, fixed = question.arguments
     functions = {name: each for name, each in everything.items() if changes(each)}
     check_finite(functions, times)
     edges = step_ends(times, step, fixed) if step is not None or fixed is not None else None

@@ -18,10 +18,16 @@ from jaxclear.integrators.base import MOST_STEPS, AbstractIntegrator
 
 @dataclass(frozen=True)
 class Saving:
-    """What a run keeps: `at` is a number of equally spaced saving times, or the times [s];
-    `events`: how many touches and releases of each contact are kept between two of them, for
-    `run.events()`. Steps that know how touches move (`integrator.Adaptive`,
-    `FixedStep` by "rk4") give their instants derivatives."""
+    """What a run keeps.
+
+    Steps that know how touches move (`integrator.Adaptive`, `FixedStep` by "rk4") give the instants
+    of events derivatives.
+
+    Args:
+        at: number of equally spaced saving times, >= 2, or the times [s].
+        events: number of touches and releases of each contact that are kept between two saving
+            times, for `run.events()`, >= 0.
+    """
 
     at: Any = 501
     events: int = field(default=0, metadata={"at_least": 0})

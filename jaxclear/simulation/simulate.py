@@ -16,10 +16,10 @@ from jaxclear.errors.estimates import HALF
 from jaxclear.errors.verification import Replica, verified
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
-from jaxclear.ground.latest import Found, Key, Latest
+from jaxclear.ground.latest import Key, Latest, Value
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced, on_host, with_quantities
-from jaxclear.ground.warning import told
+from jaxclear.ground.warning import count_warnings
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
@@ -48,8 +48,11 @@ from jaxclear.simulation.singular_positions import diagnosed
 
 
 class SimulationError(RuntimeError):
-    """A run that ended early; the sentence says where and why. `trajectory` holds what was
-    computed.
+    """A run that ended early.
+
+    Args:
+        sentence: text that says where and why.
+        trajectory: what was computed, a `Trajectory`.
     """
 
     def __init__(self, sentence: str, trajectory: Trajectory):
@@ -180,21 +183,38 @@ def simulate(
     throw: bool = True,
     verify: bool | None = None,
 ) -> Trajectory:
-    """Simulate a mechanism for `duration` [s] from its own start.
+    """Simulate a mechanism from its own start or from a given state.
 
-    `save`: number of equally spaced saving times, or the times [s], or a `Saving`, which keeps
-    touches and releases too; worn surfaces are updated at these times. `integrator`:
-    `jaxclear.integrator.Adaptive()` by default; or give the `accuracy`, and it is chosen by runs,
-    for the least work: 0.01 for 1 % of places, mean forces and losses, or a number in its unit by
-    standard answer (those of `print(run)`) or response. `state`: where the run begins instead, such
-    as `run.state()` of another one; saving times, worn volumes and energies count from there.
-    `balance`: also integrate the energies that `Trajectory.energy_balance` needs. `verify`: whether
-    the run is repeated in finer steps, which tells the errors of its numbers (`estimate`, `print`);
-    by default up to 100 000 steps or with an `accuracy`, and not where the run is traced. Changing
-    numbers, duration or tolerances does not compile again; changing the number of saving times
-    does. Raises `ValueError` for a mechanism that cannot start and for a derivative through
-    contacts that open and close (see `jaxclear.sensitivity`), and, unless `throw=False`,
-    `SimulationError` with a sentence for a run that ends early.
+    Changing numbers, duration or tolerances does not compile again; changing the number of saving
+    times does.
+
+    Args:
+        mechanism: the mechanism.
+        duration: length of the run [s], > 0.
+        integrator: one of `jaxclear.integrator`; by default `Adaptive()`.
+        accuracy: instead of `integrator`, which is then chosen by trial runs for the least work:
+            relative accuracy of positions, mean forces and losses [1], such as 0.01; or absolute
+            accuracies by the name of a quantity of `print(run)`, or by response, in its unit, a
+            dict.
+        save: number of equally spaced saving times, >= 2; or the times [s]; or a `Saving`, which
+            keeps touches and releases too. Worn surfaces are updated at these times.
+        state: state in which the run begins instead of the mechanism's start, such as `run.state()`
+            of another run; saving times, worn volumes and energies count from there.
+        balance: whether to integrate the energies that `Trajectory.energy_balance` needs.
+        progress_bar: whether to show a progress bar.
+        throw: whether to raise `SimulationError` for a run that ends early; without it the result
+            says why.
+        verify: whether to repeat the run with finer steps, for the errors of its numbers
+            (`estimate`, `print`); by default up to 100 000 steps or with an `accuracy`, and not
+            where the run is traced.
+
+    Returns:
+        states, contacts and reactions over time, a `Trajectory`.
+
+    Raises:
+        ValueError: if an argument is wrong, if the mechanism cannot start, or for a derivative
+            through contacts that open and close (see `jaxclear.sensitivity`).
+        SimulationError: if the run ends early, unless `throw=False`.
     """
     how = How(save, state, balance, progress_bar, verify)
     _check_asked(duration, how, throw)
@@ -236,14 +256,14 @@ def _key(mechanism: Mechanism, integrator: AbstractIntegrator) -> Key | None:
     return None if is_traced(key.leaves) else key
 
 
-def _kept(latest: Latest[Found], key: Any, find: Callable[[], Found]) -> Found:
+def _kept(latest: Latest[Value], key: Any, find: Callable[[], Value]) -> Value:
     """What was found lately under a key, or what is found now (None: nobody may find it again).
     What warns is looked for each time."""
     known = None if key is None else latest.get(key)
     if known is not None:
         return known
-    before, found = told(), find()
-    if key is not None and told() == before:
+    before, found = count_warnings(), find()
+    if key is not None and count_warnings() == before:
         latest.keep(key, found)
     return found
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import constant, is_traced
 from jaxclear.multibody.mechanism import Mechanism
@@ -41,9 +41,9 @@ def worn_as_given(mechanism: Mechanism, given: Worn | None) -> Worn | None:
         for name, own in wearing_in(mechanism).items()
     }
     for joint, surfaces in given.items():
-        check_known("worn joint", joint, cells, " in this mechanism")
+        check_name("worn joint", joint, cells, " in this mechanism")
         for surface in surfaces:
-            check_known("worn surface", surface, cells[joint], f' of joint "{joint}"')
+            check_name("worn surface", surface, cells[joint], f' of joint "{joint}"')
     return {
         joint: {
             surface: _depths(f'worn["{joint}"]["{surface}"]', given[joint][surface], shape)

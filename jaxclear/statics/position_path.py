@@ -341,19 +341,26 @@ def positions(
 ) -> Positions:
     """A mechanism at rest at positions of its drives, without time.
 
-    `positions`: coordinates [rad, m] by joint, as many of each; every drive must be among them. {}
-    for a mechanism without drives, which then stands once. A motor behind play or stiffness is held
-    by its own name (its coupling's and ".motor"): the joint then rests on the flank on which loads
-    press it, wound up by them. `start` and `guess` of the mechanism
-    choose between ways to assemble. Loads are quasi-static, as at 0 s; they act without friction
-    and inertia, and contacts are rigid. `both_ways`: also under reversed loads (`.reversed`), for
-    lost motion; springs and stops stay as they are.
+    Loads are quasi-static, as at 0 s; they act without friction and inertia, and contacts are
+    rigid. Where the loops determine everything else each journal rests where its reaction presses
+    it. Elsewhere (springs, free coordinates, journals that share a load, play in angle) the
+    mechanism rests where its potential energy is least, near the start, from one position to the
+    next. `start` and `guess` of the mechanism choose between ways to assemble it.
 
-    Where the loops determine everything else each journal lies where its own reaction presses it.
-    Elsewhere (springs, freedoms that are left, journals that share a load, play in angle) the
-    mechanism rests where its potential energy is least: near the start, from one position to the
-    next. What nothing holds is named by `warnings` of the result. Raises `ValueError` with a
-    sentence for what cannot be asked or is out of reach.
+    Args:
+        mechanism: the `Mechanism`.
+        positions: coordinates [rad, m] by joint, as many of each; every drive must be among them;
+            {} for a mechanism without drives, at rest once. A motor with play or stiffness is held
+            by its own name (its coupling's and ".motor"): the joint then rests on the flank on
+            which loads press it, twisted by them.
+        both_ways: whether to compute the positions under reversed loads too (`.reversed`), for lost
+            motion; springs and stops stay as they are. False by default.
+
+    Returns:
+        The `Positions`; their `warnings` name parts that nothing holds.
+
+    Raises:
+        ValueError: if an argument is wrong, or the mechanism cannot reach a position.
     """
     check_double_precision()
     expect(mechanism, Mechanism, "what is positioned", "a jaxclear.Mechanism")

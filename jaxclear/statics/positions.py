@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.body import Marker
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.ground.datasets import Column, dataset
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.ground.printing import AbstractShown
@@ -32,8 +32,13 @@ LOOSE = 1e-3
 
 
 class BodyPoses(AbstractHistory):
-    """Bodies in the ground frame at each position: `com` place [m] of the centre of mass,
-    `rotation` the body's axes in the ground's, `origin` place of the body frame [m]."""
+    """Poses of a body in the ground frame at each position of the drives.
+
+    Args:
+        com: position of the centre of mass [m], shape (positions, 3).
+        rotation: axes of the body in the ground frame [1], shape (positions, 3, 3).
+        origin: position of the origin of the body frame [m], shape (positions, 3).
+    """
 
     com: Float[Array, "positions 3"] = measured("m")
     rotation: Float[Array, "positions 3 3"] = measured("1")
@@ -43,12 +48,20 @@ class BodyPoses(AbstractHistory):
 class Positions(AbstractShown):
     """A mechanism at rest at positions of its drives.
 
-    `position` (positions, drives) are the drives' coordinates [rad, m] in the order of
-    `scene.held`, `coordinates` those of the tree, `seats` of each joint with clearance where its
-    journal lies (positions, 5): offset [m] in the bearing's axes, slope of its axis [1].
-    `found` (positions,): whether the mechanism closes and every seat is the one of its reaction.
-    `carried`: what holds it, where its energy says where it rests. `warnings` say where its place
-    is not the only one.
+    Args:
+        scene: the mechanism with the joints that are held.
+        position: coordinates of the drives [rad, m], shape (positions, drives), in the order of
+            `scene.held`.
+        coordinates: coordinates of the tree [rad, m], shape (positions, q).
+        seats: by joint with clearance where its journal rests, shape (positions, 5): offset [m] in
+            the bearing's axes, slope of its axis [1].
+        found: whether the mechanism closes and each journal rests where its reaction presses it,
+            shape (positions,).
+        side: sign of the loads, 1 or -1 [1].
+        moving: which numbers of each seat are not zero by construction.
+        other: the positions under reversed loads; None where they were not computed.
+        carried: forces that hold the mechanism, where it rests at least potential energy; else
+            None.
     """
 
     scene: Posed
@@ -63,13 +76,27 @@ class Positions(AbstractShown):
     carried: Carried | None = None
 
     def __getitem__(self, index: int) -> "Positions":
-        """One of a batch, as `jax.vmap` makes it of `PositionProblem.positions`."""
+        """One of a batch that `jax.vmap` has made of `PositionProblem.positions`.
+
+        Args:
+            index: number in the batch; negative numbers count from the end.
+
+        Returns:
+            The positions.
+
+        Raises:
+            ValueError: if this is no batch.
+            IndexError: if the batch has fewer.
+        """
         return one_of(self, self.found, index)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What there is to say of places that are not the only ones: parts that no load presses,
-        and sides of an unstable equilibrium of which one was taken."""
+        """Sentences on positions that are not unique, empty for none.
+
+        They name parts that no load presses or holds, and unstable equilibria of which one side was
+        taken.
+        """
         check_single(self.found)
         if self.carried is None:
             return ()
@@ -108,7 +135,11 @@ class Positions(AbstractShown):
 
     @property
     def reversed(self) -> "Positions":
-        """The same under reversed loads."""
+        """The positions under reversed loads.
+
+        Raises:
+            ValueError: if they were not computed (`both_ways=True`).
+        """
         if self.other is None:
             raise ValueError(
                 "positions under reversed loads were not asked for; ask with both_ways=True."
@@ -116,8 +147,18 @@ class Positions(AbstractShown):
         return self.other
 
     def body(self, name: str) -> BodyPoses:
-        """Where a body stands."""
-        check_known("body", name, self.scene.mechanism.bodies, " in this mechanism")
+        """Poses of a body.
+
+        Args:
+            name: name of the body.
+
+        Returns:
+            The `BodyPoses`.
+
+        Raises:
+            ValueError: if there is no such body.
+        """
+        check_name("body", name, self.scene.mechanism.bodies, " in this mechanism")
         com = sp.vec3(self.scene.mechanism.bodies[name].com)
 
         def one(now):
@@ -128,19 +169,40 @@ class Positions(AbstractShown):
         return BodyPoses(*self._over(one))
 
     def marker(self, body: str | Marker, at: Any = None) -> MarkerHistory:
-        """`position` [m] and `rotation` in the ground frame of a point of a body, `at` in the body
-        frame [m], or of a `Marker`."""
+        """Position and rotation of a point of a body in the ground frame.
+
+        Args:
+            body: name of the body, or a `Marker`.
+            at: position of the point in the body frame [m], 2 or 3 numbers; not beside a `Marker`.
+
+        Returns:
+            A `MarkerHistory` with `position` [m] and `rotation`.
+
+        Raises:
+            ValueError: if there is no such body, or `at` is given beside a `Marker`.
+        """
         return marker(self.body, body, at)
 
     def coordinate(self, name: str) -> Float[Array, "positions ..."]:
-        """Coordinate [rad, m] of a connection of the tree, of one that is held, or of a body that
-        only joints with clearance hold; where energy says where it rests, of any joint. Over the
-        positions; with several coordinates an array (positions, coordinates)."""
+        """Coordinates of a joint or body over the positions.
+
+        Args:
+            name: name of a connection of the tree, a joint that is held, or a body that only joints
+                with clearance connect; of any joint where the mechanism rests at least potential
+                energy.
+
+        Returns:
+            Coordinate [rad, m], shape (positions,); (positions, coordinates) where there are
+            several.
+
+        Raises:
+            ValueError: if there is no such joint, or it closes a loop and has no coordinates.
+        """
         check_single(self.found)
         scene = self.scene
         branches = {own.name: own for own in scene.mechanism.topology.branches}
         names = [*scene.mechanism.connections, *branches]
-        check_known("joint or floating body", name, dict.fromkeys(names), " in this mechanism")
+        check_name("joint or floating body", name, dict.fromkeys(names), " in this mechanism")
         if name in scene.held:
             return self.position[:, scene.held.index(name)]
         branch = branches.get(name)
@@ -154,21 +216,43 @@ class Positions(AbstractShown):
         return single(self.coordinates[:, branch.coordinates])
 
     def offset(self, joint: str) -> Float[Array, "positions 3"]:
-        """Where a journal lies in its gap [m], in the bearing's axes."""
+        """Position of a journal in its gap, in the bearing's axes.
+
+        Args:
+            joint: name of a joint with clearance.
+
+        Returns:
+            Offset [m], shape (positions, 3).
+
+        Raises:
+            ValueError: if there is no such joint.
+        """
         check_single(self.found)
-        check_known("joint", joint, self.seats, " with clearance in this mechanism")
+        check_name("joint", joint, self.seats, " with clearance in this mechanism")
         return self.seats[joint][:, :3]
 
     def reaction(self, joint: str) -> Float[Array, "positions 6"]:
-        """Force [N] and torque [N m] on a joint's child about its marker, in the axes of the
-        parent's marker; without friction."""
-        check_known("joint", joint, self.scene.mechanism.connections, " in this mechanism")
+        """Force and torque on a joint's child about its marker, without friction.
+
+        Args:
+            joint: name of the joint.
+
+        Returns:
+            Force [N] and torque [N m] in the axes of the parent's marker, shape (positions, 6).
+
+        Raises:
+            ValueError: if there is no such joint.
+        """
+        check_name("joint", joint, self.scene.mechanism.connections, " in this mechanism")
         return self._over(lambda now: sp.stack([x for p in now.reactions[joint] for x in p]))
 
     def to_dataset(self) -> Any:
-        """Everything over the positions as an xarray Dataset with units and provenance: drives,
-        bodies, journals in their gaps; where they were asked for, under "reversed ..." what is
-        different under reversed loads."""
+        """Drives, bodies and journals over the positions.
+
+        Returns:
+            An xarray Dataset with units and provenance; names "reversed ..." hold values under
+            reversed loads, where these were computed.
+        """
         columns = self._columns()
         if self.other is not None:
             other = self.reversed._columns().items()

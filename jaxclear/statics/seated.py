@@ -71,18 +71,25 @@ class Pressed(NamedTuple):
 
 @answering
 def seated(mechanism: Mechanism, worn: Any = None) -> State:
-    """Where a run may begin without a fall: the mechanism's own start, with every journal pressed
-    into its bearing by the reaction that the joint has there while all of them touch
-    (`NonColliding`), as deep as its law carries that reaction, and resting in it.
+    """An initial state in which every journal rests in its bearing.
 
-    Loads, drives and inertia forces of the start count; friction leans a journal sideways. Journals
-    without a reaction stay in the middle. Where reactions are not unique (a door on two hinges with
-    play) no friction leans a journal. Where the loops do not let each journal lie as its own
-    reaction presses it (a spatial linkage whose ends stay in their planes), all rest together where
-    their contacts carry the loads, without friction. `worn`: depths [m] by joint and surface, such
-    as `run.worn`. Give the state to `simulate`, `settled`, `wear_life` or a `Problem`. What `start`
-    holds is held. Raises `ValueError` with a sentence for a joint of which it is not known where a
-    load presses it.
+    A run from it begins without a fall through the clearance. Each journal rests where the reaction
+    of its joint presses it, as deep as its contact law needs to carry that reaction. Reactions
+    include loads, drives and inertia forces of the start, and friction where they are unique;
+    journals without a reaction stay in the middle. Where loops do not allow this, all journals rest
+    together where their contacts carry the loads without friction. Coordinates in `start` of the
+    mechanism are kept.
+
+    Args:
+        mechanism: the `Mechanism`.
+        worn: worn depths [m] by joint and surface, such as `run.worn`; None (default) for new
+            surfaces.
+
+    Returns:
+        A `State`, for `simulate`, `settled`, `wear_life` or a `Problem`.
+
+    Raises:
+        ValueError: if for some joint it is not known where a load presses it, or no rest is found.
     """
     check_double_precision()
     expect(mechanism, Mechanism, "what is seated", "a jaxclear.Mechanism")

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxclear.errors.accuracy import beside, checked_accuracy
 from jaxclear.errors.choice import Chosen
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
@@ -71,5 +71,5 @@ def checked_asked(accuracy: Any, response: Mapping[str, Callable]) -> Wanted:
     if isinstance(asked, float):
         return asked
     for name in asked:
-        check_known("response", name, response, " in this problem")
+        check_name("response", name, response, " in this problem")
     return tuple(asked.items())

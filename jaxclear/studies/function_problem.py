@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, is_one_number, quantity
-from jaxclear.ground.warning import asked, shape_of
+from jaxclear.ground.warning import call_user_function, shape_of
 from jaxclear.ground.wording import described, listed
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import (
@@ -224,7 +224,9 @@ def _traced(function: Callable[..., Any], at: dict[str, Any]) -> dict[str, Any]:
     order: list[str] = []
 
     def in_order(at):
-        found = _by_name(asked("the function of a FunctionProblem", lambda: function(**at)))
+        found = _by_name(
+            call_user_function("the function of a FunctionProblem", lambda: function(**at))
+        )
         order.extend(found)
         return found
 
@@ -240,7 +242,7 @@ def _units(given: Any, responses: tuple[str, ...], variables: tuple[str, ...]) -
         return (given,) * len(responses)
     expect(given, Mapping, "units of a FunctionProblem", "a text, or a dictionary from responses")
     for name, unit in given.items():
-        check_known("response", name, responses, " in what the function returns")
+        check_name("response", name, responses, " in what the function returns")
         expect(unit, str, f'unit of response "{name}"', 'a text, such as "m"')
     return tuple(given.get(name, "1") for name in responses)
 

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.arguments import check_known, check_number
+from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import described
 from jaxclear.studies.distribution import AbstractDistribution
@@ -117,7 +117,7 @@ def correlation_matrix(
                     "two variables' names."
                 )
             for name in pair:
-                check_known("variable", name, names, " in this problem")
+                check_name("variable", name, names, " in this problem")
             label = f'correlation of "{pair[0]}" and "{pair[1]}"'
             check_number(label, value, above=-1, below=1)
             i, j = (list(names).index(name) for name in pair)

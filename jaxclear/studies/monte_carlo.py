@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_count, check_flags, check_known, check_number
+from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import (
@@ -112,7 +112,7 @@ class MonteCarlo(AbstractAnswer):
     def concerned(self, response: str) -> np.ndarray:
         """Indices of the samples that carry a warning which concerns this response (peak forces
         that the steps do not resolve concern no position)."""
-        check_known("response", response, self.responses, " in this study")
+        check_name("response", response, self.responses, " in this study")
         found = warned_of(self.problem, response, self.checks, self.count)
         return np.setdiff1d(np.flatnonzero(found), self.failed)
 
@@ -137,7 +137,7 @@ class MonteCarlo(AbstractAnswer):
     ) -> NumericalError:
         """How far the mean, or another smooth function of a sample (samples,), is off by what
         discretises runs, beside what chance leaves. Raises `ValueError` without replicas."""
-        check_known("response", response, self.responses, " in this study")
+        check_name("response", response, self.responses, " in this study")
         return numerical_error(self, response, statistic)
 
     def rerun(self, index: int) -> Any:
@@ -199,7 +199,7 @@ class MonteCarlo(AbstractAnswer):
 
     def good(self, response: str) -> tuple[np.ndarray, np.ndarray]:
         """A response of the samples that did not fail, and their scramblings."""
-        check_known("response", response, self.responses, " in this study")
+        check_name("response", response, self.responses, " in this study")
         kept = np.setdiff1d(np.arange(self.count), self.failed)
         return self.responses[response][kept], self.scrambling[kept]
 
@@ -265,7 +265,7 @@ class MonteCarlo(AbstractAnswer):
         """
         check_number("content of tolerance_interval", content, above=0, below=1)
         check_number("confidence of tolerance_interval", confidence, above=0, below=1)
-        check_known("side of tolerance_interval", side, SIDES)
+        check_name("side of tolerance_interval", side, SIDES)
         check_flags("tolerance_interval", normal=normal)
         kind, (values, group) = normal_interval if normal else free_interval, self.good(response)
         if normal:

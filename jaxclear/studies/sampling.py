@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.arguments import check_count, check_known, expect
+from jaxclear.ground.arguments import check_count, check_name, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.inputs import Inputs
@@ -60,7 +60,7 @@ def check_sampled(problem: Any, samples: Any, seed: Any, sampling: Any = "sobol"
     """What is sampled, and how. Raises `ValueError` with a sentence."""
     check_double_precision()
     expect(problem, AbstractProblem, "what is sampled", "a jaxclear.Problem")
-    check_known("sampling", sampling, SAMPLINGS)
+    check_name("sampling", sampling, SAMPLINGS)
     check_count("the number of samples", samples)
     check_count("seed", seed, at_least=0)
     if not problem.response_names:

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.body import Marker
 from jaxclear.ground.argument_errors import nothing_else
-from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.quantity import Scalar, count, quantity
 from jaxclear.multibody.topology import coordinate_units
 from jaxclear.results.response import AbstractSignal, coordinate_unit
@@ -271,7 +271,7 @@ class Series(AbstractSensor):
 
 
 def _check_axis(sensor: Any) -> None:
-    check_known("axis", sensor.axis, AXES, f" of sensor.{type(sensor).__name__}")
+    check_name("axis", sensor.axis, AXES, f" of sensor.{type(sensor).__name__}")
 
 
 def check_sensor(name: str, sensor: Any, mechanism: Any) -> None:
@@ -288,7 +288,7 @@ def check_sensor(name: str, sensor: Any, mechanism: Any) -> None:
         coordinate_units(mechanism, sensor.joint)
     elif isinstance(sensor, ForceGauge):
         known = [*mechanism.connections, *mechanism.couplings]
-        check_known("joint", sensor.joint, known, f' for the sensor of signal "{name}"')
+        check_name("joint", sensor.joint, known, f' for the sensor of signal "{name}"')
     else:
         bodies = list(mechanism.bodies)
-        check_known("body", sensor.marker.body, bodies, f' for the sensor of signal "{name}"')
+        check_name("body", sensor.marker.body, bodies, f' for the sensor of signal "{name}"')

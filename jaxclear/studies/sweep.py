@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_flags, check_known, expect
+from jaxclear.ground.arguments import check_flags, check_name, expect
 from jaxclear.ground.wording import described
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
@@ -112,7 +112,7 @@ def sweep(
 
 def _axis(name: str, values: Any, problem: AbstractProblem) -> np.ndarray:
     """The values of a variable. Raises `ValueError` with a sentence."""
-    check_known("variable", name, problem.names, " in this problem")
+    check_name("variable", name, problem.names, " in this problem")
     try:
         axis = np.asarray(values, float)
     except (TypeError, ValueError):

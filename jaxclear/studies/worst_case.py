@@ -22,7 +22,7 @@ import scipy
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
-from jaxclear.ground.printing import AbstractShown, shown_in_words
+from jaxclear.ground.printing import AbstractShown, with_text_repr
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import RESPONSE, TABLE, VARIABLE, AbstractAnswer, Column, Stated
@@ -42,7 +42,7 @@ MOST_CORNERS = 2**10
 SHORTEST, MOST_ROUNDS = 1e-3, 60
 
 
-@shown_in_words
+@with_text_repr
 class Extreme(AbstractShown):
     """The least or largest value found of a response [its unit], `values` (variables,) where it
     occurs, and the value of first order there: nominal and slopes times deviations, nan where

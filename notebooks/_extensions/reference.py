@@ -5,8 +5,8 @@
 
 describes every public name of a module, under the name by which a user reaches it, not by the file
 it lives in. Docstrings are read as Markdown, so that `code` and $mathematics$ are what they look
-like. A table lists every number of a class with its default, unit, range and meaning; it is read
-from the fields themselves.
+like; their sections `Args:`, `Returns:` and `Raises:` become lists. Where a class does not list its
+arguments, a table shows its numbers with default, unit, range and meaning, from the fields.
 """
 
 import dataclasses
@@ -15,6 +15,7 @@ import importlib
 import inspect
 import re
 import sys
+import textwrap
 import types
 import typing
 from collections.abc import Callable, Collection
@@ -35,6 +36,8 @@ DOI = re.compile(r"doi:\s?(10\.\d+/[^\s,;]*[^\s,;.)])")
 # Where a sentence, or a part of one, ends before a name, an error or a source.
 APART = ("Raises ", "Source: ", "Sources: ")
 CUT = re.compile(r"(?<=[.;]) (?=`\w+`|Raises |Sources?: )")
+HEADINGS = {"Args": "Arguments", "Returns": "Returns", "Raises": "Raises"}
+SECTION = re.compile(r"^(Args|Returns|Raises):\n((?:(?: {4}.*)?\n)+)", re.MULTILINE)
 ROLE = re.compile(r":math:`([^`]*)`", re.DOTALL)
 
 
@@ -65,11 +68,22 @@ def markdown(text: str | None, names: Collection[str] = ()) -> list[str]:
     """
     text = ROLE.sub(lambda found: f"${' '.join(found[1].split())}$", inspect.cleandoc(text or ""))
     text = re.sub(r"^\.\. math::\n\n((?:[ ].*\n?)+)", r"$$\n\1\n$$\n", text, flags=re.M)
+    text = SECTION.sub(section, text + "\n")
     lines: list[str] = []
     for block in re.split(r"\n\s*\n", text):
         plain = not re.search(r"^(\s|[|$*-]|```|\d+\.)", block, re.MULTILINE)
         lines += [*(arranged(" ".join(block.split()), names) if plain else block.split("\n")), ""]
     return [DOI.sub(r"[doi:\1](https://doi.org/\1)", line) for line in lines]
+
+
+def section(match: re.Match[str]) -> str:
+    """A section of a Google-style docstring as a heading and a list, or a sentence."""
+    heading, body = HEADINGS[match[1]], textwrap.dedent(match[2]).strip()
+    entries = [" ".join(entry.split()) for entry in re.split(r"\n(?=\S)", body)]
+    if match[1] in ("Args", "Raises"):
+        items = [re.sub(r"^([\w*, ]+):", r"- `\1`:", entry) for entry in entries]
+        return "\n".join([f"\n**{heading}**\n", *items, "\n"])
+    return f"\n**{heading}** {' '.join(entries)}\n\n"
 
 
 def arranged(paragraph: str, names: Collection[str]) -> list[str]:
@@ -203,8 +217,15 @@ def signature(value: object) -> str:
     return str(shown)
 
 
+def lists_arguments(value: object) -> bool:
+    """Whether the docstring of a class or function lists its arguments."""
+    return re.search(r"^\s*Args:$", value.__doc__ or "", re.MULTILINE) is not None
+
+
 def number_table(kind: type) -> list[str]:
-    """Numbers of a class: default, unit, range and meaning."""
+    """Numbers of a class: default, unit, range and meaning; none if its docstring lists them."""
+    if any(lists_arguments(base) for base in kind.__mro__):
+        return []
     found = [field for field in fields_of(kind) if field.metadata.get("meaning")]
     if not found:
         return []
@@ -222,7 +243,7 @@ def number_table(kind: type) -> list[str]:
 def built_table(function: Callable) -> list[str]:
     """Numbers of the law that a function builds, where it needs no arguments."""
     needed = [p for p in inspect.signature(function).parameters.values() if p.default is p.empty]
-    if not function.__module__.startswith("jaxclear.laws") or needed:
+    if not function.__module__.startswith("jaxclear.laws") or needed or lists_arguments(function):
         return []
     lines = ["", "| number | default | unit | meaning |", "| --- | --- | --- | --- |"]
     for path, leaf, metadata in numbers(function()):

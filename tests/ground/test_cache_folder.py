@@ -6,7 +6,7 @@ import threading
 import pytest
 
 from jaxclear.ground import cache_folder
-from jaxclear.ground.cache_folder import KERNEL, PROGRAM, kept, key_of, place, read, write
+from jaxclear.ground.cache_folder import KERNEL, PROGRAM, key_of, list_files, place, read, write
 
 KEY = key_of("a", "program")
 
@@ -24,12 +24,12 @@ def test_what_is_kept_is_found_by_its_kind_and_key(folder):
     write(PROGRAM, KEY, b"three")
     assert (read(KERNEL, KEY), read(PROGRAM, KEY)) == (b"one", b"three")
     assert read(KERNEL, key_of("another")) is None
-    assert len(kept()) == 2 and cache_folder.clear() == 2 and kept() == []
+    assert len(list_files()) == 2 and cache_folder.clear() == 2 and list_files() == []
 
 
 def test_nobody_else_may_read_or_write_it(folder):
     write(KERNEL, KEY, b"one")
-    (file,) = kept()
+    (file,) = list_files()
     assert folder.stat().st_mode & 0o777 == 0o700
     assert file.path.stat().st_mode & 0o777 == 0o600
 
@@ -38,7 +38,7 @@ def test_nobody_else_may_read_or_write_it(folder):
 @pytest.mark.parametrize("others", [0o040, 0o020, 0o004, 0o002])
 def test_what_others_may_touch_is_not_taken(folder, others):
     write(KERNEL, KEY, b"one")
-    (file,) = kept()
+    (file,) = list_files()
     file.path.chmod(0o600 | others)
     assert read(KERNEL, KEY) is None
     file.path.chmod(0o600)
@@ -52,7 +52,7 @@ def test_what_others_may_touch_is_not_taken(folder, others):
 
 def test_a_link_and_what_belongs_to_another_user_are_not_taken(folder, monkeypatch, tmp_path):
     write(KERNEL, KEY, b"one")
-    (file,) = kept()
+    (file,) = list_files()
     other = tmp_path / "elsewhere"
     file.path.rename(other)
     file.path.symlink_to(other)
@@ -77,14 +77,14 @@ def test_a_link_and_what_belongs_to_another_user_are_not_taken(folder, monkeypat
 )
 def test_a_damaged_file_is_a_miss_and_goes(folder, damage):
     write(KERNEL, KEY, b"one")
-    (file,) = kept()
+    (file,) = list_files()
     file.path.write_bytes(damage(file.path.read_bytes()))
-    assert read(KERNEL, KEY) is None and kept() == []
+    assert read(KERNEL, KEY) is None and list_files() == []
 
 
 def test_a_file_under_the_name_of_another_is_a_miss(folder):
     write(KERNEL, KEY, b"one")
-    (file,) = kept()
+    (file,) = list_files()
     other = key_of("another")
     file.path.rename(folder / f"{other}.{KERNEL}")
     assert read(KERNEL, other) is None
@@ -125,12 +125,12 @@ def test_several_at_once_find_it_whole_or_not_at_all(folder):
 
 def test_what_a_killed_process_was_writing_goes(folder):
     write(KERNEL, KEY, b"one")
-    old, new = (folder / f"{cache_folder.UNDER_WAY}{name}" for name in ("old", "new"))
+    old, new = (folder / f"{cache_folder.TEMPORARY_PREFIX}{name}" for name in ("old", "new"))
     for path in (old, new):
         path.write_bytes(bytes(100))
     os.utime(old, (0, 0))
     write(PROGRAM, KEY, b"two")
-    assert new.exists() and not old.exists() and len(kept()) == 2
+    assert new.exists() and not old.exists() and len(list_files()) == 2
     assert cache_folder.clear() == 3 and list(folder.iterdir()) == []
 
 
@@ -138,7 +138,7 @@ def test_what_a_killed_process_was_writing_goes(folder):
 def test_it_can_be_switched_off(off, monkeypatch):
     monkeypatch.setenv(cache_folder.VARIABLE, off)
     write(KERNEL, KEY, b"one")
-    assert place() is None and read(KERNEL, KEY) is None and kept() == []
+    assert place() is None and read(KERNEL, KEY) is None and list_files() == []
     assert cache_folder.of_jax() is None
 
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from jaxclear.ground.compiling import by_form, traced_once
+from jaxclear.ground.compiling import by_form, share_trace
 from jaxclear.ground.quantity import is_traced
 from jaxclear.native.compiled import compiled_quickly
 
@@ -33,7 +33,7 @@ def counted():
     """A function that is traced once, and how often it has been."""
     times = []
 
-    @traced_once
+    @share_trace
     def function(vector, way):
         times.append(1)
         x, y, z = vector

@@ -135,7 +135,7 @@ def test_what_belongs_to_a_user_is_never_found_by_its_name(kept):
     assert told != tree_in_text(jax.tree.structure(jc.scenes.slider_crank(friction=False)))
     # Its program is JAX's to keep.
     assert compiled_quickly(scaled)(jnp.ones(2), 2, "")["scaled"].tolist() == [2.0, 2.0]
-    assert cache_folder.kept() == [] and compiled._AT_HAND.kept
+    assert cache_folder.list_files() == [] and compiled._AT_HAND.kept
 
 
 def test_settings_make_another_program(monkeypatch):
@@ -211,7 +211,9 @@ def test_a_program_that_jax_has_found_is_not_kept(hits, kept, monkeypatch):
     monkeypatch.setattr(forms, "OWN", (*forms.OWN, "tests"))
     monkeypatch.setattr(jax.stages.Lowered, "compile", found)
     compiled_quickly(scaled)(jnp.ones(2), 3.0, ("a",))
-    assert len([one for one in cache_folder.kept() if one.path.suffix == ".program"]) == 1 - hits
+    assert (
+        len([one for one in cache_folder.list_files() if one.path.suffix == ".program"]) == 1 - hits
+    )
 
 
 def test_a_program_that_calls_back_is_not_kept_and_runs(kept, monkeypatch):
@@ -229,7 +231,7 @@ def test_a_program_that_calls_back_is_not_kept_and_runs(kept, monkeypatch):
     assert [float(known(jnp.asarray(value))) for value in (1.0, 2.0)] == [2.0, 4.0]
     jax.effects_barrier()
     assert [float(one) for one in heard] == [1.0, 2.0]
-    assert not [one for one in cache_folder.kept() if one.path.suffix == ".program"]
+    assert not [one for one in cache_folder.list_files() if one.path.suffix == ".program"]
 
 
 @pytest.mark.parametrize("within", [jax.jit, jax.vmap, jax.grad])
@@ -238,7 +240,7 @@ def test_within_another_program_nothing_is_looked_up(kept, within, monkeypatch):
     known = compiled_quickly(scaled)
     x = jnp.ones(2) if within is jax.vmap else jnp.asarray(1.0)
     assert jnp.all(within(lambda x: known(x, 2.0, "")["scaled"])(x) == 2.0)
-    assert cache_folder.kept() == []
+    assert cache_folder.list_files() == []
 
 
 def test_a_number_of_any_type_compiles_nothing_anew(kept, monkeypatch):

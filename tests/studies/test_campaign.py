@@ -212,7 +212,7 @@ def test_another_problem_is_refused_with_what_differs(folder, tmp_path):
 
 def test_chunks_of_other_versions_warn(folder, monkeypatch):
     now = {"jax": "99.0"}
-    monkeypatch.setattr("jaxclear.studies.store.samples.told_versions", lambda: now)
+    monkeypatch.setattr("jaxclear.studies.store.samples.library_versions", lambda: now)
     with pytest.warns(UserWarning, match=r"jax 0\S* then, 99.0 now"):
         jc.campaign(problem(), 10_000, folder=folder, seed=3, chunk=4096)
 

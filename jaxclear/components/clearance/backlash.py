@@ -19,22 +19,35 @@ def _as_wearing(given: Any) -> Any:
 
 
 class Backlash(AbstractQuantified):
-    """Play of a coupling: the way from one flank to the other, as what it couples goes free.
+    """Play of a coupling: its parts move freely from one flank to the other.
 
-    `play`: the whole of it, half on each side of the `middle`, where the flanks are found; `law`:
-    how a flank presses, one of `jaxclear.flank`. Stiffness and damping are those of the coupling.
-    With a `restitution` flanks are rigid in `MoreauJean`, and the parts leave one with this share
-    of the speed with which they meet it; stiffness and damping then count nothing there. `seated`:
-    the flanks always press, as `NonColliding` takes them: the coupling moves as one without play,
-    and what it transmits tells which flank presses (`Trajectory.coupling`).
+    Stiffness and damping of the flanks are those of the coupling. With a `wear` each flank loses
+    volume while it presses, by the normal force (torque over `pitch_radius` r) at a sliding speed
+    of `slide` times r times the speed of the coordinate along which play is seen, with a friction
+    of 0 (an energy law wears nothing). The volume over `area` is the worn depth h, and the flank's
+    side of the play grows by h / r at the saving times. The worn surfaces are "upper" and "lower"
+    of the coupling's name (`Trajectory.worn_depth`).
 
-    `wear`: a law of `jaxclear.wear` (or a `Wearing`) by which each flank loses volume while it
-    presses, by the normal force, the torque over the `pitch_radius` r, at a sliding speed of
-    `slide` times r times the speed of the coordinate along which play is seen; with a friction of 0
-    (an energy law wears nothing). The volume over the `area` of the flank, of all teeth that take
-    turns, is its worn depth h, and its side of the play grows by h / r at the saving times, as
-    other surfaces wear. Where play is a length r is left out, and counts as 1. The worn surfaces
-    are "upper" and "lower" of the coupling's name (`Trajectory.worn_depth`).
+    Args:
+        play: travel from flank to flank [rad; m for a sliding joint], >= 0, half on each side of
+            the middle.
+        middle: middle of the play [rad; m for a sliding joint]; None: 0.
+        law: how a flank presses, one of `jaxclear.flank`; `Nordin` by default.
+        restitution: share of the speed with which rigid flanks part [1], >= 0 and <= 1. With it
+            flanks are rigid in `MoreauJean`, where stiffness and damping count nothing; None by
+            default.
+        seated: whether the flanks always press, as `NonColliding` takes them: the coupling moves as
+            one without play, and the sign of what it transmits tells which flank presses
+            (`Trajectory.coupling`).
+        wear: wear law of `jaxclear.wear`, or a `Wearing`; none by default.
+        slide: sliding distance of a flank per distance along its pitch line [1], >= 0; needed with
+            wear.
+        area: area of a flank that wears, of all teeth that take turns [m^2], > 0; needed with wear.
+        pitch_radius: lever r of a flank's normal force [m], > 0, of an involute the base radius;
+            None, for a play that is a length: 1.
+
+    Raises:
+        ValueError: for wear without slide or area, or for slide, area or pitch_radius without wear.
     """
 
     play: Scalar = quantity(
@@ -94,14 +107,29 @@ class Backlash(AbstractQuantified):
         return 1.0 if self.pitch_radius is None else self.pitch_radius
 
     def wear_rate(self, torque: Scalar, speed: Scalar) -> Scalar:
-        """Volume [m3/s] that a flank loses which presses with a torque [N m, N], at a speed [rad/s,
-        m/s] of the coordinate along which play is seen."""
+        """Volume per time that a pressing flank loses.
+
+        Args:
+            torque: torque of the flank [N m; N where play is a length].
+            speed: speed of the coordinate along which play is seen [rad/s; m/s where play is a
+                length].
+
+        Returns:
+            the rate [m^3/s].
+        """
         wear: Any = self.wear
         slip = self.slide * self.lever * jnp.abs(speed)
         return wear.acceleration * wear.law.volume_rate(torque / self.lever, slip, 0.0 * torque)
 
     def grown(self, worn: dict[str, Any]) -> "Backlash":
-        """The play between flanks worn so deep [m]."""
+        """The play between worn flanks.
+
+        Args:
+            worn: worn depth of the flanks "upper" and "lower" [m], a dict.
+
+        Returns:
+            the `Backlash` with its larger play and its new middle.
+        """
         upper, lower = (worn[flank] / self.lever for flank in FLANKS)
         middle = middle_of(self) + 0.5 * (upper - lower)
         numbers = {"play": self.play + upper + lower, "middle": middle}

@@ -23,7 +23,19 @@ from jaxclear.laws.stiffness import Shape
 
 
 class BallSocket(AbstractClearance):
-    r"""Ball in a hollow socket: one contact, :math:`\delta = |e| - c`."""
+    r"""Ball in a hollow socket: one contact, :math:`\delta = |e| - c`.
+
+    Args:
+        contact: contact law, one of `jaxclear.contact`.
+        friction: friction law, one of `jaxclear.friction`; none by default.
+        socket_radius: radius of the socket [m], > 0.
+        clearance: radial clearance, socket radius minus ball radius [m], > 0.
+        socket_wear: wear of the socket, a `Wearing`; none by default.
+        ball_wear: wear of the ball, a `Wearing`; none by default.
+
+    Raises:
+        ValueError: if the clearance is not below the socket radius.
+    """
 
     ideal_rows: ClassVar = ("x", "y", "z")
     contact: AbstractNormalLaw
@@ -107,7 +119,11 @@ class BallSocket(AbstractClearance):
 
 
 class PermanentSpherical(AbstractRubbingBall):
-    """A ball that always touches its socket, where its reaction presses it."""
+    """A ball that always touches its socket, where its reaction presses it.
+
+    Args:
+        gap: the joint with clearance, a `BallSocket`.
+    """
 
     home: ClassVar = Spherical.home
     units: ClassVar = Spherical.units

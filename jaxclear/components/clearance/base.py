@@ -34,9 +34,14 @@ from jaxclear.laws.stiffness import Shape, fitted
 
 
 class ContactCandidate(NamedTuple):
-    """One possible contact: its place in the bearing's frame [m], the direction of its normal, and
-    the directions in which it may slide: one, two, or the three axes of the bearing (no pole then
-    disturbs what bristles remember; the part along the normal is removed).
+    """One possible contact of a joint.
+
+    Args:
+        place: place in the bearing's frame [m], 3 components.
+        normal: direction of the normal [1], 3 components.
+        tangents: directions in which the contact may slide [1], a tuple: one, two, or the three
+            axes of the bearing (so that no pole disturbs what bristles remember; the part along the
+            normal is removed).
     """
 
     place: sp.Vec
@@ -44,16 +49,31 @@ class ContactCandidate(NamedTuple):
     tangents: tuple[sp.Vec, ...]
 
     def tangential(self, vector: sp.Vec) -> sp.Vec:
-        """The part of a vector across the normal, where the sliding directions include it."""
+        """The part of a vector across the normal, where the sliding directions are the three axes;
+        else the vector itself.
+
+        Args:
+            vector: any vector, 3 components.
+
+        Returns:
+            a vector of 3 components.
+        """
         if len(self.tangents) < 3:
             return vector
         return sp.minus(vector, sp.scale(sp.dot(vector, self.normal), self.normal))
 
 
 class ContactLaws(NamedTuple):
-    """The laws at one possible contact, the shape from which stiffnesses are fitted, and whether
-    its wear is mapped; `unfitted`: the contact law before fitting, which the engine keeps where a
-    surface counts with its worn radius."""
+    """The laws at one possible contact.
+
+    Args:
+        contact: contact law, an `AbstractNormalLaw`.
+        friction: friction law, an `AbstractFrictionLaw`, or None.
+        shape: geometry from which stiffnesses are fitted, a `Shape`.
+        wears: whether the wear of this contact is mapped.
+        unfitted: the contact law before fitting, where a surface counts with its worn radius; else
+            None.
+    """
 
     contact: Any  # an AbstractNormalLaw; each formulation asks it for its own part
     friction: Any  # an AbstractFrictionLaw, likewise, or None
@@ -62,14 +82,23 @@ class ContactLaws(NamedTuple):
     unfitted: Any = None
 
     def indentation_under(self, force: Scalar) -> Scalar:
-        """How deep [m] a normal force [N, at least 0] presses the contact, by its law."""
+        """How deep a normal force presses the contact, by the elastic part of its law.
+
+        Args:
+            force: normal force [N], >= 0.
+
+        Returns:
+            the indentation [m].
+        """
         return indentation_under(fitted(self.contact, self.shape), force)
 
 
 class AbstractClearance(AbstractQuantified):
-    """A joint with clearance. `ideal_rows` close the joint it turns into as the clearance vanishes.
+    """A joint with clearance.
 
     A joint that can wear adds `maps` and `features`, one that can stay in contact `permanent_form`.
+    Class attribute of a member: `ideal_rows`, the constraint rows of the joint that it becomes as
+    the clearance vanishes.
     """
 
     ideal_rows: eqx.AbstractClassVar[tuple[str, ...]]
@@ -89,24 +118,47 @@ class AbstractClearance(AbstractQuantified):
         return ("contact",) if count == 1 else tuple(f"contact {i}" for i in range(count))
 
     def left(self, along: Any) -> Any:
-        """How much of the outer part the inner one has left that lies `along` [m] the joint's axis,
-        beside the outer one's length [1]; None where something holds it along the axis, or it has
-        none to slide along."""
+        """How far the inner part has left the outer one along the joint's axis.
+
+        Args:
+            along: displacement of the inner part along the axis [m].
+
+        Returns:
+            the length that has left over the outer part's length [1]; None, as unless overridden,
+            where something stops it along the axis.
+        """
         return None
 
     @abstractmethod
     def indentations(
         self, offset: sp.Vec, axes: tuple[sp.Vec, ...], worn: dict[str, Any]
     ) -> tuple[Scalar, ...]:
-        """Overlap at each possible contact [m]. `worn` holds readings of depth maps by surface;
-        empty where nothing wears.
+        """Overlap at each possible contact.
+
+        Args:
+            offset: vector from the bearing's centre to the journal's [m], in the bearing's frame.
+            axes: those axes of the journal's marker that `axes` names, in the bearing's frame, a
+                tuple of vectors.
+            worn: readings of depth maps by the surface's name, a dict; empty where nothing wears.
+
+        Returns:
+            indentations [m], positive in contact, a tuple.
         """
 
     @abstractmethod
     def contact_candidates(
         self, offset: sp.Vec, axes: tuple[sp.Vec, ...], indentations: tuple
     ) -> tuple[ContactCandidate, ...]:
-        """Place and sliding directions of each possible contact."""
+        """Place and sliding directions of each possible contact.
+
+        Args:
+            offset: vector from the bearing's centre to the journal's [m], in the bearing's frame.
+            axes: those axes of the journal's marker that `axes` names, a tuple of vectors.
+            indentations: overlap at each contact [m], a tuple.
+
+        Returns:
+            a tuple of `ContactCandidate`.
+        """
 
     def maps(self) -> dict[str, tuple[AbstractWearMap, Wearing]]:
         """Wear map and law of each surface that wears, by the surface's name; none unless
@@ -121,14 +173,26 @@ class AbstractClearance(AbstractQuantified):
     def features(
         self, surface: str, offset: sp.Vec, axes: tuple, indentations: tuple, index: int
     ) -> tuple:
-        """Location of contact `index` on a surface that wears, as its map reads it."""
+        """Location of a contact on a surface that wears, as its map reads it.
+
+        Args:
+            surface: name of the surface.
+            offset: vector from the bearing's centre to the journal's [m], in the bearing's frame.
+            axes: those axes of the journal's marker that `axes` names, a tuple of vectors.
+            indentations: overlap at each contact [m], a tuple.
+            index: index of the contact.
+
+        Returns:
+            location features, a tuple.
+        """
         raise NotImplementedError(f"a {type(self).__name__} has no wear map for its {surface}.")
 
     def permanent_form(self) -> AbstractJoint:
-        """The ideal joint as which this one moves while it always touches; one whose friction is
-        followed is an `AbstractPermanentJoint`.
+        """The ideal joint as which this one moves while it always touches; one with friction is an
+        `AbstractPermanentJoint`.
 
-        Raises `ValueError`, with a sentence that goes behind the joint's name, where there is none.
+        Raises:
+            ValueError: with a sentence that goes behind the joint's name, if there is none.
         """
         raise ValueError(
             f"is a {type(self).__name__}, which has no form in permanent contact; take an "
@@ -136,11 +200,19 @@ class AbstractClearance(AbstractQuantified):
         )
 
     def seat(self, force: sp.Vec, torque: sp.Vec) -> tuple[sp.Vec, tuple]:
-        """Where a reaction presses the journal without friction: the offset of its centre from the
-        bearing's [m], and the slope (dx/dz, dy/dz) of its axis. `force` [N] and `torque` [N m] act
-        on the journal about its centre, in the bearing's axes; in the middle where there are none.
+        """Where a reaction presses the journal without friction; in the middle without a reaction.
 
-        Raises `ValueError`, with a sentence that goes behind the joint's name, where none is known.
+        Args:
+            force: force on the journal [N], in the bearing's axes.
+            torque: torque on the journal about its centre [N m], in the bearing's axes.
+
+        Returns:
+            offset of the journal's centre from the bearing's [m], and slope (dx/dz, dy/dz) of its
+            axis [1].
+
+        Raises:
+            ValueError: with a sentence that goes behind the joint's name, if the joint does not say
+                where.
         """
         raise ValueError(
             f"is a {type(self).__name__}, of which it is not known where a load presses it; a "
@@ -148,11 +220,18 @@ class AbstractClearance(AbstractQuantified):
         )
 
     def grown(self, outer: Scalar, inner: Scalar) -> "AbstractClearance":
-        """The joint with the outer part (bearing, socket, guide) and the inner one (journal, ball,
-        slider) larger by factors [1], as by heat.
+        """The joint with larger parts, as by heat.
 
-        Raises `ValueError`, with a sentence that goes behind the joint's name, where it is not
-        known.
+        Args:
+            outer: factor of the sizes of the outer part (bearing, socket, guide) [1].
+            inner: factor of the sizes of the inner part (journal, ball, slider) [1].
+
+        Returns:
+            the joint with these sizes.
+
+        Raises:
+            ValueError: with a sentence that goes behind the joint's name, if the joint does not say
+                how it grows.
         """
         raise ValueError(
             f"is a {type(self).__name__}, of which it is not known how it grows with its parts; a "
@@ -160,15 +239,22 @@ class AbstractClearance(AbstractQuantified):
         )
 
     def check_plane(self, heights: tuple[float, float, float]) -> None:
-        """Raises `ValueError`, with a sentence that goes behind the joint's name, where this joint
-        finds no contact in the plane. `heights`: how far the bearing's three unit axes rise out of
-        the plane in which both parts move; nothing is refused unless overridden."""
+        """Refuse a joint that finds no contact in the plane; nothing is refused unless overridden.
+
+        Args:
+            heights: components of the bearing's three unit axes across the plane in which both
+                parts move [1], a tuple.
+
+        Raises:
+            ValueError: with a sentence that goes behind the joint's name.
+        """
 
     def coordinate_form(self) -> AbstractJoint:
-        """The ideal joint whose coordinates and speeds are told of this one: how far it has turned,
-        where it has slid.
+        """The ideal joint whose coordinates and speeds are reported for this one: how far it has
+        turned, where it has slid.
 
-        Raises `ValueError`, with a sentence that goes behind the joint's name, where there is none.
+        Raises:
+            ValueError: with a sentence that goes behind the joint's name, if there is none.
         """
         try:
             return self.permanent_form()
@@ -255,7 +341,14 @@ class AbstractPermanentJoint(AbstractRubbingJoint, AbstractVectorJoint):
 
 
 def situation(ends: tuple[CarryingEnd, ...]) -> Any:
-    """Index into `SITUATIONS`."""
+    """How a joint's reaction is carried.
+
+    Args:
+        ends: ends of the joint, a tuple of one or two `CarryingEnd`.
+
+    Returns:
+        an index into `SITUATIONS`: no contact, one point, two points on opposite sides, or a line.
+    """
     sizes = [sp.norm(end.force) for end in ends]
     carries = [size > IDLE * sp.total(sizes) for size in sizes]
     if len(ends) == 1:

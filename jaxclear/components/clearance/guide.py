@@ -35,15 +35,32 @@ ACROSS = 1e-6
 
 
 class SliderGuide(AbstractClearance):
-    r"""Slider in a straight guide along z, gaps along x: each of the slider's four corners may
-    touch a wall.
+    r"""Slider in a straight guide along z, gaps along x: each of its four corners may touch a wall.
 
-    :math:`\delta = \pm x - (w/2 + c)` with x of the corner and w the slider's width; corners
-    (-, +) x (back, front). Walls and faces that wear ask for their `breadth`; the walls are mapped
-    over `guide_length` about `guide_middle`, and a run in which the slider leaves that range ends
-    and says so. Of `Wearing.cells` the number along counts. A face loses where it overlaps the worn
-    wall on the line between its corners: all along where it lies flat, at a corner where it is
-    tilted.
+    :math:`\delta = \pm x - (w/2 + c)` with x of the corner and w the slider's width; corners (-, +)
+    x (back, front). A run in which the slider leaves walls that wear ends and says so. A face loses
+    where it overlaps the worn wall on the line between its corners: all along where it lies flat,
+    at a corner where it is tilted.
+
+    Args:
+        contact: contact law, one of `jaxclear.contact`.
+        friction: friction law, one of `jaxclear.friction`; none by default.
+        width: width of the slider, across the guide [m], > 0.
+        length: length of the slider, along the guide [m], > 0.
+        clearance: gap on each side of a centred slider [m], > 0.
+        corner_radius: rounding of a corner, for the stiffness only [m], > 0.
+        guide_wear: wear of the guide's walls, a `Wearing`, of whose cells the number along counts;
+            none by default.
+        slider_wear: wear of the slider's faces, a `Wearing`, of whose cells the number along
+            counts; none by default.
+        breadth: breadth of the faces that wear, along y [m], > 0; needed with wear.
+        guide_length: length of the walls that wear, along the guide [m], > 0; needed where the
+            guide wears.
+        guide_middle: place of these walls' middle along the guide [m]; None: its marker.
+
+    Raises:
+        ValueError: if the clearance is not below the width; for wear without the sizes that it
+            needs, or with `worn_radius`.
     """
 
     ideal_rows: ClassVar = ("x", "x.z")
@@ -206,7 +223,11 @@ def _check_wear(joint: SliderGuide) -> None:
 
 
 class PermanentPrismatic(AbstractPermanentJoint):
-    """A slider that always touches its guide, with two of its four corners."""
+    """A slider that always touches its guide, with two of its four corners.
+
+    Args:
+        gap: the joint with clearance, a `SliderGuide`.
+    """
 
     home: ClassVar = Prismatic.home
     units: ClassVar = Prismatic.units

@@ -48,6 +48,12 @@ class Flange(AbstractQuantified):
     journal is carried on its axis, and from a tilt of a few times that height over the radius on by
     the collar's rim. A stiffness fitted from materials takes the radii of journal and bore, for
     want of better; give a number where the axial stiffness matters.
+
+    Args:
+        contact: contact law, one of `jaxclear.contact`.
+        friction: friction law, one of `jaxclear.friction`; none by default.
+        radius: outer radius of the collar [m], > 0.
+        clearance: axial clearance at each collar with the journal centred [m], > 0.
     """
 
     contact: AbstractNormalLaw
@@ -58,8 +64,16 @@ class Flange(AbstractQuantified):
     )
 
     def contacts(self, offset: tuple, axis: tuple, length: Scalar) -> Iterator[tuple]:
-        """(indentation, place) [m] of the collars at the lower and the upper face of a bearing of a
-        length, for a journal's middle and axis."""
+        """Contact of the collars with the lower and the upper face of a bearing.
+
+        Args:
+            offset: vector from the bearing's centre to the journal's [m].
+            axis: unit vector along the journal's axis [1], in the bearing's frame.
+            length: length of the bearing [m].
+
+        Returns:
+            an iterator of (indentation [m], place [m]), lower face first.
+        """
         crown = self._crown
         square = sp.dot(axis[:2], axis[:2])
         support = self._support(axis[:2], axis[2])
@@ -72,7 +86,14 @@ class Flange(AbstractQuantified):
             yield 0.5 * length - end * place[2], place
 
     def lowered(self, slope: tuple) -> Scalar:
-        """How much nearer the face [m] a collar comes that leans by a small slope [1]."""
+        """How much nearer to the face a collar comes by leaning.
+
+        Args:
+            slope: slope (dx/dz, dy/dz) of the journal's axis [1], small.
+
+        Returns:
+            the distance [m].
+        """
         return self._support(slope, 1) - self._crown
 
     @property
@@ -92,8 +113,22 @@ REACH = 3.0
 class PlanarJournalBearing(AbstractJournalBearing):
     r"""Journal in a bearing, both axes parallel: one contact, in the plane of the bearing.
 
-    :math:`\delta = |e| - c`; `roundness` are the lobes of a bore that is not round. Prefer
-    `JournalBearing` where the journal's axis can tilt or slide along the bearing.
+    :math:`\delta = |e| - c`. Prefer `JournalBearing` where the journal's axis can tilt or slide
+    along the bearing.
+
+    Args:
+        contact: contact law, one of `jaxclear.contact`.
+        friction: friction law, one of `jaxclear.friction`; none by default.
+        bearing_radius: radius of the bearing's hole [m], > 0.
+        clearance: radial clearance, bearing radius minus journal radius [m], > 0.
+        length: length of the bearing [m], > 0.
+        bearing_wear: wear of the bearing, a `Wearing`; none by default.
+        journal_wear: wear of the journal, a `Wearing`; none by default.
+        roundness: lobes of a bore that is not round, a tuple of `Lobes`; round by default.
+
+    Raises:
+        ValueError: if the clearance is not below the radius, or the lobes are so high that the
+            journal may touch two at once.
     """
 
     ideal_rows: ClassVar = ("x", "y")
@@ -170,6 +205,24 @@ class JournalBearing(AbstractJournalBearing):
     two opposite points and line contact (both ends on one side, sharing the load) all follow. The
     contact law acts at each end: a law for a line contact needs half of the length. The journal
     must reach through the bearing; without `flange` nothing holds it along the axis.
+
+    Args:
+        contact: contact law, one of `jaxclear.contact`.
+        friction: friction law, one of `jaxclear.friction`; none by default.
+        bearing_radius: radius of the bearing's hole [m], > 0.
+        clearance: radial clearance, bearing radius minus journal radius [m], > 0.
+        length: length of the bearing [m], > 0.
+        journal_length: length of the journal [m], at least that of the bearing; None: it reaches
+            through the bearing wherever it goes.
+        flange: collars that stop the journal along the axis, a `Flange`; none by default.
+        bearing_wear: wear of the bearing, a `Wearing`; none by default.
+        journal_wear: wear of the journal, a `Wearing`; none by default.
+        roundness: lobes of a bore that is not round, a tuple of `Lobes`; round by default.
+
+    Raises:
+        ValueError: if the clearance is not below the radius, the journal is shorter than the
+            bearing, the flange is not larger than the hole, or the lobes are so high that the
+            journal may touch two at once.
     """
 
     ideal_rows: ClassVar = ("x", "y", "z", "x.z", "y.z")
@@ -229,7 +282,15 @@ class JournalBearing(AbstractJournalBearing):
         return ends if self.flange is None else (*ends, "lower collar", "upper collar")
 
     def end_centres(self, offset, axes) -> tuple[sp.Vec, ...]:
-        """Points where the journal's axis pierces the bearing's lower and upper end plane."""
+        """Points where the journal's axis pierces the bearing's lower and upper end plane.
+
+        Args:
+            offset: vector from the bearing's centre to the journal's [m].
+            axes: axes of the journal's marker, a tuple whose first is along the journal.
+
+        Returns:
+            two points [m], in the bearing's frame.
+        """
         slope = _slope(axes[0])
         centres = []
         for height in (-0.5 * self.length, 0.5 * self.length):

@@ -33,8 +33,16 @@ TURNS = 5
 
 
 class Lobes(AbstractQuantified):
-    """One harmonic of a bore's radius, `cosine` cos(k phi) + `sine` sin(k phi), k = `number` of
-    lobes: 2 an oval, 3 a trefoil. Peak to valley it is out of round by twice its amplitude."""
+    """One harmonic of a bore's radius: `cosine` cos(k phi) + `sine` sin(k phi), k = `number`.
+
+    Two lobes are an oval, three a trefoil. Peak to valley the bore is out of round by twice the
+    amplitude.
+
+    Args:
+        number: lobes around the bore, a count, >= 2.
+        cosine: deviation of the radius, cosine part [m].
+        sine: deviation of the radius, sine part [m].
+    """
 
     number: int = count(2, "lobes around the bore", at_least=2)
     cosine: Scalar = quantity(0.0, "m", "deviation of the radius, cosine part", kw_only=True)
@@ -122,14 +130,27 @@ class AbstractJournalBearing(AbstractClearance):
     roundness: eqx.AbstractVar[tuple[Lobes, ...] | None]
 
     def touch(self, offset: sp.Vec) -> tuple[Any, Any, Any]:
-        """Direction (x, y) in which a journal at `offset` [m] is nearest to the bore, and its
-        overlap there [m]."""
+        """Where a journal is nearest to the bore.
+
+        Args:
+            offset: vector from the bearing's centre to the journal's [m].
+
+        Returns:
+            direction (x, y) of that place [1], and the overlap there [m].
+        """
         if self.roundness is None:
             return (*direction(offset, 2), sp.norm(offset[:2]) - self.clearance)
         return touched(self.roundness, self.clearance, offset)
 
     def leaned(self, lean: sp.Vec) -> sp.Vec:
-        """Where a journal lies [m] that is pressed in a direction (length 1, or 0)."""
+        """Where a journal lies that is pressed in a direction.
+
+        Args:
+            lean: direction [1], of length 1, or 0 for the middle.
+
+        Returns:
+            offset of the journal [m], 3 components.
+        """
         if self.roundness is None:
             return (*sp.scale(self.clearance, lean[:2]), 0)
         return leaned(self.roundness, self.clearance, lean)
@@ -142,14 +163,29 @@ class AbstractJournalBearing(AbstractClearance):
         return joint.grown_along(self.length, outer, inner)
 
     def grown_along(self, length: Scalar, outer: Scalar, inner: Scalar) -> "AbstractJournalBearing":
-        """The joint with what is along its axis larger by these factors, the bearing having been
-        of `length` [m]; nothing else is, unless overridden."""
+        """The joint with larger sizes along its axis; nothing else changes unless overridden.
+
+        Args:
+            length: length of the bearing before [m].
+            outer: factor of the bearing's sizes [1].
+            inner: factor of the journal's sizes [1].
+
+        Returns:
+            the joint with these sizes.
+        """
         return self
 
     @abstractmethod
     def end_forces(self, force: sp.Vec, torque: sp.Vec) -> tuple[tuple[sp.Vec, Any], ...]:
-        """(force across the axis [N], height along the bearing [m]) of each end that carries a
-        reaction, a force [N] and a torque [N m] on the journal about its centre.
+        """How a reaction is shared by the ends that carry it.
+
+        Args:
+            force: force on the journal [N], in the bearing's axes.
+            torque: torque on the journal about its centre [N m], in the bearing's axes.
+
+        Returns:
+            force across the axis [N] and height along the bearing [m] of each end, a tuple of
+            pairs.
         """
 
     def permanent_form(self):
@@ -169,8 +205,16 @@ class AbstractJournalBearing(AbstractClearance):
         return (*middle, self.axial_seat(force[2], slope)), slope
 
     def axial_seat(self, force: Any, slope: tuple) -> Any:
-        """Where along the bearing [m] a force [N] presses the journal whose axis has a slope [1];
-        nowhere, unless overridden, because nothing stops it."""
+        """Where along the bearing a force presses the journal; 0, unless overridden, because
+        nothing stops it.
+
+        Args:
+            force: force along the axis on the journal [N].
+            slope: slope (dx/dz, dy/dz) of the journal's axis [1].
+
+        Returns:
+            the place [m].
+        """
         return 0
 
 
@@ -180,6 +224,9 @@ class PermanentRevolute(AbstractPermanentJoint):
 
     The two ends share force and moment; on opposite sides they are two points, on one side a line.
     Axial force is carried by the collars and rubs without a torque.
+
+    Args:
+        gap: the joint with clearance, a `JournalBearing` or `PlanarJournalBearing`.
     """
 
     home: ClassVar = Revolute.home

@@ -34,7 +34,8 @@ class Motor(AbstractQuantified):
     carries it: gyroscopic torques are left out, as is its mass. Without play and stiffness its
     inertia times the ratio squared is the joint's own (`load.RotorInertia`).
 
-    `inertia`: of the rotor and what turns with it [kg m^2], above 0.
+    Args:
+        inertia: inertia of the rotor and of what turns with it [kg m^2], > 0.
     """
 
     inertia: Scalar = quantity(unit="kg m^2", meaning="inertia of the rotor", above=0)
@@ -176,7 +177,12 @@ class AbstractCoupling(AbstractQuantified):
 
 
 class CoordinateTerm(NamedTuple):
-    """The coordinate of a `joint`, or of a `Motor`, times a `factor`."""
+    """One term of a sum of coordinates.
+
+    Args:
+        joint: name of the joint, or a `Motor`.
+        factor: factor of its coordinate [unit of the sum per unit of the coordinate].
+    """
 
     joint: Any
     factor: Any
@@ -218,29 +224,70 @@ class AbstractBodyCoupling(AbstractCoupling):
 
     @abstractmethod
     def angles(self, pose: Pose) -> tuple:
-        """The angles [rad] that the residual reads off the pose of the second marker in the first;
-        they are known but for whole turns."""
+        """Angles that the residual reads off a pose; they are known except for whole turns.
+
+        Args:
+            pose: pose of the second marker in the first.
+
+        Returns:
+            angles [rad], a tuple.
+        """
 
     @abstractmethod
     def radii(self, drawn: Pose) -> tuple:
-        """How the residual changes with each of the angles [m]; `drawn`: the pose at home."""
+        """How the residual changes with each of the angles.
+
+        Args:
+            drawn: pose of the second marker in the first where all joints are at home.
+
+        Returns:
+            radii [m], a tuple.
+        """
 
     @abstractmethod
     def rest(self, pose: Pose, drawn: Pose) -> Any:
-        """What the residual is beside radii times angles [m]; a constant in it does not count."""
+        """The residual without radii times angles; a constant in it does not count.
+
+        Args:
+            pose: pose of the second marker in the first.
+            drawn: that pose where all joints are at home.
+
+        Returns:
+            the length [m].
+        """
 
     @abstractmethod
     def check(self, drawn: Pose) -> None:
-        """Raises `ValueError`, with a sentence that goes behind the coupling's name, where markers
-        whose pose at home is `drawn`, in numbers, cannot mesh."""
+        """Refuse markers that cannot mesh.
+
+        Args:
+            drawn: pose of the second marker in the first where all joints are at home, in numbers.
+
+        Raises:
+            ValueError: with a sentence that goes behind the coupling's name.
+        """
 
     def check_rolling(self, drawn: Pose) -> None:
-        """Raises `ValueError` the same way where a part cannot roll on what its carrier moves
-        along; it can unless overridden."""
+        """Refuse a part that cannot roll on what its carrier moves along; nothing is refused unless
+        overridden.
+
+        Args:
+            drawn: pose of the second marker in the first where all joints are at home, in numbers.
+
+        Raises:
+            ValueError: with a sentence that goes behind the coupling's name.
+        """
 
     def pull_of_centres(self, force: Any, pose: Pose) -> Any:
-        """The force [N] that draws the origins of its markers towards each other beside the `force`
-        [N] along its residual, and does not move it; None, as unless overridden: there is none."""
+        """Force that draws the origins of both markers together and does not move the residual.
+
+        Args:
+            force: force along the residual [N].
+            pose: pose of the second marker in the first.
+
+        Returns:
+            the force [N]; None, as unless overridden, where there is none.
+        """
         return None
 
     def terms(self) -> tuple[CoordinateTerm, ...]:
@@ -253,8 +300,15 @@ class AbstractBodyCoupling(AbstractCoupling):
         return None
 
     def seen_radius(self, drawn: Pose) -> Any:
-        """What a residual is divided by [m], so that it is in the unit of play: along the first
-        coordinate unless overridden; 1 where play is a length."""
+        """What a residual is divided by to be in the unit of play: along the first coordinate
+        unless overridden.
+
+        Args:
+            drawn: pose of the second marker in the first where all joints are at home.
+
+        Returns:
+            the radius [m]; 1 where play is a length.
+        """
         return self.radii(drawn)[0]
 
     def seen_at(self) -> str:

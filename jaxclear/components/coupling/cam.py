@@ -29,6 +29,24 @@ class Cam(AbstractForceCoupling):
     (r_0 + q) \tanh(v / v_0)` at the sliding speed :math:`v = (r_0 + q)\dot\varphi`; its guide
     carries the rest. Rollers have none.
 
+    Args:
+        cam: name of the joint that turns the cam.
+        follower: name of the joint of the follower.
+        profile: function of the cam's angle [rad], the same after each turn, that returns the lift
+            [m; rad of a follower that swings]; or a `TimeTable` that is repeated, its times the
+            angles.
+        stiffness: contact stiffness, along the follower [N/m; N m/rad of one that swings], > 0;
+            required.
+        damping: contact damping [N s/m; N m s/rad of one that swings], >= 0; none by default.
+        friction: friction coefficient of a flat face [1], >= 0; none by default. Needs base_radius.
+        base_radius: distance r_0 of the face from the cam's axis at lift 0 [m], > 0; needed with
+            friction.
+        transition_speed: sliding speed at which three quarters of friction act [m/s], > 0.
+
+    Raises:
+        ValueError: if the stiffness is missing, if one of friction and base_radius is given without
+            the other, or if the profile is no such function.
+
     Source: Norton 2020, Design of Machinery, 6th ed., chapters 8 and 15.
     """
 

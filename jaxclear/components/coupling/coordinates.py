@@ -20,6 +20,17 @@ class Ratio(AbstractCoordinateCoupling):
     The `mimic` of URDF and the joint equality of MuJoCo (of degree 1). Loads no bearing: what it
     transmits acts along the two coordinates alone. Between coordinates of one unit r is a plain
     number; of a slide that follows a turn it is in m/rad. A `Motor` may lead, or follow.
+
+    Args:
+        follower: name of the joint that follows, or a `Motor`.
+        leader: name of the joint that leads, or a `Motor`.
+        ratio: change of the follower for one of the leader [1; m/rad for a slide that follows a
+            turn].
+        offset: follower's coordinate where the leader's is 0 [rad; m for a sliding joint]; None: 0.
+        play: play, a `clearance.Backlash`, or its width alone [rad; m for a sliding joint]; none by
+            default.
+        stiffness: stiffness [N m/rad; N/m for a sliding joint], > 0; none by default.
+        damping: viscous damping [N m s/rad; N s/m for a sliding joint], >= 0; none by default.
     """
 
     follower: str | Motor = end()
@@ -45,8 +56,18 @@ class Differential(AbstractCoordinateCoupling):
     With i = 1 the bevel differential of an axle, whose outputs a and b turn as fast as the carrier
     c on an average; with i teeth of the ring over those of the sun a planetary set of sun a, ring b
     and carrier c. Its wheels share their load evenly and leave none in the bearings. All turns are
-    seen from one body. Source: Willis 1841, Principles of Mechanism; Müller 1982, Epicyclic Drive
-    Trains, chapter 2.
+    seen from one body.
+
+    Args:
+        a, b: names of the joints of the two outputs.
+        carrier: name of the joint of the carrier.
+        ratio: turns of a for one of b with the carrier at rest [1], > 0.
+        play: play, a `clearance.Backlash`, or its width alone [rad; m for a sliding joint]; none by
+            default.
+        stiffness: stiffness [N m/rad; N/m for a sliding joint], > 0; none by default.
+        damping: viscous damping [N m s/rad; N s/m for a sliding joint], >= 0; none by default.
+
+    Source: Willis 1841, Principles of Mechanism; Müller 1982, Epicyclic Drive Trains, chapter 2.
     """
 
     a: str = named_end()
@@ -69,10 +90,21 @@ class Differential(AbstractCoordinateCoupling):
 
 
 class Hold(AbstractCoordinateCoupling):
-    """One joint's coordinate, held at a place with play or by a spring against the part that
-    carries it: a worn key, a latch, an elastic stop on both sides.
+    """A joint whose coordinate is tied to a place with play or by a spring: a worn key, a latch, an
+    elastic stop on both sides.
 
-    Needs `play` or `stiffness`. `load.JointStop` has a stop on one side, or two apart.
+    `load.JointStop` has a stop on one side, or two apart.
+
+    Args:
+        joint: name of the joint.
+        place: coordinate to which it is tied [rad; m for a sliding joint]; None: 0.
+        play: play, a `clearance.Backlash`, or its width alone [rad; m for a sliding joint]; none by
+            default.
+        stiffness: stiffness [N m/rad; N/m for a sliding joint], > 0; none by default.
+        damping: viscous damping [N m s/rad; N s/m for a sliding joint], >= 0; none by default.
+
+    Raises:
+        ValueError: if neither play nor stiffness is given.
     """
 
     joint: str = named_end()

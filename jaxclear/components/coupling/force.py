@@ -14,7 +14,14 @@ class AbstractForceCoupling(AbstractCoupling, AbstractStateLoad):
 
     @abstractmethod
     def transmitted(self, effect: CoordinateEffect) -> Any:
-        """What it transmits [N m, N], as `run.transmitted` tells it."""
+        """What the coupling transmits, as `run.transmitted` reports it.
+
+        Args:
+            effect: what it does at an instant, a `CoordinateEffect`.
+
+        Returns:
+            the torque or force [N m, N].
+        """
 
     @abstractmethod
     def along(self) -> str | None:

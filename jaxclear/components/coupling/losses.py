@@ -9,16 +9,21 @@ from jaxclear.laws.transmission import Helix, loss
 
 
 class Efficiency(AbstractQuantified):
-    r"""The share of the power passed that comes out: `forwards` from the first end to the second,
-    `backwards` from the second to the first (None: the same). Where it locks itself the latter is
-    negative: to come back it must be pushed by this share of the torque.
+    """The share of the power passed that comes out of a transmission.
 
-    The rest is friction on the first end, in proportion to the force of the flank: what it takes
-    more to drive forwards, and gets less when it is driven. At rest friction holds: it is a spring
-    up to the deflection `presliding` of that end, damped by `settling_time`, so that nothing
-    creeps; a motor holds a load with less than it needs to lift it. It needs `stiffness` or play of
-    its coupling, by which the force of the flank is known, and acts on the coordinate of that end.
-    Steps resolve that spring; `integrator.ImplicitStep`, which takes it as a step finds it, creeps.
+    The rest is friction on the first end, in proportion to the force of the flank. At rest friction
+    holds: it is a spring with a damper, so that nothing creeps; a motor holds a load with less than
+    it needs to lift it. It needs `stiffness` or play of its coupling, by which the force of the
+    flank is known, and acts on the coordinate of the first end. Steps resolve that spring;
+    `integrator.ImplicitStep`, which takes it as a step finds it, creeps.
+
+    Args:
+        forwards: share of the power that comes out from the first end to the second [1], > 0 and <=
+            1.
+        backwards: the same from the second to the first [1], <= 1; None: as forwards. Negative:
+            self-locking; to come back it must be pushed by this share of the torque.
+        presliding: deflection of the first end at which friction is full [rad], > 0.
+        settling_time: damping time of friction that holds [s], >= 0.
 
     Source: Pelchen, Schweiger & Otter 2002, Modeling and simulating the efficiency of gearboxes and
     of planetary gearboxes, Proc. 2nd Int. Modelica Conference, 257; Prandtl 1928, Z. angew. Math.
@@ -39,8 +44,16 @@ class Efficiency(AbstractQuantified):
     )
 
     def loss(self, force: Scalar, share: Scalar) -> Scalar:
-        """Friction [N m, N] on the first end, that pushes back by `force` where it moves forwards,
-        of which a `share` from -1 to 1 acts."""
+        """Friction on the first end.
+
+        Args:
+            force: force with which the flank pushes back on that end [N m, N], positive against a
+                positive motion.
+            share: share of the friction that acts [1], -1 to 1.
+
+        Returns:
+            the friction [N m, N].
+        """
         backwards = self.forwards if self.backwards is None else self.backwards
         return loss(force, share, self.forwards, backwards)
 

@@ -29,20 +29,35 @@ class Gear(AbstractBodyCoupling):
     r"""Two gear wheels on parallel axes: a turns `ratio` times for one turn of b, the other way.
 
     It acts on the bodies at the pitch point, so that bearings, with clearance or without, carry its
-    force. Pitch radii follow from the distance of the axes at home and the ratio, :math:`r_b = i\,
-    r_a`. With a `pressure_angle` :math:`\alpha` the teeth are involutes: they touch on a common
+    force. Pitch radii follow from the distance of the axes at home and the ratio, :math:`r_b =
+    i\,r_a`. With a pressure angle :math:`\alpha` the teeth are involutes: they touch on a common
     tangent of the base circles, of radii :math:`r \cos\alpha`, also where the axes have moved, and
-    a torque T on a loads its bearing by :math:`T / (r_a \cos\alpha)`. One equation holds one flank,
-    which the sign of the angle picks: where `transmitted` is positive (it turns a forwards) a
-    positive angle presses wheels apart, where it is negative a negative one. Without the angle the
-    force is across the line of centres. `internal`: one wheel lies within the other, and both turn
-    the same way. Turns are counted by a joint of the tree; where none of the two is in it, and
-    bodies move in space, only speeds are tied. Play is seen at b. A `transmission_error` e, a
-    function of the turn of b [rad] from home that repeats itself every turn (a `TimeTable` that is
-    repeated, its times the angles), is added [rad] to `ratio` times that turn.
+    a torque T on a loads its bearing by :math:`T / (r_a \cos\alpha)`. Without it the force is
+    across the line of centres. Turns are counted by a joint of the tree; where none of the two is
+    in it, and bodies move in space, only speeds are tied. Play is seen at b.
 
     With a `Motor` as an end it acts on the coordinate of the other alone, as a `Ratio` does, and a
     turns `ratio` times for one turn of b, the same way.
+
+    Args:
+        a, b: names of the joints that carry the wheels; one of them may be a `Motor`.
+        ratio: turns of a for one of b: teeth of b over teeth of a [1], > 0.
+        pressure_angle: pressure angle [rad], > -1 and < 1; none by default. Its sign picks the
+            flank that carries: where `transmitted` is positive (it turns a forwards) a positive
+            angle presses the wheels apart, where it is negative a negative one.
+        internal: whether one wheel lies within the other, a flag; both then turn the same way.
+        transmission_error: function of the turn of b from home [rad], the same after each turn (or
+            a `TimeTable` that is repeated, its times the angles), whose value [rad] is added to
+            `ratio` times that turn; none by default.
+        efficiency: an `Efficiency`, or the share of the power that comes out forwards [1], > 0 and
+            <= 1; no losses by default.
+        play: play, a `clearance.Backlash`, or its width alone [rad; m for a sliding joint]; none by
+            default.
+        stiffness: stiffness [N m/rad; N/m for a sliding joint], > 0; none by default.
+        damping: viscous damping [N m s/rad; N s/m for a sliding joint], >= 0; none by default.
+
+    Raises:
+        ValueError: if the transmission error is no such function.
 
     Source: Litvin & Fuentes 2004, Gear Geometry and Applied Theory, chapter 10,
     doi:10.1017/CBO9780511547126.
@@ -132,17 +147,29 @@ class Gear(AbstractBodyCoupling):
 
 
 class Belt(AbstractBodyCoupling):
-    r"""A belt or a chain over two pulleys on parallel axes: :math:`r_a` turns of b for
-    :math:`r_b` of a, the same way round, or the other way where it is `crossed`.
+    r"""A belt or a chain over two pulleys on parallel axes: :math:`r_a` turns of b for :math:`r_b`
+    of a, the same way round, or the other way where it is crossed.
 
     It acts on the bodies by the difference of its two strands' forces. Together the strands pull by
     :math:`\max(2 F_0, |T| / r_a)` for a torque T at a (of a chain the tight one alone): reactions
     of ideal joints have that too; what moves does not feel it (a journal in its gap, an arm that
     tightens the belt: give it as a load). Strands do not slip. Without stiffness they do not
-    stretch; with it, which both share, as it is seen at a, and a `pretension` [N] of each, a strand
-    pulls and does not push: beyond a torque of :math:`2 r_a F_0` at a the slack one gives up its
-    share, and half the stiffness is left. Without pretension, as of a chain that is taut both ways,
-    both go on. With a `Motor` as an end it acts on the coordinate of the other alone.
+    stretch. With a `Motor` as an end it acts on the coordinate of the other alone.
+
+    Args:
+        a, b: names of the joints that carry the pulleys; one of them may be a `Motor`.
+        radius_a: radius of pulley a [m], > 0.
+        radius_b: radius of pulley b [m], > 0.
+        crossed: whether the belt is crossed, a flag; the pulleys then turn opposite ways.
+        pretension: pull F_0 of each strand at rest [N], >= 0; needs stiffness. A strand then pulls
+            and does not push: beyond a torque of 2 r_a F_0 at a the slack one gives up its share,
+            and half the stiffness is left. None, as of a chain that is taut both ways: both go on.
+        play: play, a `clearance.Backlash`, or its width alone, seen at a [rad]; none by default.
+        stiffness: stiffness of both strands together, seen at a [N m/rad], > 0; none by default.
+        damping: viscous damping, seen at a [N m s/rad], >= 0; none by default.
+
+    Raises:
+        ValueError: for a pretension without stiffness, or with play.
     """
 
     a: str | Motor = end()
@@ -203,14 +230,26 @@ class Belt(AbstractBodyCoupling):
 
 
 class Rack(AbstractBodyCoupling):
-    r"""A pinion that rolls on a rack, which slides along the z axis of its marker.
+    """A pinion that rolls on a rack, which slides along the z axis of its marker.
 
-    It acts on the bodies at the pitch point, by the pinion's `radius` from its axis, on the side
+    It acts on the bodies at the pitch point, by the pinion's radius from its axis, on the side
     where the rack's marker lies at home (where that is on the axis, on the side of z × the rack's
-    direction). With a `pressure_angle` :math:`\alpha`, whose sign picks the flank, the force leans
-    by it against the rack's direction; where `transmitted` is positive (it pushes the rack along
-    its z axis) a positive angle presses both apart. A `Motor` as pinion pushes the rack's
-    coordinate alone, forwards as it turns forwards.
+    direction). A `Motor` as pinion pushes the rack's coordinate alone, forwards as it turns
+    forwards.
+
+    Args:
+        pinion: name of the joint that carries the pinion, or a `Motor`.
+        rack: name of the joint that carries the rack.
+        radius: pitch radius of the pinion [m], > 0.
+        pressure_angle: pressure angle [rad], > -1 and < 1, by which the force leans against the
+            rack's direction; none by default. Its sign picks the flank: where `transmitted` is
+            positive (it pushes the rack along its z axis) a positive angle presses both apart.
+        efficiency: an `Efficiency`, or the share of the power that comes out forwards [1], > 0 and
+            <= 1; no losses by default.
+        play: play, a `clearance.Backlash`, or its width alone, seen at the pinion [rad]; none by
+            default.
+        stiffness: stiffness, seen at the pinion [N m/rad], > 0; none by default.
+        damping: viscous damping, seen at the pinion [N m s/rad], >= 0; none by default.
     """
 
     pinion: str | Motor = end()
@@ -282,18 +321,33 @@ USUAL_LEAD = (-1.0, 1.0, "is it in mm? A lead is in m for one turn.")
 
 class Screw(AbstractBodyCoupling):
     r"""The two parts of a joint on one thread: for one turn of the child about z it advances by the
-    `lead` along z; a negative lead is a left-hand thread.
+    lead along z.
 
     The joint guides both, and lets them turn and slide (`joint.Cylindrical`, one with clearance);
     the thread acts on the bodies along its axis and about it.
 
-    With `friction` :math:`\mu` the flanks rub along the helix of the mean `diameter` d by
-    :math:`\mu N`, N their normal force, and at rest they hold: friction is a spring up to a
-    deflection of `presliding`, damped by `settling_time`. A nut under a load F is turned by
-    :math:`\frac{F d}{2}\frac{l \pm \pi\mu d \sec\alpha}{\pi d \mp \mu l \sec\alpha}` against it
-    and with it, and stays where it is where :math:`\pi\mu d \sec\alpha > l`; :math:`\alpha`, the
-    `flank_angle`, is that of the section across the thread. It needs `stiffness`. A collar's
-    friction is a `load.JointFriction`.
+    With friction :math:`\mu` the flanks rub along the helix of the mean diameter d by :math:`\mu
+    N`, N their normal force, and at rest they hold: friction is a spring with a damper. A nut under
+    a load F is turned by :math:`\frac{F d}{2}\frac{l \pm \pi\mu d \sec\alpha}{\pi d \mp \mu l
+    \sec\alpha}` against it and with it, and stays where it is where :math:`\pi\mu d \sec\alpha >
+    l`. A collar's friction is a `load.JointFriction`.
+
+    Args:
+        joint: name of the joint whose two parts are on the thread.
+        lead: advance along z for one turn [m], not 0; negative for a left-hand thread.
+        friction: friction coefficient of the flanks [1], >= 0; none by default. Needs diameter and
+            stiffness.
+        diameter: mean diameter of the thread [m], > 0; needed with friction.
+        flank_angle: angle alpha of the flank in the section across the thread [rad], >= 0 and <
+            1.2: half the thread's angle.
+        presliding: deflection along the helix at which friction is full [m], > 0.
+        settling_time: damping time of friction that holds [s], >= 0.
+        play: play, a `clearance.Backlash`, or its width alone [m]; none by default.
+        stiffness: stiffness along the axis [N/m], > 0; none by default.
+        damping: viscous damping along the axis [N s/m], >= 0; none by default.
+
+    Raises:
+        ValueError: if the lead is 0, or one of friction and diameter is given without the other.
 
     Source: Budynas & Nisbett 2020, Shigley's Mechanical Engineering Design, 11th ed., equations 8-1
     to 8-5; Prandtl 1928, Z. angew. Math. Mech. 8, 85 (friction that holds).

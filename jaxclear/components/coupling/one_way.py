@@ -8,13 +8,25 @@ from jaxclear.laws.transmission import freewheel
 
 
 class OneWay(AbstractForceCoupling):
-    r"""A freewheel: a drives b forwards, and b may overtake it. A torque flows where a would turn
+    """A freewheel: a drives b forwards, and b may overtake it. A torque flows where a would turn
     by more than `ratio` times b, and never the other way.
 
     Its shaft is a spring of `stiffness` k that is wound up while it locks, so that it holds a load
     without creep, and unwinds within d / k of its `damping` d, both seen at a. Where it locks at
     the start it is unwound. It acts on the coordinates and loads no bearing. For a backstop hold
     one of the joints; where both ways are driven take `Ratio`.
+
+    Args:
+        a: name of the joint that drives.
+        b: name of the joint that is driven.
+        ratio: turns of a for one of b [1].
+        stiffness: stiffness while it locks, seen at a [N m/rad; N/m for a sliding joint], > 0;
+            required.
+        damping: damping while it locks, seen at a [N m s/rad; N s/m for a sliding joint], > 0;
+            required.
+
+    Raises:
+        ValueError: if stiffness or damping is missing.
 
     Source: the shaft with damping behind a gap of Nordin, Galić & Gutman 1997, Int. J. Adapt.
     Control Signal Process. 11, 49, with one flank.

@@ -20,14 +20,25 @@ def _as_names(given: Iterable[str]) -> tuple[str, ...]:
 
 
 class Rope(AbstractForceCoupling):
-    r"""A rope over pulleys on several joints, whose length between its ends is :math:`l_0 + \sum_i
-    r_i q_i`: a radius [m] for each joint that turns, a number (1 for one strand, 2 for two) for one
-    that slides, its sign that with which the rope gets longer.
+    r"""A rope over pulleys on several joints, which pulls and never pushes.
 
-    It pulls by :math:`F = \max(0, F_0 + k \sum_i r_i q_i)` and a damper that is bounded by the
-    spring, so that it never pushes: :math:`F_0` is its `pretension` where all coordinates are 0; a
-    negative one is slack, of the length :math:`-F_0/k`. It acts on the coordinates alone: pulleys
-    load their bearings by what you put there. `load.Spring` is a straight one that pushes, too.
+    Its length between its ends is :math:`l_0 + \sum_i r_i q_i`, and it pulls by :math:`F = \max(0,
+    F_0 + k \sum_i r_i q_i)` and a damper that is bounded by the spring. It acts on the coordinates
+    alone: pulleys load their bearings by what you put there. `load.Spring` is a straight one that
+    pushes, too.
+
+    Args:
+        over: names of the joints, a tuple.
+        radii: lengthening r_i of the rope for a unit of each coordinate, a tuple: a radius [m] for
+            a joint that turns, a number (1 for one strand, 2 for two) for one that slides; positive
+            where the rope gets longer.
+        pretension: pull F_0 where all coordinates are 0 [N]; a negative one is slack, of the length
+            -F_0/k.
+        stiffness: stiffness k [N/m], > 0; required.
+        damping: damping [N s/m], >= 0; none by default.
+
+    Raises:
+        ValueError: if the stiffness is missing, or the numbers of joints and radii differ.
     """
 
     over: tuple[str, ...] = eqx.field(static=True, converter=_as_names)
@@ -76,15 +87,17 @@ class Capstan(AbstractForceCoupling):
     into that of b. It acts on the coordinates alone and loads no bearing.
 
     Args:
-        a: joint at the end of one span; None: it is tied to the ground.
-        pulley: joint of the pulley; None: it stands still. Two of the three at least are joints.
-        b: joint at the other end; None as for a.
+        a: name of the joint at the end of one span; None: it is tied to the ground.
+        pulley: name of the joint of the pulley; None: it stands still. At least two of the three
+            are joints.
+        b: name of the joint at the other end; None as for a.
         friction: friction coefficient of rope and pulley [1], >= 0.
         wrap: angle over which they touch [rad], >= 0; whole turns count.
         radius: of the pulley [m], > 0 (1 by default, for a pulley that stands still).
         radius_a: by how much the span of a gets longer for a unit of its coordinate: a radius [m]
             of a joint that turns, 1 or -1 of one that slides; 1 by default.
-        radius_b: the same of b.
+        radius_b: by how much the span of b gets longer for a unit of its coordinate, as radius_a
+            [m].
         stiffness: of each span [N/m], > 0.
         pretension: pull of each span where all coordinates are 0 [N]; 0 by default; below 0 slack.
         settling_time: within which the slip follows its bound [s]; 1e-3 by default. Steps of fixed

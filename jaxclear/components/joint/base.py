@@ -35,10 +35,12 @@ ANGULAR = tuple(Twist(sp.ZERO, axis) for axis in sp.IDENTITY)
 
 
 class AbstractJoint(AbstractQuantified):
-    """An ideal joint: `home` are its coordinates in the drawing, `units` theirs, `rows` its
-    constraint rows where it closes a loop; a joint that states none is held there by what departs
-    from its `motion`, in ways that its home tells apart. `reversal`: turn of both markers (columns:
-    new axes in the old) with which the joint, read from child to parent, is one of its kind again.
+    """An ideal joint.
+
+    Class attributes of a member: `home`, its coordinates in the drawing; `units`, their units;
+    `rows`, its constraint rows where it closes a loop (None: rows follow from what departs from its
+    `motion`, in ways that its home tells apart); `reversal`, turn of both markers (columns: new
+    axes in the old) with which the joint, read from child to parent, is one of its kind again.
     """
 
     home: eqx.AbstractClassVar[tuple[float, ...]]
@@ -48,57 +50,137 @@ class AbstractJoint(AbstractQuantified):
 
     @abstractmethod
     def motion(self, q: tuple) -> Pose:
-        """Pose of the child's marker in the parent's."""
+        """Pose of the child's marker in the parent's.
+
+        Args:
+            q: coordinates of the joint [its units], a tuple.
+
+        Returns:
+            the pose.
+        """
 
     @abstractmethod
     def columns(self, q: tuple) -> tuple[Twist, ...]:
-        """Twist of the child relative to the parent, in the child's axes, for each unit speed."""
+        """Twist of the child relative to the parent, in the child's axes, for each unit speed.
+
+        Args:
+            q: coordinates of the joint [its units], a tuple.
+
+        Returns:
+            a tuple with one `Twist` a speed.
+        """
 
     @abstractmethod
     def rate(self, q: tuple, v: tuple) -> tuple:
-        """dq/dt."""
+        """Rates of the coordinates.
+
+        Args:
+            q: coordinates of the joint [its units], a tuple.
+            v: speeds of the joint [m/s, rad/s], a tuple.
+
+        Returns:
+            dq/dt, a tuple.
+        """
 
     @abstractmethod
     def bias(self, q: tuple, v: tuple) -> Twist | None:
-        """Derivative of the columns along the motion, times the speeds; `None` where the columns
-        are constant.
+        """Derivative of the columns along the motion, times the speeds.
+
+        Args:
+            q: coordinates of the joint [its units], a tuple.
+            v: speeds of the joint [m/s, rad/s], a tuple.
+
+        Returns:
+            a `Twist` per time; None where the columns are constant.
         """
 
     @abstractmethod
     def moved(self, q: tuple, increment: tuple) -> tuple:
-        """Coordinates after the speeds `increment` have been held for unit time: the exponential
-        map, from q.
+        """Coordinates after constant speeds for unit time: the exponential map.
+
+        Args:
+            q: coordinates at the beginning [the joint's units], a tuple.
+            increment: speeds times unit time [m, rad], a tuple.
+
+        Returns:
+            coordinates at the end, a tuple.
         """
 
     @abstractmethod
     def retracted(self, q: tuple, increment: tuple) -> tuple:
-        """`moved` to first order in the increment, and on the joint's group."""
+        """`moved` to first order in the increment, and on the joint's group.
+
+        Args:
+            q: coordinates at the beginning [the joint's units], a tuple.
+            increment: speeds times unit time [m, rad], a tuple.
+
+        Returns:
+            coordinates at the end, a tuple.
+        """
 
     @abstractmethod
     def bracket(self, a: tuple, b: tuple) -> tuple:
-        """Lie bracket of two increments: what a then b moves more than b then a, to second
-        order."""
+        """Lie bracket of two increments: what a then b moves more than b then a, to second order.
+
+        Args:
+            a, b: increments [m, rad], tuples with one entry a speed.
+
+        Returns:
+            an increment, a tuple.
+        """
 
     @abstractmethod
     def coordinates_at(self, pose: Pose) -> tuple:
-        """Coordinates at which the child's marker has this pose in the parent's, of a pose that the
-        joint allows: the inverse of `motion`."""
+        """Coordinates of a pose that the joint allows: the inverse of `motion`.
+
+        Args:
+            pose: pose of the child's marker in the parent's.
+
+        Returns:
+            coordinates [the joint's units], a tuple.
+        """
 
     @abstractmethod
     def speeds_at(self, pose: Pose, velocity: sp.Vec, spin: sp.Vec) -> tuple:
-        """Speeds at which the child's marker has this relative velocity and spin, both in the
-        parent marker's axes. Of a pose beside those that the joint allows (of a journal that leans)
-        the rate of the coordinate that `coordinates_at` tells, so that loads on it do its work.
+        """Speeds at which the child's marker has a relative velocity and spin.
+
+        For a pose that the joint does not allow (a journal that leans) it is the rate of the
+        coordinate that `coordinates_at` gives, so that loads on it do its work.
+
+        Args:
+            pose: pose of the child's marker in the parent's.
+            velocity: relative velocity [m/s], in the parent marker's axes.
+            spin: relative angular velocity [rad/s], in the parent marker's axes.
+
+        Returns:
+            speeds [m/s, rad/s], a tuple.
         """
 
     @abstractmethod
     def start(self, given: tuple) -> tuple:
-        """All coordinates from those given for a start. Raises `ValueError`, with a sentence that
-        goes behind the joint's name, where these do not tell them."""
+        """All coordinates from those given for a start.
+
+        Args:
+            given: coordinates that the user gives [the joint's units], a tuple.
+
+        Returns:
+            all coordinates of the joint, a tuple.
+
+        Raises:
+            ValueError: with a sentence that goes behind the joint's name, if these do not determine
+                them.
+        """
 
     def told(self, given: tuple) -> tuple[bool, ...]:
-        """For each of the joint's speeds whether the coordinates that it changes are told by those
-        given for a start; all are, unless overridden."""
+        """For each speed whether the coordinates that it changes follow from those given for a
+        start; all do unless overridden.
+
+        Args:
+            given: coordinates that the user gives [the joint's units], a tuple.
+
+        Returns:
+            a flag for each speed, a tuple.
+        """
         return (True,) * len(self.columns(self.home))
 
 
@@ -128,9 +210,11 @@ class AbstractDrivenJoint(AbstractVectorJoint):
 
 
 class AbstractGroupJoint(AbstractJoint):
-    """A joint whose coordinates are no vector but a group: a quaternion, a position with a
-    quaternion. Integrators on groups (`jaxclear.integrator.MuntheKaas`) move it by increments, the
-    speeds held for a time.
+    """A joint whose coordinates are no vector but a group, such as a quaternion or a position with
+    a quaternion.
+
+    Integrators on groups (`jaxclear.integrator.MuntheKaas`) move it by increments, constant speeds
+    for some time.
     """
 
 
@@ -165,8 +249,14 @@ def angle(sine: Any, cosine: Any) -> Any:
 
 
 class CarriedContact(NamedTuple):
-    """A contact of the joint, by its number there, while it carries: normal force and (signed)
-    friction [N], and its place in the bearing's frame [m]."""
+    """A contact of the joint while it carries.
+
+    Args:
+        number: index of the contact in the joint.
+        normal_force: normal force [N].
+        friction: friction force with its sign [N].
+        place: place in the bearing's frame [m], 3 components.
+    """
 
     number: int
     normal_force: Any
@@ -175,9 +265,15 @@ class CarriedContact(NamedTuple):
 
 
 class CarryingEnd(NamedTuple):
-    """One end of the joint that may carry: its height along the bearing [m], the force on the child
-    there across the sliding direction [N], friction's part of it included where it has one, the
-    offset of that end within the gap [m], and the contacts there."""
+    """One end of a joint that may carry.
+
+    Args:
+        height: height of the end along the bearing [m].
+        force: force on the child there, across the sliding direction [N], with the friction's part
+            of it, 3 components.
+        offset: offset of that end within the gap [m], 3 components.
+        contacts: contacts at this end, a tuple of `CarriedContact`.
+    """
 
     height: Any
     force: sp.Vec
@@ -212,20 +308,39 @@ class AbstractRubbingJoint(AbstractJoint):
 
     @abstractmethod
     def friction_wrench(self, friction: Any) -> tuple[sp.Vec, sp.Vec]:
-        """Force [N] and torque [N m] of friction [N] on the child about its marker, in the parent
-        marker's axes.
+        """Force and torque of friction on the child about its marker, in the parent marker's axes.
+
+        Args:
+            friction: friction force [N]; of a ball its three components.
+
+        Returns:
+            force [N] and torque [N m], a tuple.
         """
 
     @abstractmethod
     def carrying_ends(self, force: sp.Vec, torque: sp.Vec, ratio: Any) -> tuple[CarryingEnd, ...]:
-        """Where a reaction is carried; `ratio`: (signed) friction over the sum of the carried
-        forces' sizes, of a ball its three components.
+        """Where a reaction is carried.
+
+        Args:
+            force: reaction force on the child [N], in the parent marker's axes.
+            torque: reaction torque on the child about its marker [N m], in the parent marker's
+                axes.
+            ratio: friction with its sign over the sum of the sizes of the carried forces [1]; of a
+                ball its three components.
+
+        Returns:
+            the ends, a tuple of `CarryingEnd`.
         """
 
     @abstractmethod
     def friction_ratio(self, mu: Any) -> Any:
-        """Largest friction over the sum of the sizes of the carried forces, for a coefficient of
-        friction.
+        """Largest friction over the sum of the sizes of the carried forces.
+
+        Args:
+            mu: coefficient of friction [1].
+
+        Returns:
+            the ratio [1].
         """
 
     @abstractmethod
@@ -245,8 +360,18 @@ class AbstractRubbingJoint(AbstractJoint):
     def wear_place(
         self, surface: str, offset: sp.Vec, axes: tuple, contact: int, indentation: Any
     ) -> tuple:
-        """Location of a contact on a surface that wears, as its map reads it, for the offset [m] of
-        the child within the gap and the contact's indentation [m]."""
+        """Location of a contact on a surface that wears, as its map reads it.
+
+        Args:
+            surface: name of the surface.
+            offset: offset of the child within the gap [m], 3 components.
+            axes: axes of the child's marker that `gap_axes` names, a tuple.
+            contact: index of the contact.
+            indentation: indentation of the contact [m].
+
+        Returns:
+            location features, a tuple.
+        """
 
     @property
     def goes_round(self) -> bool:
@@ -254,8 +379,16 @@ class AbstractRubbingJoint(AbstractJoint):
         return False
 
     def indentation(self, contact: int, force: Any) -> Any:
-        """How deep [m] a normal force [N] presses a contact; 0, unless overridden, because an ideal
-        joint knows no law that tells it."""
+        """How deep a normal force presses a contact; 0, unless overridden, because an ideal joint
+        has no contact law.
+
+        Args:
+            contact: index of the contact.
+            force: normal force [N].
+
+        Returns:
+            the indentation [m].
+        """
         return 0
 
 
@@ -271,7 +404,14 @@ def check_radius_as_made(joint: Any) -> None:
 
 
 def carried_load(ends: tuple[CarryingEnd, ...]) -> Any:
-    """Sum of the sizes of the carried forces [N], of which friction is a share."""
+    """Sum of the sizes of the carried forces, of which friction is a share.
+
+    Args:
+        ends: ends of the joint, a tuple of `CarryingEnd`.
+
+    Returns:
+        the sum [N].
+    """
     return sp.total(sp.norm(end.force) for end in ends)
 
 

@@ -38,15 +38,27 @@ from jaxclear.laws.friction import AbstractFrictionLaw
 
 
 class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
-    r"""Turns about z as `Revolute` does, and rubs: the friction torque is radius times friction.
+    r"""A plain bearing: turns about z as `Revolute` does, and rubs with a friction torque of radius
+    times friction.
 
-    A reaction R across the axis rubs with :math:`\sin(\arctan\mu)\,|R|` (the friction circle). With
-    `length` the moment across the axis loads the two ends as forces; without, it is not counted.
-    Force along the axis rubs without a torque. `load`: a normal force that rubs whatever the
-    reaction (a seal, a clamped bush); friction is then :math:`\mu` times this. `wear`: one depth,
-    worn volume over 2 radius length, how far the pin has sunk; the motion does not feel it.
-    Set-valued friction sticks, for `NonColliding` and `MoreauJean`; laws that are functions of the
-    sliding speed serve `Adaptive`, `FixedStep` and `ImplicitStep` too.
+    A reaction R across the axis rubs with :math:`\sin(\arctan\mu)\,|R|` (the friction circle).
+    Force along the axis rubs without a torque. Set-valued friction sticks, for `NonColliding` and
+    `MoreauJean`; laws that are functions of the sliding speed serve `Adaptive`, `FixedStep` and
+    `ImplicitStep` too.
+
+    Args:
+        friction: friction law, one of `jaxclear.friction`; none by default.
+        radius: radius of the pin [m], > 0.
+        length: length of the bearing [m], > 0: the moment across the axis loads its two ends as
+            forces; None: this moment is not counted.
+        load: normal force that rubs whatever the reaction (a seal, a clamped bush) [N], >= 0;
+            friction is then :math:`\mu` times this. None: the reaction rubs.
+        wear: wear of the pair, a `Wearing`: one depth, worn volume over 2 radius length, how far
+            the pin has sunk; the motion does not feel it. None by default.
+        drive: prescribed motion of the coordinate, one of `jaxclear.drive`; none by default.
+
+    Raises:
+        ValueError: for wear without a length, or with `worn_radius`.
     """
 
     home: ClassVar = Revolute.home
@@ -119,14 +131,26 @@ class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
 
 
 class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
-    r"""Slides along z as `Prismatic` does, and rubs: :math:`\mu` times what it carries across.
+    r"""A slideway: slides along z as `Prismatic` does, and rubs with :math:`\mu` times what it
+    carries across.
 
-    With `length` the moment across the axis loads the two ends as forces, with `width` the moment
-    about it loads the two sides; without, they are not counted. `load`: a normal force that rubs
-    whatever the reaction (a wiper, a clamp). `wear`: one depth, worn volume over width times
-    length; the motion does not feel it. Set-valued friction sticks, for `NonColliding` and
-    `MoreauJean`; laws that are functions of the sliding speed serve `Adaptive`, `FixedStep` and
-    `ImplicitStep` too.
+    Set-valued friction sticks, for `NonColliding` and `MoreauJean`; laws that are functions of the
+    sliding speed serve `Adaptive`, `FixedStep` and `ImplicitStep` too.
+
+    Args:
+        friction: friction law, one of `jaxclear.friction`; none by default.
+        length: length of the slider [m], > 0: the moment across the axis loads its two ends as
+            forces; None: this moment is not counted.
+        width: width of the slider [m], > 0: the moment about the axis loads its two sides; None:
+            this moment is not counted.
+        load: normal force that rubs whatever the reaction (a wiper, a clamp) [N], >= 0; None: the
+            reaction rubs.
+        wear: wear of the pair, a `Wearing`: one depth, worn volume over width times length; the
+            motion does not feel it. None by default.
+        drive: prescribed motion of the coordinate, one of `jaxclear.drive`; none by default.
+
+    Raises:
+        ValueError: for wear without length and width, or with `worn_radius`.
     """
 
     home: ClassVar = Prismatic.home
@@ -276,10 +300,17 @@ class AbstractRubbingBall(AbstractRubbingJoint, AbstractGroupJoint):
 
 
 class BallJoint(AbstractRubbingBall):
-    """Turns about a point as `Spherical` does, and rubs by its reaction. `wear`: one depth, worn
-    volume over the ball's cross-section, how far it has sunk; the motion does not feel it.
+    """A ball joint: turns about a point as `Spherical` does, and rubs by its reaction.
+
     Set-valued friction sticks, for `NonColliding` and `MoreauJean`; laws that are functions of the
-    sliding speed serve `Adaptive`, `FixedStep` and `ImplicitStep` too."""
+    sliding speed serve `Adaptive`, `FixedStep` and `ImplicitStep` too.
+
+    Args:
+        friction: friction law, one of `jaxclear.friction`; none by default.
+        radius: radius of the ball [m], > 0.
+        wear: wear of the pair, a `Wearing`: one depth, worn volume over the ball's cross-section,
+            how far it has sunk; the motion does not feel it. None by default.
+    """
 
     home: ClassVar = Spherical.home
     units: ClassVar = Spherical.units

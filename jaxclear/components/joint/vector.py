@@ -22,7 +22,11 @@ EXCHANGE: sp.Mat = ((0, -1, 0), (1, 0, 0), (0, 0, 1))
 
 
 class Revolute(AbstractDrivenJoint):
-    """Turns about z: q angle [rad]."""
+    """Turns about z; its coordinate is the angle [rad].
+
+    Args:
+        drive: prescribed motion of the coordinate, one of `jaxclear.drive`; none by default.
+    """
 
     home: ClassVar = (0.0,)
     units: ClassVar = ("rad",)
@@ -47,7 +51,11 @@ class Revolute(AbstractDrivenJoint):
 
 
 class Prismatic(AbstractDrivenJoint):
-    """Slides along z: q displacement [m]."""
+    """Slides along z; its coordinate is the displacement [m].
+
+    Args:
+        drive: prescribed motion of the coordinate, one of `jaxclear.drive`; none by default.
+    """
 
     home: ClassVar = (0.0,)
     units: ClassVar = ("m",)
@@ -72,7 +80,7 @@ class Prismatic(AbstractDrivenJoint):
 
 
 class Cylindrical(AbstractVectorJoint):
-    """Slides along z and turns about it: q (displacement [m], angle [rad])."""
+    """Slides along z and turns about it; its coordinates are displacement [m] and angle [rad]."""
 
     home: ClassVar = (0.0, 0.0)
     units: ClassVar = ("m", "rad")
@@ -96,7 +104,9 @@ class Cylindrical(AbstractVectorJoint):
 
 
 class Universal(AbstractVectorJoint):
-    """Turns about the parent's x axis, then about the child's y axis: q two angles [rad]."""
+    """Turns about the parent's x axis, then about the child's y axis; its coordinates are two
+    angles [rad].
+    """
 
     home: ClassVar = (0.0, 0.0)
     units: ClassVar = ("rad", "rad")

@@ -51,7 +51,14 @@ class AbstractNormalLaw(AbstractLaw):
 
     @abstractmethod
     def elastic_force(self, indentation: Scalar) -> Scalar:
-        """The conservative part [N]: its integral over the indentation is the stored energy."""
+        """Conservative part of the force; its integral over the indentation is the stored energy.
+
+        Args:
+            indentation: indentation [m], positive in contact.
+
+        Returns:
+            the force [N].
+        """
 
 
 class AbstractContactLaw(AbstractNormalLaw):
@@ -63,7 +70,17 @@ class AbstractContactLaw(AbstractNormalLaw):
 
     @abstractmethod
     def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Scalar) -> Scalar:
-        """Force [N] >= 0; 0 when indentation <= 0. `impact_speed`: ignored without a memory."""
+        """Force at an instant; 0 while open.
+
+        Args:
+            indentation: indentation [m], positive in contact.
+            rate: its rate [m/s], positive while closing.
+            impact_speed: closing speed at first touch [m/s]; ignored by laws that do not remember
+                it.
+
+        Returns:
+            the force [N], >= 0.
+        """
 
 
 class AbstractElasticForce(AbstractLaw):
@@ -71,7 +88,14 @@ class AbstractElasticForce(AbstractLaw):
 
     @abstractmethod
     def force(self, indentation: Scalar) -> Scalar:
-        """Force [N] from the indentation [m]: 0 up to 0, then growing, differentiable."""
+        """Force of an indentation, differentiable in it.
+
+        Args:
+            indentation: indentation [m], positive in contact.
+
+        Returns:
+            the force [N]: 0 for an indentation up to 0, growing beyond.
+        """
 
 
 class AbstractDissipation(AbstractLaw):
@@ -91,8 +115,14 @@ class AbstractDissipation(AbstractLaw):
 
     @abstractmethod
     def relative_damping(self, rate: Scalar, impact_speed: Scalar) -> Scalar:
-        r"""Damping force over elastic force [1], :math:`\lambda\dot\delta`, of the rate's sign;
-        impact_speed above 0.
+        r"""Damping force over elastic force, :math:`\lambda\dot\delta`.
+
+        Args:
+            rate: rate of the indentation [m/s], positive while closing.
+            impact_speed: closing speed at first touch [m/s], > 0.
+
+        Returns:
+            the ratio [1], of the sign of `rate`.
         """
 
 

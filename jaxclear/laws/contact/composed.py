@@ -28,8 +28,14 @@ from jaxclear.laws.stiffness import Fitted
 
 
 class ImpactMemory(AbstractQuantified):
-    """What goes with the speed of first touch, where a dissipation factor asks for it. The engine
-    takes that speed at the touch itself."""
+    """Least impact speed of a law whose dissipation factor depends on the speed of first touch.
+
+    The integrators supply that speed at the touch itself.
+
+    Args:
+        slowest_impact: slower impacts are damped as if at this speed [m/s], > 0, so that rest is no
+            division by 0.
+    """
 
     slowest_impact: Scalar = quantity(
         1e-3,
@@ -41,10 +47,20 @@ class ImpactMemory(AbstractQuantified):
 
 class ContactForce(AbstractContactLaw):
     r""":math:`F = F_{el}(\delta)\,\max(0, 1 + \lambda\dot\delta)`: an elastic force and the loss
-    that goes with it (None: no loss).
+    that goes with it.
 
-    `memory` is filled in where the factor asks for the impact speed, and refused where it does not.
     The numbers of the parts are numbers of the law: `law.stiffness` is `law.elastic.stiffness`.
+
+    Args:
+        elastic: elastic force, of `contact.elastic` or `contact.cylinder`, or another
+            `AbstractElasticForce`.
+        dissipation: dissipation factor, an `AbstractDissipation` of `contact.dissipation`; None: no
+            loss.
+        memory: `ImpactMemory` with the least impact speed; filled in by default where the factor
+            depends on the impact speed.
+
+    Raises:
+        ValueError: if a memory is given and the factor does not depend on the impact speed.
 
     Source: Hunt & Crossley 1975, J. Appl. Mech. 42, 440, doi:10.1115/1.3423596; that the rebound
     depends on the factor alone, Gonthier, McPhee, Lange & Piedbœuf 2004, Multibody Syst. Dyn. 11,
@@ -116,6 +132,13 @@ def _fields(kind: type) -> dict[str, Any]:
     return {f.name: f for f in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else {}
 
 
+def _split_docstring(part: type) -> tuple[str, str, str]:
+    """Prose, entries of `Args:` and source of a part's docstring."""
+    prose, _, rest = (inspect.getdoc(part) or "").partition("\n\nArgs:\n")
+    entries, _, source = rest.partition("\n\n")
+    return prose, entries, source
+
+
 def _product(
     name: str, force: type[AbstractElasticForce], factor: type[AbstractDissipation] | None = None
 ) -> Callable[..., ContactForce]:
@@ -145,12 +168,16 @@ def _product(
         )
 
     build.__name__ = build.__qualname__ = name
-    with_loss = "with a `restitution` times" if factor is None else "times"
+    with_loss = " times" if factor else " without loss, or, with a `restitution`, times"
+    prose, _, source = _split_docstring(factor or force)
+    entries = "\n".join(_split_docstring(part)[1] for part in parts)
     build.__doc__ = (
-        f"Elastic force `{force.__name__}`, {with_loss} dissipation factor `{loss.__name__}`.\n\n"
-        f"{inspect.getdoc(factor or force)}"
+        f"Elastic force `{force.__name__}`{with_loss} dissipation factor `{loss.__name__}`."
+        f"\n\n{prose}\n\nArgs:\n{entries}\n\n{source}"
     )
     given = {n: p for part in parts for n, p in inspect.signature(part).parameters.items()}
+    if factor is None:
+        given["restitution"] = given["restitution"].replace(default=None)
     build.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [given[n].replace(kind=inspect.Parameter.KEYWORD_ONLY) for n in known]
     )
@@ -188,6 +215,11 @@ class KelvinVoigt(AbstractContactLaw):
     :math:`\exp(-\pi\zeta/\sqrt{1 - \zeta^2})` with :math:`\zeta = D/(2\sqrt{K m})` only while
     `onset_depth` is far below the deepest indentation. Prefer a Hertzian law for metal on metal.
 
+    Args:
+        stiffness: spring stiffness K [N/m], > 0; a number or a fit.
+        damping: damper coefficient D [N s/m], >= 0.
+        onset_depth: indentation at which the damper acts in full [m], > 0.
+
     Source: Goldsmith 1960, Impact; Flores & Lankarani 2016, Contact Force Models, ch. 3,
     doi:10.1007/978-3-319-30897-5.
     """
@@ -214,6 +246,12 @@ class AdamsImpact(AbstractContactLaw):
 
     Loss depends on mass and speed; no restitution is prescribed. Made to run, not to predict:
     prefer CarvalhoMartins where the rebound matters.
+
+    Args:
+        stiffness: generalized contact stiffness K [N/m^exponent], > 0.
+        exponent: exponent of the indentation [1], > 1; None: Hertz's 3/2.
+        damping: largest damping coefficient c_max [N s/m], >= 0.
+        full_damping_depth: indentation d_max at which damping is largest [m], > 0.
 
     Source: MSC Adams/Solver, IMPACT; Wan, Liu, Ma & Tong, "Investigation on Dynamic Interaction of
     Multiple Clearance Joints for Flap Actuation System", eq. 6. Misprints there: the first case
@@ -244,6 +282,9 @@ class Rigid(AbstractNormalLaw):
 
     An impact in which one contact closes ends with restitution times the speed before (Newton).
     Where a force is wanted as a function, take CarvalhoMartins.
+
+    Args:
+        restitution: coefficient of restitution c_e [1], >= 0 and <= 1.
 
     Source: Newton 1687, Principia; as a complementarity of percussion and velocity Moreau 1988, in
     Nonsmooth Mechanics and Applications, 1, doi:10.1007/978-3-7091-2624-0_1.

@@ -60,6 +60,11 @@ class Johnson(AbstractElasticForce):
     Valid for :math:`\delta < 0.40\,c`. The usual choice for a journal with ample clearance; for
     indentations near or above the clearance prefer Liu.
 
+    Args:
+        modulus: combined modulus E* [Pa], > 0; default: steel on steel.
+        clearance: radial clearance c [m], > 0; by default that of the pair.
+        length: length L of the contact along the axis [m], > 0; by default that of the pair.
+
     Source: Johnson 1985, Contact Mechanics, sect. 5.6, doi:10.1017/CBO9781139171731, applied to
     both bodies; Pereira, Ramalho & Ambrósio 2011, Nonlinear Dyn. 63, 681,
     doi:10.1007/s11071-010-9830-3.
@@ -84,6 +89,11 @@ class TwoSidedJohnson(AbstractElasticForce):
     counted on either side. Half to two thirds as stiff as Johnson. Valid for :math:`\delta <
     0.20\,c`. For comparison with DyS; otherwise prefer Johnson.
 
+    Args:
+        modulus: combined modulus E* [Pa], > 0; default: steel on steel.
+        clearance: radial clearance c [m], > 0; by default that of the pair.
+        length: length L of the contact along the axis [m], > 0; by default that of the pair.
+
     Source: Skrinjar, Slavič & Boltežar 2017, Nonlinear Dyn. 88, 131,
     doi:10.1007/s11071-016-3234-y; program DyS.
     """
@@ -105,6 +115,11 @@ class Radzimovsky(AbstractElasticForce):
     The radii cancel: :math:`\delta = \frac{f}{\pi E^*}(\ln(16 E^* c/(2\cdot1.60^2 f)) + \frac23)`.
     Valid for :math:`\delta < 0.52\,c`; 2 to 8 per cent softer than Johnson up to :math:`\delta =
     0.1\,c` (2/3 against ln 4 - 1 = 0.39).
+
+    Args:
+        modulus: combined modulus E* [Pa], > 0; default: steel on steel.
+        clearance: radial clearance c [m], > 0; by default that of the pair.
+        length: length L of the contact along the axis [m], > 0; by default that of the pair.
 
     Source: Radzimovsky 1953, Univ. Illinois Eng. Exp. Station Bull. 408; Roark, Formulas for Stress
     and Strain, line contact of cylinders; Pereira, Ramalho & Ambrósio 2011, Nonlinear Dyn. 63, 681,
@@ -129,6 +144,15 @@ class Goldsmith(AbstractElasticForce):
     Goldsmith prints L where :math:`L^3` must stand (the logarithm had a dimension). The contact
     length enters the logarithm itself, so two halves of a bearing do not add up to the whole: use
     only for L near the radii, and prefer Johnson. Valid for :math:`\delta < 0.74\,c L^2/(R_i R_j)`.
+
+    Args:
+        modulus: combined modulus E* [Pa], > 0; default: steel on steel.
+        inner_radius: journal's radius R_i [m], > 0; by default that of the pair.
+        outer_radius: bearing's radius R_j [m], > 0; by default that of the pair.
+        length: length L of the contact along the axis [m], > 0; by default that of the pair.
+
+    Raises:
+        ValueError: if inner_radius is not below outer_radius.
 
     Source: Goldsmith 1960, Impact, ch. 4; Dubowsky & Freudenstein 1971, J. Eng. Ind. 93, 305,
     doi:10.1115/1.3427895; Flores, Ambrósio, Claro & Lankarani 2006, Proc. IMechE K 220, 21,
@@ -160,6 +184,11 @@ class Liu(AbstractElasticForce):
     Explicit, and good where the others end: small clearance, large loads, indentations of the order
     of c. Far below c its :math:`F \sim \delta^{3/2}` is too soft; there prefer Johnson.
 
+    Args:
+        modulus: combined modulus E* [Pa], > 0; default: steel on steel.
+        clearance: radial clearance c [m], > 0; by default that of the pair.
+        length: length L of the contact along the axis [m], > 0; by default that of the pair.
+
     Source: Liu, Zhang & Yang 2007, Mech. Mach. Theory 42, 183,
     doi:10.1016/j.mechmachtheory.2006.02.006.
     """
@@ -179,6 +208,11 @@ class BaiZhao(AbstractElasticForce):
     \sqrt{2\delta(3c + 2\delta)^2/(c + \delta)^3}`.
 
     Slope times indentation is up to 3/2 of Liu's own force; prefer Liu.
+
+    Args:
+        modulus: combined modulus E* [Pa], > 0; default: steel on steel.
+        clearance: radial clearance c [m], > 0; by default that of the pair.
+        length: length L of the contact along the axis [m], > 0; by default that of the pair.
 
     Source: Bai & Zhao 2013, Int. J. Non-Linear Mech. 48, 15,
     doi:10.1016/j.ijnonlinmec.2012.07.003, where K is written without L.

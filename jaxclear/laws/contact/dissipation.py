@@ -105,6 +105,9 @@ class HuntCrossley(AbstractRestitutionFactor):
     r""":math:`d = \frac32(1 - c_e)`. For hard contacts, :math:`c_e > 0.8`: the rebound is 0.009 too
     high at 0.9, 0.16 at 0.5.
 
+    Args:
+        restitution: coefficient of restitution c_e [1], > 0 and <= 1.
+
     Source: Hunt & Crossley 1975, J. Appl. Mech. 42, 440, doi:10.1115/1.3423596; in this form Flores
     & Lankarani 2016, Contact Force Models, ch. 3, doi:10.1007/978-3-319-30897-5.
     """
@@ -119,6 +122,9 @@ class LankaraniNikravesh(AbstractRestitutionFactor):
     r""":math:`d = \frac34(1 - c_e^2)`. For hard contacts, :math:`c_e > 0.8`: the rebound is 0.013
     too high at 0.9, 0.23 at 0.5.
 
+    Args:
+        restitution: coefficient of restitution c_e [1], > 0 and <= 1.
+
     Source: Lankarani & Nikravesh 1990, J. Mech. Des. 112, 369, doi:10.1115/1.2912617.
     """
 
@@ -129,8 +135,11 @@ class LankaraniNikravesh(AbstractRestitutionFactor):
 
 
 class HerbertMcWhannell(AbstractRestitutionFactor):
-    r""":math:`d = 6(1 - c_e)/((2c_e - 1)^2 + 3)`. For hard contacts: the rebound is 0.0009 too high
+    """:math:`d = 6(1 - c_e)/((2c_e - 1)^2 + 3)`. For hard contacts: the rebound is 0.0009 too high
     at 0.9, 0.094 at 0.5.
+
+    Args:
+        restitution: coefficient of restitution c_e [1], > 0 and <= 1.
 
     Source: Herbert & McWhannell 1977, J. Eng. Ind. 99, 513, doi:10.1115/1.3439270.
     """
@@ -146,6 +155,9 @@ class Flores(AbstractRestitutionFactor):
     r""":math:`d = \frac85(1 - c_e)/c_e`. Made for soft contacts: the rebound is at most 0.046 too
     low, 0.006 at 0.9, 0.030 at 0.5.
 
+    Args:
+        restitution: coefficient of restitution c_e [1], > 0 and <= 1.
+
     Source: Flores, Machado, Silva & Martins 2011, Multibody Syst. Dyn. 25, 357,
     doi:10.1007/s11044-010-9237-4.
     """
@@ -160,6 +172,9 @@ class HuGuo(AbstractRestitutionFactor):
     r""":math:`d = \frac32(1 - c_e)/c_e`. The rebound is at most 0.035 too low, 0.0001 at 0.9, 0.012
     at 0.5.
 
+    Args:
+        restitution: coefficient of restitution c_e [1], > 0 and <= 1.
+
     Source: Hu & Guo 2015, Multibody Syst. Dyn. 35, 131, doi:10.1007/s11044-015-9453-z.
     """
 
@@ -172,6 +187,9 @@ class HuGuo(AbstractRestitutionFactor):
 class ZhiyingQishao(AbstractRestitutionFactor):
     r""":math:`d = \frac34(1 - c_e^2)\,e^{2(1 - c_e)}`. The rebound is 0.004 too low at 0.9, 0.017
     at 0.5, and too high below 0.4. The factor of Bai and Zhao's law.
+
+    Args:
+        restitution: coefficient of restitution c_e [1], > 0 and <= 1.
 
     Source: Zhiying Qin & Qishao Lu 2006, Analysis of impact process based on restitution
     coefficient, J. Dyn. Control 4, 294; Bai & Zhao 2013, Int. J. Non-Linear Mech. 48, 15,
@@ -188,6 +206,9 @@ class ZhiyingQishao(AbstractRestitutionFactor):
 class CarvalhoMartins(AbstractRestitutionFactor):
     r""":math:`d = \frac32(1 - c_e)(11 - c_e)/(1 + 9c_e)`. The closest closed formula and the one to
     start from: the rebound is within 1e-5 at 0.9, 0.0002 at 0.5, 0.004 at 0.3, 0.03 at 0.1.
+
+    Args:
+        restitution: coefficient of restitution c_e [1], > 0 and <= 1.
 
     Source: Carvalho & Martins 2019, Mech. Mach. Theory 139, 174,
     doi:10.1016/j.mechmachtheory.2019.03.028.
@@ -207,6 +228,9 @@ class Gonthier(AbstractRestitutionFactor):
     0.02. The explicit :math:`(1 - e^2)/e` that the same paper offers is a third too large near 1
     and is not used. Dearer than CarvalhoMartins, its closed approximation: prefer that one inside a
     time loop.
+
+    Args:
+        restitution: coefficient of restitution c_e [1], > 0 and <= 1.
 
     Source: Gonthier, McPhee, Lange & Piedbœuf 2004, Multibody Syst. Dyn. 11, 209,
     doi:10.1023/B:MUBO.0000029392.21648.bc.
@@ -234,6 +258,9 @@ class MarhefkaOrin(AbstractDissipation):
     The restitution falls with the impact speed, :math:`e \approx 1 - a v`, as measured on metals at
     low speed (a = 0.08 ... 0.32 s/m): 0.91 for a v = 0.1, 0.66 for 0.5. The cheapest loss; where e
     must not depend on the speed prefer CarvalhoMartins.
+
+    Args:
+        loss_per_speed: loss a of restitution per impact speed [s/m], >= 0.
 
     Source: Hunt & Crossley 1975, J. Appl. Mech. 42, 440, doi:10.1115/1.3423596; Marhefka & Orin
     1999, IEEE Trans. SMC-A 29, 566, doi:10.1109/3468.798060.

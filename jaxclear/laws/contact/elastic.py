@@ -33,6 +33,9 @@ class Linear(AbstractElasticForce):
 
     For rubber, coatings and comparison with closed solutions; for metal on metal prefer Hertz.
 
+    Args:
+        stiffness: spring stiffness K [N/m], > 0.
+
     Source: Hooke 1678, De potentia restitutiva; in contact Goldsmith 1960, Impact.
     """
 
@@ -47,6 +50,10 @@ class Hertz(AbstractElasticForce):
 
     For contact areas small beside the radii; for a journal in a bearing prefer the laws of
     `cylinder`, for an indentation near the clearance BallInSocket.
+
+    Args:
+        stiffness: generalized contact stiffness K [N/m^exponent], > 0.
+        exponent: exponent of the indentation [1], > 1; None: Hertz's 3/2.
 
     Source: Hertz 1882, J. reine angew. Math. 92, 156, doi:10.1515/crll.1882.92.156; Johnson 1985,
     Contact Mechanics, eq. 4.23, doi:10.1017/CBO9781139171731.
@@ -72,6 +79,11 @@ class BallInSocket(AbstractElasticForce):
     is the distributed-spring model behind it. K here is that model's shape, radius of contact
     :math:`R_s\sqrt{\delta/(c + \delta)}` under Hertz's pressure, its constant chosen so that small
     indentations are Hertz's.
+
+    Args:
+        modulus: combined modulus E* [Pa], > 0; default: steel on steel.
+        socket_radius: socket's radius R_s [m], > 0; by default that of the pair.
+        clearance: radial clearance c [m], > 0; by default that of the pair.
 
     Source: Hou, Deng & Zeng 2021, J. Cent. South Univ. 28, 712, doi:10.1007/s11771-021-4640-y;
     Liu, Zhang & Yang 2006, J. Comput. Nonlinear Dyn. 1, 160.

@@ -68,8 +68,13 @@ class AbstractSetValuedFriction(AbstractFrictionLaw):
 
     @abstractmethod
     def bound(self, slip_speed: Scalar) -> Scalar:
-        """Largest friction over normal force [1], for the sliding speed [m/s] with which an instant
-        begins.
+        """Largest friction force over normal force.
+
+        Args:
+            slip_speed: sliding speed at the beginning of the step [m/s], >= 0.
+
+        Returns:
+            the coefficient [1], >= 0.
         """
 
 
@@ -82,9 +87,10 @@ class Unhindered(NamedTuple):
 
 
 class AbstractForceFriction(AbstractFrictionLaw):
-    """Friction that is a force given by the motion: forces along each sliding direction, for
-    `slip`, the sliding velocity's components [m/s] (structural zeros kept), and its norm
-    `slip_speed`, rounded above 0. `bristles`: deflections [m] of each direction, () without any.
+    """Friction that is a force given by the motion.
+
+    Forces act along the sliding directions of a point, one or two of them. Components that are
+    known to be zero before tracing are structural zeros and stay so.
     """
 
     def coulomb(self):
@@ -98,21 +104,56 @@ class AbstractForceFriction(AbstractFrictionLaw):
     def tractions(
         self, normal_force: Scalar, bristles: tuple, slip: tuple, slip_speed: Scalar
     ) -> tuple[tuple[Any, ...], tuple[Scalar, ...]]:
-        """Forces [N] along each sliding direction, and the rates [m/s] of the deflections."""
+        """Friction forces and rates of the bristles at an instant.
+
+        Args:
+            normal_force: load [N], >= 0.
+            bristles: deflections [m], a tuple with one entry a sliding direction; () without
+                bristles.
+            slip: components of the sliding velocity [m/s], a tuple with one entry a sliding
+                direction.
+            slip_speed: norm of `slip` [m/s], rounded above 0.
+
+        Returns:
+            forces [N] along each sliding direction, and rates [m/s] of the deflections (() without
+            any).
+        """
 
     @abstractmethod
     def steady_coefficient(self, slip_speed: Scalar) -> Scalar:
-        """Traction over normal force [1], >= 0, after long sliding at a speed [m/s] > 0."""
+        """Traction over normal force after long sliding at a constant speed.
+
+        Args:
+            slip_speed: sliding speed [m/s], > 0.
+
+        Returns:
+            the coefficient [1], >= 0.
+        """
 
     @abstractmethod
     def largest_slope(self, step: Scalar) -> Scalar:
-        """Largest increase of the coefficient by the slip [s/m], taken over a step [s] where the
-        law remembers: how hard friction can brake."""
+        """Largest increase of the coefficient with the slip, which bounds how hard friction can
+        brake.
+
+        Args:
+            step: length of a step [s] over which the slope is taken where the law has bristles.
+
+        Returns:
+            the slope [s/m].
+        """
 
     @abstractmethod
     def acting_share(self, normal_force: Scalar, traction: Scalar, slip_speed: Scalar) -> Scalar:
-        """Share [1] of a step in which a contact of mean slip `slip_speed` [m/s] has rubbed, if the
-        mean friction over the step was `traction` [N] >= 0."""
+        """Share of a step in which the contact has rubbed.
+
+        Args:
+            normal_force: load [N], >= 0.
+            traction: mean friction force over the step [N], >= 0.
+            slip_speed: mean sliding speed over the step [m/s].
+
+        Returns:
+            the share [1].
+        """
 
     @abstractmethod
     def linearised(
@@ -125,10 +166,23 @@ class AbstractForceFriction(AbstractFrictionLaw):
         step: Scalar,
         bias: Scalar,
     ) -> tuple[list[Any], list[Scalar]]:
-        """Mean forces [N] along each direction over a step of length `step` [s], and the damping
-        [N s/m] >= 0 with which each falls as its component of the slip grows: linear laws whose
-        repeated solution ends where friction and inertia agree. `bias`: 0 averages over the step,
-        1 takes its end."""
+        """Mean forces over a step and their damping: a linear law, whose repeated solution ends
+        where friction and inertia agree.
+
+        Args:
+            normal_force: load [N], >= 0.
+            bristles: deflections at the beginning of the step [m], one entry a sliding direction;
+                () without bristles.
+            slip: components of the sliding velocity [m/s], one entry a sliding direction.
+            slip_speed: norm of `slip` [m/s], rounded above 0.
+            unhindered: slip without friction and what friction takes away of it, an `Unhindered`.
+            step: length of the step [s].
+            bias: 0 for the mean over the step, 1 for its end [1]; between them, a weighted mean.
+
+        Returns:
+            forces [N] along each sliding direction, and the damping [N s/m], >= 0, with which each
+            falls as its component of the slip grows.
+        """
 
     @abstractmethod
     def bristles_after(
@@ -140,7 +194,19 @@ class AbstractForceFriction(AbstractFrictionLaw):
         step: Scalar,
         bias: Scalar,
     ) -> tuple[Scalar, ...]:
-        """Deflections [m] at the end of a step; those of an open contact straighten."""
+        """Deflections at the end of a step; those of an open contact straighten.
+
+        Args:
+            normal_force: load [N], >= 0.
+            bristles: deflections at the beginning of the step [m], one entry a sliding direction.
+            slip: components of the sliding velocity [m/s], one entry a sliding direction.
+            slip_speed: norm of `slip` [m/s], rounded above 0.
+            step: length of the step [s].
+            bias: as in `linearised` [1].
+
+        Returns:
+            deflections [m], one entry a sliding direction; () without bristles.
+        """
 
 
 # Sliding slower than this [m/s] is rounding of a contact that sticks.
@@ -152,6 +218,13 @@ class Coulomb(AbstractSetValuedFriction):
     no function of the speed.
 
     Where the formulation needs a function take CoulombTanh (cheap, creeps) or Dahl (sticks).
+
+    Args:
+        mu_kinetic: kinetic friction coefficient mu_d [1], >= 0.
+        mu_static: static friction coefficient mu_s [1], >= 0; None: as the kinetic one.
+
+    Raises:
+        ValueError: if mu_static is below mu_kinetic.
 
     Source: Coulomb 1785, Théorie des machines simples; as a complementarity problem Pfeiffer &
     Glocker 1996, Multibody Dynamics with Unilateral Contacts, doi:10.1002/9783527618385.

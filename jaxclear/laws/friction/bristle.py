@@ -34,8 +34,10 @@ SERIES = 1e-3
 
 
 class AbstractBristleFriction(AbstractForceFriction):
-    """Friction with one deflection per sliding direction as state: a law says how it moves and
-    which coefficient goes with it.
+    """Friction with one deflection per sliding direction as state.
+
+    A law says how the deflection moves and which coefficient goes with it; both must be linear in
+    the deflection.
     """
 
     set_valued = False
@@ -43,13 +45,30 @@ class AbstractBristleFriction(AbstractForceFriction):
 
     @abstractmethod
     def deflection_rate(self, deflection: Scalar, slip: Scalar, slip_speed: Scalar) -> Scalar:
-        """Rate [m/s] of one direction's deflection [m]; slip: that component of the velocity,
-        slip_speed: all components' norm [m/s].
+        """Rate of the deflection along one sliding direction.
+
+        Args:
+            deflection: deflection of the bristles along this direction [m].
+            slip: component of the sliding velocity along this direction [m/s].
+            slip_speed: norm of the sliding velocity [m/s].
+
+        Returns:
+            the rate [m/s].
         """
 
     @abstractmethod
     def coefficient(self, deflection: Scalar, deflection_rate: Scalar, slip: Scalar) -> Scalar:
-        """Signed component [1] of (minus traction) over normal force."""
+        """Friction force over normal force along one sliding direction, positive against positive
+        slip.
+
+        Args:
+            deflection: deflection of the bristles along this direction [m].
+            deflection_rate: its rate [m/s].
+            slip: component of the sliding velocity along this direction [m/s].
+
+        Returns:
+            the signed coefficient [1].
+        """
 
     def steady_coefficient(self, slip_speed):
         # Laws are linear in the deflection.
@@ -132,6 +151,10 @@ class Dahl(AbstractBristleFriction):
     :math:`|z| \le z_0`, so the coefficient never exceeds :math:`\mu`. Rate-independent; where
     friction falls with speed prefer LuGre.
 
+    Args:
+        mu_kinetic: kinetic friction coefficient mu_d [1], >= 0.
+        presliding: deflection z_0 at which the bristles yield [m], > 0.
+
     Source: Dahl 1968, A solid friction model, Aerospace Corp. TOR-0158(3107-18)-1,
     doi:10.21236/ADA041920, with exponent 1; :math:`z_0 = \mu/\sigma_0` of the usual notation, so
     that :math:`\mu = 0` is no friction rather than a division by zero.
@@ -156,6 +179,17 @@ class LuGre(AbstractBristleFriction):
     :math:`t(v) = t_0/(1 + t_0|v|/(4 z_0 s))`, which makes every motion along one line dissipate
     (with constant t the original can return energy at high speed). Sticks, hysteresis, break-away;
     stiff: where sliding dominates prefer Stribeck.
+
+    Args:
+        mu_static: static friction coefficient mu_s [1], >= 0.
+        mu_kinetic: kinetic friction coefficient mu_d [1], >= 0.
+        stribeck_speed: speed v_S over which friction falls from static to kinetic [m/s], > 0.
+        presliding: deflection z_0 at which the bristles yield from rest [m], > 0.
+        settling_time: damping time t_0 of the bristles at rest [s], >= 0.
+        viscous: viscous coefficient per sliding speed [s/m], >= 0; None: absent.
+
+    Raises:
+        ValueError: if mu_static is below mu_kinetic.
 
     Source: Canudas de Wit, Olsson, Åström & Lischinsky 1995, IEEE Trans. Autom. Control 40, 419,
     doi:10.1109/9.376053; damping that fades with speed after Olsson 1996, Control Systems with

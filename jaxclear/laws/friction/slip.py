@@ -21,14 +21,21 @@ from jaxclear.laws.law import check_increasing
 
 
 class AbstractSlipFriction(AbstractForceFriction):
-    """A function of the sliding speed alone; slope at rest finite."""
+    """Friction as a function of the sliding speed alone, with a finite slope at rest."""
 
     set_valued = False
     bristles = 0
 
     @abstractmethod
     def coefficient(self, slip_speed: Scalar) -> Scalar:
-        """Traction over normal force [1], >= 0, from the sliding speed [m/s] >= 0."""
+        """Friction force over normal force.
+
+        Args:
+            slip_speed: sliding speed [m/s], >= 0.
+
+        Returns:
+            the coefficient [1], >= 0; 0 at rest.
+        """
 
     def steady_coefficient(self, slip_speed):
         return self.coefficient(slip_speed)
@@ -79,6 +86,10 @@ class CoulombTanh(AbstractSlipFriction):
     r""":math:`\mu_d\tanh(|v|/v_0)`: smooth, bounded by `mu_kinetic`, analytic at rest. Creeps; for
     sticking prefer Dahl.
 
+    Args:
+        mu_kinetic: kinetic friction coefficient mu_d [1], >= 0.
+        transition_speed: speed v_0 at which three quarters of the friction act [m/s], > 0.
+
     Source: Andersson, Söderberg & Björklund 2007, Tribol. Int. 40, 580,
     doi:10.1016/j.triboint.2005.11.014.
     """
@@ -101,6 +112,14 @@ class Ambrosio(AbstractSlipFriction):
 
     No friction at all below :math:`v_0`, corners at both speeds; for smooth derivatives prefer
     CoulombTanh.
+
+    Args:
+        mu_kinetic: kinetic friction coefficient mu_d [1], >= 0.
+        inner_speed: speed v_0 up to which there is no friction [m/s], >= 0.
+        outer_speed: speed v_1 from which friction acts in full [m/s], > 0.
+
+    Raises:
+        ValueError: if inner_speed is not below outer_speed.
 
     Source: Ambrósio 2003, in Virtual Nonlinear Multibody Systems, 57,
     doi:10.1007/978-94-010-0203-5; Hou, Deng & Zeng 2021, J. Cent. South Univ. 28, 712, eq. 22 and
@@ -131,6 +150,15 @@ class ThreeZone(AbstractSlipFriction):
     :math:`\mu_d` up to :math:`V_d`, :math:`\mu_d` above. Needs :math:`V_s < V_d`.
 
     Once differentiable everywhere. Near AdamsStep in value; for sticking prefer LuGre.
+
+    Args:
+        mu_static: static friction coefficient mu_s [1], >= 0.
+        mu_kinetic: kinetic friction coefficient mu_d [1], >= 0.
+        static_speed: speed V_s at which friction is largest [m/s], > 0.
+        kinetic_speed: speed V_d from which friction is kinetic [m/s], > 0.
+
+    Raises:
+        ValueError: if mu_static is below mu_kinetic, or static_speed not below kinetic_speed.
 
     Source: conference paper "Dynamic Behavior of Four-bar Mechanism with Three-dimensional
     Clearance and Wear", eq. 4; a form of the velocity-dependent friction of Bai & Zhao 2013, Int.
@@ -163,6 +191,15 @@ class AdamsStep(AbstractSlipFriction):
 
     Once differentiable. Near ThreeZone in value; for sticking prefer LuGre.
 
+    Args:
+        mu_static: static friction coefficient mu_s [1], >= 0.
+        mu_kinetic: kinetic friction coefficient mu_d [1], >= 0.
+        static_speed: stiction transition speed v_s [m/s], > 0.
+        kinetic_speed: friction transition speed v_d [m/s], > 0.
+
+    Raises:
+        ValueError: if mu_static is below mu_kinetic, or static_speed not below kinetic_speed.
+
     Source: MSC Adams/Solver, CONTACT; Wan, Liu, Ma & Tong, "Investigation on Dynamic Interaction of
     Multiple Clearance Joints for Flap Actuation System", eq. 8. Misprints there: F_n is missing
     from the second and third case, and the second STEP runs from v_d to v_s, where Adams asks for
@@ -193,6 +230,11 @@ class Threlfall(AbstractSlipFriction):
 
     Continuous with a small corner at :math:`v_r`. For smooth derivatives prefer CoulombTanh.
 
+    Args:
+        mu_kinetic: kinetic friction coefficient mu_d [1], >= 0.
+        transition_speed: speed v_r from which friction is kinetic [m/s], > 0.
+        steepness: exponent reached at v_r [1], > 0; 3 in Threlfall's paper.
+
     Source: Threlfall 1978, Mech. Mach. Theory 13, 475, doi:10.1016/0094-114X(78)90020-4, where 0.95
     stands for :math:`1 - e^{-3}` and leaves a jump of 2e-4.
     """
@@ -219,6 +261,15 @@ class BengisuAkay(AbstractSlipFriction):
 
     Continuous with a corner at :math:`v_0` for :math:`\mu_s > \mu_d`. Same picture as Stribeck,
     with a peak at a chosen speed.
+
+    Args:
+        mu_static: static friction coefficient mu_s [1], >= 0.
+        mu_kinetic: kinetic friction coefficient mu_d [1], >= 0.
+        peak_speed: speed v_0 at which friction is largest [m/s], > 0.
+        decay: rate xi at which friction falls from static to kinetic [s/m], >= 0.
+
+    Raises:
+        ValueError: if mu_static is below mu_kinetic.
 
     Source: Bengisu & Akay 1994, J. Sound Vib. 171, 557, doi:10.1006/jsvi.1994.1140; Marques,
     Flores, Claro & Lankarani 2016, Nonlinear Dyn. 86, 1407, doi:10.1007/s11071-016-2999-3.
@@ -248,6 +299,16 @@ class Stribeck(AbstractSlipFriction):
     Smooth. Needs :math:`v_0 < v_S`, well below, or the peak stays under :math:`\mu_s`. Without
     `viscous` bounded by the larger coefficient. For sticking prefer LuGre, which has this curve for
     sliding.
+
+    Args:
+        mu_static: static friction coefficient mu_s [1], >= 0.
+        mu_kinetic: kinetic friction coefficient mu_d [1], >= 0.
+        stribeck_speed: speed v_S over which friction falls from static to kinetic [m/s], > 0.
+        transition_speed: speed v_0 of the ramp through rest [m/s], > 0.
+        viscous: viscous coefficient per sliding speed [s/m], >= 0; None: absent.
+
+    Raises:
+        ValueError: if mu_static is below mu_kinetic, or transition_speed not below stribeck_speed.
 
     Source: Stribeck 1902, Z. VDI 46, 1341; Armstrong-Hélouvry, Dupont & Canudas de Wit 1994,
     Automatica 30, 1083, doi:10.1016/0005-1098(94)90209-7 (exponent 2).

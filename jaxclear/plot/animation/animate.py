@@ -102,16 +102,32 @@ GLASS = 0.25
 
 
 class Animation(eqx.Module):
-    """An animation: `html` is its page, shown in a notebook as it is; `save(path)` writes it.
-    `frames` and how many seconds it `lasts` [s] as it is first shown."""
+    """An animation of a run as one HTML page.
+
+    A notebook shows it; `save` writes it to a file.
+
+    Args:
+        html: the page.
+        frames: number of frames.
+        lasts: duration as it is first shown [s].
+    """
 
     html: str = eqx.field(static=True, repr=False)
     frames: int = eqx.field(static=True)
     lasts: float = eqx.field(static=True)
 
     def save(self, path: Any) -> Path:
-        """Writes the page as one file (.html) that opens by itself. Returns its path. Raises
-        `ValueError` for the name of a film or a picture."""
+        """Write the page to one file that opens by itself.
+
+        Args:
+            path: path of the file, ending in .html or .htm.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: if the path ends otherwise.
+        """
         path = Path(path)
         if path.suffix.lower() not in (".html", ".htm"):
             raise ValueError(
@@ -136,21 +152,31 @@ def animate(
     meshes: Mapping[str, Any] | None = None,
     title: str | None = None,
 ) -> Animation:
-    """The run in space, with an arrow for the normal force of every contact on its journal, and an
-    inset for every joint with clearance: the journal in its bearing, the gap magnified, its
-    contacts with their forces, and how deep the wall has worn by then.
+    """An animation of a run in space, with a magnified view of every joint with clearance.
 
-    Arrows grow with the root of the force. Worn depths are those at each saving time as the gap
-    reads them, also of a run that began worn.
+    Arrows show the normal force of every contact on its journal; their length grows with the square
+    root of the force. Each magnified view shows the journal in its bearing, the gap magnified, the
+    contact forces and the worn depth at that time (also of a run that began worn). A body that
+    hides a joint with clearance in the first view is transparent. Needs `pip install
+    "jaxclear[view]"`.
 
-    `slower`: how many seconds one second of the run takes [1] (below 1: faster); by default the
-    whole run takes 10 s, or as long as it is between 3 and 60 s. `fps`: frames a second, from the
-    saving times nearest to them. `meshes`: by the name of a body the path of a file (as meshio
-    reads it) or (points [m], triangles), in the body's frame, or several of them by name
-    (`jaxclear.read_shapes` reads those of a URDF or MJCF file); a body without one is the cuboid
-    that has its inertia, no larger than its joints are apart. A body that hides a joint with
-    clearance in the first view is seen through. Needs `pip install "jaxclear[view]"`. Raises
-    `ValueError`.
+    Args:
+        run: the run.
+        slower: seconds of animation for one second of the run [1], > 0; by default the run takes 10
+            s, or as long as it is between 3 and 60 s.
+        fps: frames per second, >= 1, taken from the nearest saving times; 60 by default.
+        meshes: shape of bodies by name, in the body's frame: path of a file (as meshio reads it),
+            or (points [m], triangles), or several of these by name, as `jaxclear.read_shapes`
+            returns them. Other bodies are cuboids with their inertia, no larger than the distance
+            of their joints.
+        title: text above the page; None (default) for none.
+
+    Returns:
+        The `Animation`.
+
+    Raises:
+        ValueError: if an argument is out of range or the run has a single saving time.
+        ImportError: if k3d is not installed.
     """
     check_run(run)
     if slower is not None:

@@ -10,7 +10,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.ground.argument_errors import nothing_else
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
 from jaxclear.ground.wording import described
 
@@ -87,7 +87,7 @@ class ISO286(AbstractCatalogue):
             )
         for grade in grades:
             names = [f"IT{one}" for one in range(FINEST, COARSEST + 1)]
-            check_known("grade of catalogue.ISO286", f"IT{grade}", names)
+            check_name("grade of catalogue.ISO286", f"IT{grade}", names)
         self.grades = tuple(sorted(set(grades)))
 
     def numbers(self):

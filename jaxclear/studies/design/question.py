@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.wording import described
 from jaxclear.studies.design.catalogue import AbstractCatalogue
@@ -125,7 +125,7 @@ def freedom_of(problem: Any, nominal: Mapping | None, tolerance: Mapping | None)
     for kind, given in ((NOMINAL, nominal), (TOLERANCE, tolerance)):
         expect(given or {}, Mapping, f"{kind} of design", "a dictionary from names of variables")
         for name, span in (given or {}).items():
-            check_known("variable", name, names, " in this problem")
+            check_name("variable", name, names, " in this problem")
             choices.append(_choice(kind, name, names.index(name), span))
     if not choices:
         raise ValueError(
@@ -263,7 +263,7 @@ def checked_cost(cost: Any, freedom: Freedom) -> Cost:
     if not cost:
         raise ValueError("cost of design is empty; it must hold a cost for one tolerance at least.")
     for name, own in cost.items():
-        check_known("variable", name, freedom.names, " in this problem")
+        check_name("variable", name, freedom.names, " in this problem")
         expect(own, AbstractCost, f'cost of "{name}"', "one of jaxclear.cost, such as Reciprocal")
         choice = free.get(freedom.names.index(name))
         low, high = own.known()
@@ -292,7 +292,7 @@ def checked_limits(limits: Any, problem: Any) -> tuple[AbstractLimit, ...]:
     for limit in given:
         expect(limit, AbstractLimit, "a limit of design", "one of jaxclear.limit")
         known = (*problem.response_names, *problem.names)
-        check_known("response", limit.response, known, " in this problem (nor variable)")
+        check_name("response", limit.response, known, " in this problem (nor variable)")
         if limit.response in problem.response_names:
             check_levels(problem, limit)
     return tuple(given)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from jaxclear.ground.arguments import check_count, check_known
+from jaxclear.ground.arguments import check_count, check_name
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
 from jaxclear.studies.design.lagrangian import cheapest_by_steps
 from jaxclear.studies.design.optimise import Candidate, Search, cheapest, chosen
@@ -65,7 +65,7 @@ class DesignSettings(AbstractQuantified):
     surface: bool | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        check_known("method of a design", self.method, METHODS)
+        check_name("method of a design", self.method, METHODS)
         if self.runs is not None:
             check_count("runs of DesignSettings", self.runs)
 

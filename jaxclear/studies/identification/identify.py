@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_count, check_flags, check_known, expect
+from jaxclear.ground.arguments import check_count, check_flags, check_name, expect
 from jaxclear.ground.wording import described
 from jaxclear.results.signal import usual_statistics
 from jaxclear.studies.identification.laws import DISSIPATION, FRICTION, Ensemble, ensemble
@@ -112,7 +112,7 @@ def identify(
     """
     records = checked_records(data)
     check_count("runs of identify", runs, at_least=LEAST_RUNS)
-    check_known("way", how, WAYS, " of identify")
+    check_name("way", how, WAYS, " of identify")
     check_flags("identify", progress_bar=progress_bar)
     models = models_of(problem, records)
     records = compared_records(problem, records)

@@ -7,7 +7,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.columns import columns_of
 from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.table import as_table
@@ -69,7 +69,7 @@ class Measurement(AbstractShown):
         self.time, self.signals = even, own
         self.sensors = {name: sensors[name] for name in own}
         if isinstance(turn, str):
-            check_known("signal", turn, own, " of the Measurement to tell its turns")
+            check_name("signal", turn, own, " of the Measurement to tell its turns")
             expect(sensors[turn], Encoder, f'the sensor of signal "{turn}"', "an Encoder")
         elif turn is not None:
             check_number("turn of a Measurement", turn, "s", above=0)
@@ -88,7 +88,7 @@ class Measurement(AbstractShown):
         """A record from a file whose first line names its columns, between commas, semicolons or
         tabs: the column `time`, in `time_unit` ("s", "ms" or "us"), and the columns of `signals`,
         {column: sensor}, each in the unit of its sensor."""
-        check_known("unit", time_unit, UNITS, " of time")
+        check_name("unit", time_unit, UNITS, " of time")
         at, *values = columns_of(path, (time, *signals))
         own = dict(zip(signals, values, strict=True))
         return cls(UNITS[time_unit] * at, own, signals, turn)

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.wording import described, listed
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.function_problem import Dimension, FunctionProblem
@@ -125,7 +125,7 @@ def _forward(problem: AbstractProblem, record: Measurement) -> Forward:
     if isinstance(problem, FunctionProblem):
         for name, sensor in sensors.items():
             expect(sensor, Series, f'the sensor of signal "{name}"', "a jaxclear.sensor.Series")
-            check_known(
+            check_name(
                 "series",
                 getattr(sensor, "name", ""),
                 problem.series_names,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from jaxclear.ground.arguments import check_known, check_number
+from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.studies.answer import DATASET, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution import Empirical
@@ -178,7 +178,7 @@ class Identified(AbstractAnswer):
     def __getitem__(self, name: str) -> Unknown:
         """What is known of one unknown, or of a response that follows."""
         known = {own.name: own for own in (*self.unknowns, *self.answers)}
-        check_known("unknown", name, known, " of this identification")
+        check_name("unknown", name, known, " of this identification")
         return known[name]
 
     @property

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_flags, check_known, check_number, expect
-from jaxclear.ground.printing import shown_in_words
+from jaxclear.ground.arguments import check_flags, check_name, check_number, expect
+from jaxclear.ground.printing import with_text_repr
 from jaxclear.ground.wording import unit_of_rate
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
@@ -31,7 +31,7 @@ AGREED = 0.1
 POWER = 4
 
 
-@shown_in_words
+@with_text_repr
 class LifeDerivative(NamedTuple):
     """Derivative of a life with respect to a variable, in `unit`: its `value`, half the width of a
     95 % interval (nan where there is none), and a sentence."""
@@ -66,12 +66,12 @@ def wear_life_derivatives(
     reach.
     """
     expect(life, WearLife, "the life", "what jaxclear.wear_life returns")
-    check_known("quantity", quantity, life.quantities, " in this life")
+    check_name("quantity", quantity, life.quantities, " in this life")
     check_flags("wear_life_derivatives", progress_bar=progress_bar)
     problem = life.problem
     names = problem.names if variables is None else tuple(variables)
     for name in names:
-        check_known("variable", name, problem.names, " in this problem")
+        check_name("variable", name, problem.names, " in this problem")
     if not names:
         raise ValueError("the problem of this life has no variables; give it some.")
     if width is not None:

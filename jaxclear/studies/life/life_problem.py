@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.arguments import check_count, check_flags, check_known, check_number, expect
+from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number, expect
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
@@ -80,7 +80,7 @@ class AbstractLifeResponse(AbstractQuantified):
 
     def check(self, units: dict[str, str]) -> None:
         """Raises `ValueError` for a quantity that lives with these units do not tell of."""
-        check_known("quantity", self.name, units, " in this life")
+        check_name("quantity", self.name, units, " in this life")
 
 
 class LifeUntil(AbstractLifeResponse):

@@ -11,8 +11,8 @@ import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from jaxclear.ground.arguments import check_known, check_number
-from jaxclear.ground.printing import shown_in_words
+from jaxclear.ground.arguments import check_name, check_number
+from jaxclear.ground.printing import with_text_repr
 from jaxclear.integrators.checks import Checks
 from jaxclear.results.response import concerned
 from jaxclear.results.state_history import State
@@ -40,7 +40,7 @@ class Stage(NamedTuple):
     settled: Settling
 
 
-@shown_in_words
+@with_text_repr
 class Lifetime(NamedTuple):
     """Cycles after which a limit is reached (`inf` where it is not within the life that was asked
     for), half the width of a 95 % interval, and a sentence."""
@@ -146,7 +146,7 @@ class WearLife(AbstractAnswer):
 
     def over_life(self, name: str, cycles: Any = None) -> np.ndarray:
         """A quantity at the stages, or after so many `cycles`."""
-        check_known("quantity", name, self.quantities, " in this life")
+        check_name("quantity", name, self.quantities, " in this life")
         at = self.cycles if cycles is None else np.asarray(cycles, float)
         for end in (at.min(initial=0.0), at.max(initial=0.0)):
             self._within(end)
@@ -173,7 +173,7 @@ class WearLife(AbstractAnswer):
         """After how many cycles a quantity first reaches a limit, in its unit: from "depth" (the
         largest of all), "volume", those of one surface, or a response. The error is what that of
         the depth, and for a response its noise and the way between stages, may shift it by."""
-        check_known("quantity", name, self.quantities, " in this life")
+        check_name("quantity", name, self.quantities, " in this life")
         check_number("the limit", limit)
         unit, last = self.quantities[name], float(self.cycles[-1])
         function = self._function(name)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from jaxclear.ground.printing import shown_in_words
+from jaxclear.ground.printing import with_text_repr
 from jaxclear.studies.reliability.models import AbstractModel
 
 # A point is found where the limit and the nearest point are this near, in deviations.
@@ -39,7 +39,7 @@ FLAT = 1e-6
 STARTS, AGAIN, START_RADIUS, OFF_MIDDLE = 6, 3, 2.5, 0.3
 
 
-@shown_in_words
+@with_text_repr
 class DesignPoint(NamedTuple):
     """A likeliest failing part: `normal` z (variables,), `beta` its distance from the middle,
     negative where the middle fails; the limits of `cut` that are broken at once, their `directions`

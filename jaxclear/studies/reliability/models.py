@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.ground.printing import shown_in_words
+from jaxclear.ground.printing import with_text_repr
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import answered
@@ -146,7 +146,7 @@ def _surface_slopes(surface, limits, normal):
     return jax.vmap(lambda z: (margins(z), jax.jacfwd(margins)(z)))(normal)
 
 
-@shown_in_words
+@with_text_repr
 class Probability(NamedTuple):
     """Probability of failing [1] by one method. `variation` is its coefficient of variation, the
     standard error over the value; nan where a method does not know its own error. It is that of

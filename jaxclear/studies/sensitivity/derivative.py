@@ -11,7 +11,7 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.printing import AbstractShown, in_few, shown_in_words, with_error
+from jaxclear.ground.printing import AbstractShown, in_few, with_error, with_text_repr
 from jaxclear.ground.wording import unit_of_rate
 from jaxclear.studies.answer import DATASET, RESPONSE, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.monte_carlo import MonteCarlo
@@ -37,7 +37,7 @@ WIDEST = "regression"
 PARTS = ("value", "error", "refusal", "warnings")
 
 
-@shown_in_words
+@with_text_repr
 class Estimate(NamedTuple):
     """A derivative by one method. `error` is half the width of its 95 % interval, bias included;
     `refusal` says why a method has no answer (then value and error are nan). `doubt` says what its
@@ -69,7 +69,7 @@ def refused(why: str) -> Estimate:
     return Estimate(np.nan, np.nan, why)
 
 
-@shown_in_words
+@with_text_repr
 class Derivative(AbstractShown):
     """Derivative of a statistic of a response over the tolerances (by default its mean) with
     respect to one variable or the width of its distribution, with its 95 % error.

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.wording import described
 from jaxclear.studies.base import AbstractProblem
@@ -203,7 +203,7 @@ def functionals(of: Any, problem: AbstractProblem) -> list[Functional]:
     if not isinstance(of, Mapping):
         of = dict.fromkeys(problem.response_names, of)
     for name in of:
-        check_known("response", name, problem.response_names, " in this problem")
+        check_name("response", name, problem.response_names, " in this problem")
     asked = [_functional(name, one) for name, own in of.items() for one in _several(own)]
     for one in asked:
         if one.kind in ("above", "below"):
@@ -223,7 +223,7 @@ def _several(given: Any) -> list:
 
 def _functional(response: str, given: Any) -> Functional:
     if isinstance(given, str) and given not in KINDS:
-        check_known("statistic of sensitivity", given, WORDS)
+        check_name("statistic of sensitivity", given, WORDS)
         return Functional(response, given)
     if not isinstance(given, (tuple, list)) or len(given) != 2 or given[0] not in KINDS:
         raise ValueError(
@@ -271,7 +271,7 @@ def directions(problem: AbstractProblem, wanted: list[str]) -> list[Direction]:
         if name not in known and own:
             what = problem.variables[own[-1]].distribution.width()[0]
             raise ValueError(f'no "{name}" in this problem; there is "{what} of {own[-1]}".')
-        check_known("variable", name, known, " in this problem")
+        check_name("variable", name, known, " in this problem")
     return [known[name] for name in wanted]
 
 

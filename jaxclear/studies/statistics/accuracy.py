@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxclear.ground.arguments import check_known, check_number
-from jaxclear.ground.printing import shown_in_words
+from jaxclear.ground.arguments import check_name, check_number
+from jaxclear.ground.printing import with_text_repr
 from jaxclear.studies.statistics.scrambled import jackknifed, student
 
 # What is asked of each response by name, and whether it is a share of its root mean square.
@@ -28,7 +28,7 @@ def asked_of(accuracy: Any, responses: tuple[str, ...], owner: str = "monte_carl
         check_number(f"accuracy of {owner}", accuracy, above=0)
         return dict.fromkeys(responses, float(accuracy)), True
     for name, wanted in accuracy.items():
-        check_known("response", name, responses, " in this problem")
+        check_name("response", name, responses, " in this problem")
         check_number(f'accuracy of "{name}"', wanted, above=0)
     return {name: float(wanted) for name, wanted in accuracy.items()}, False
 
@@ -79,7 +79,7 @@ def unreached(short: dict[str, tuple[float, float]]) -> str:
     return f"The accuracy asked is not reached (mean of {means}): allow more samples."
 
 
-@shown_in_words
+@with_text_repr
 class NumericalError(NamedTuple):
     """How far a statistic is off by what discretises its runs, in its unit: told by so many
     `replicas`, it is too large by `bias`, known to ± `uncertainty` (95 %); `sampling` is half of

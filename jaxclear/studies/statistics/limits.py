@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from jaxclear.ground.arguments import check_known, check_number, expect
-from jaxclear.ground.printing import shown_in_words
+from jaxclear.ground.arguments import check_name, check_number, expect
+from jaxclear.ground.printing import with_text_repr
 from jaxclear.ground.wording import described
 from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed, quantile, share
 
@@ -27,7 +27,7 @@ def check_limits(limits: Any, responses: Iterable[str]) -> None:
     """Raises `ValueError` with a sentence for limits that are none."""
     expect(limits, Mapping, "limits", "a dictionary from responses to (low, high)")
     for name, pair in limits.items():
-        check_known("response", name, responses, " in this study")
+        check_name("response", name, responses, " in this study")
         if not isinstance(pair, (tuple, list)) or len(pair) != 2 or tuple(pair) == (None, None):
             raise ValueError(
                 f'the limits of "{name}" are {described(pair)}; they must be two numbers, (low, '
@@ -70,7 +70,7 @@ def yield_of(
     return Statistic(told.value, told.low * kept, told.high * kept + 1.0 - kept)
 
 
-@shown_in_words
+@with_text_repr
 class ToleranceInterval(NamedTuple):
     """At least a share `content` [1] of all parts lies from `low` to `high` (infinite where that
     side is open), with a `confidence` [1]. Limits carry the interval that the scramblings tell."""

@@ -20,7 +20,7 @@ import equinox as eqx
 import numpy as np
 import scipy
 
-from jaxclear.ground.printing import shown_in_words, with_error
+from jaxclear.ground.printing import with_error, with_text_repr
 
 # A 95 % interval leaves half of 5 % on each side.
 CONFIDENCE = 0.95
@@ -32,7 +32,7 @@ SAMPLES_A_TERM = 6
 REST = "what no plane explains"
 
 
-@shown_in_words
+@with_text_repr
 class Statistic(eqx.Module):
     """A statistic of a response: its `value`, and the 95 % interval from `low` to `high`, in the
     statistic's `unit` ("": not told); infinite where the sample is too small to bound it. A row of

@@ -21,7 +21,7 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags
-from jaxclear.ground.printing import left_out
+from jaxclear.ground.printing import failed_samples_sentence
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, with_interval
 from jaxclear.studies.base import AbstractProblem
@@ -67,7 +67,9 @@ class ShapleyEffects(AbstractAnswer):
         """Which variables lead the variance of each response, what a surface leaves out, and how
         many samples failed."""
         led = leading(self.effects, "Shapley effect")
-        return " ".join(filter(None, [led, self.remark, left_out(self.failed, "sample")]))
+        return " ".join(
+            filter(None, [led, self.remark, failed_samples_sentence(self.failed, "sample")])
+        )
 
     def _stated(self):
         named = {"error_name": "error (95 %)"}

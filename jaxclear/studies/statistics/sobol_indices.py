@@ -25,7 +25,7 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags
-from jaxclear.ground.printing import left_out
+from jaxclear.ground.printing import failed_samples_sentence
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, with_interval
 from jaxclear.studies.base import AbstractProblem
@@ -66,7 +66,7 @@ class SobolIndices(AbstractAnswer):
     def sentence(self) -> str:
         """Which variables lead the variance of each response, and how many base samples failed."""
         led = leading(self.total, "total index")
-        return " ".join(filter(None, [led, left_out(self.failed, "base sample")]))
+        return " ".join(filter(None, [led, failed_samples_sentence(self.failed, "base sample")]))
 
     def _stated(self):
         over = (RESPONSE, VARIABLE)

@@ -9,8 +9,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxclear.ground.arguments import check_known
-from jaxclear.ground.printing import shown_in_words
+from jaxclear.ground.arguments import check_name
+from jaxclear.ground.printing import with_text_repr
 from jaxclear.integrators.checks import Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import answered
@@ -37,7 +37,7 @@ def _of_one(method: Callable) -> Any:
     return asked
 
 
-@shown_in_words
+@with_text_repr
 class Campaign:
     """The finished samples in a folder. Statistics are those of `MonteCarlo`, computed from one
     response at a time; `sample` is the whole study in memory, with all that it can be asked.
@@ -177,7 +177,7 @@ class Campaign:
         """The study of one response, or of a few, without values; of every check whether it is
         beyond its limit."""
         for name in names:
-            check_known("response", name, self.problem.response_names, " in this study")
+            check_name("response", name, self.problem.response_names, " in this study")
         columns, outcomes, beyond = [], [], []
         for at in self._spans():
             found = self._samples.found(at)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxclear.ground.datasets import told_versions
+from jaxclear.ground.datasets import library_versions
 from jaxclear.ground.warning import warn
 from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
@@ -231,7 +231,7 @@ class Samples:
 
     @cached_property
     def _now(self) -> dict[str, str]:
-        return told_versions()
+        return library_versions()
 
     @property
     def _names(self) -> list[str]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
-from jaxclear.ground.printing import shown_in_words, with_error
+from jaxclear.ground.printing import with_error, with_text_repr
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, AbstractAnswer, Column, Stated, means_and_deviations
 from jaxclear.studies.endless import refuse_endless
@@ -36,7 +36,7 @@ SURFACE_SCRAMBLINGS, SURFACE_POINTS, TOGETHER = 16, 8192, 1024
 FEWEST = 4
 
 
-@shown_in_words
+@with_text_repr
 class CorrectedStatistic(NamedTuple):
     """A number and half the width of its 95 % interval, in one unit; `gain` [1] says how many times
     its variance is below that of the same runs without the surface."""

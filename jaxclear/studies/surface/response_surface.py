@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_name
 from jaxclear.studies.answer import (
     DATASET,
     RESPONSE,
@@ -58,12 +58,12 @@ class ResponseSurface(AbstractAnswer):
 
     def trusted(self, response: str) -> bool:
         """Whether the surface may stand for runs of a response."""
-        check_known("response", response, self.quality, " of this surface")
+        check_name("response", response, self.quality, " of this surface")
         return self.quality[response] >= TRUSTED
 
     def error(self, response: str) -> float:
         """Root mean square of the leave-one-out errors, in the response's unit."""
-        check_known("response", response, self.quality, " of this surface")
+        check_name("response", response, self.quality, " of this surface")
         missed = self.responses[response] - self.predictions[response]
         return float(np.sqrt(np.mean(missed**2)))
 

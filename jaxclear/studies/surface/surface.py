@@ -17,7 +17,7 @@ import scipy
 from jaxtyping import Array, Float
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_count, check_flags, check_known, check_number, expect
+from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number, expect
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.monte_carlo import MonteCarlo
@@ -52,7 +52,7 @@ def check_region(problem: AbstractProblem, over: Any) -> None:
         check_number("over of surface (or ranges by name)", over, above=0)
         return
     for name, own in over.items():
-        check_known("variable", name, problem.names, " in this problem")
+        check_name("variable", name, problem.names, " in this problem")
         pair = isinstance(own, (tuple, list)) and len(own) == 2
         if (
             not pair
