@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxclear.components.beam import Beam, Piece, hinge_names, with_pieces
+from jaxclear.components.beam import Beam, Elasticity, Piece, hinge_names, with_pieces
 from jaxclear.components.body import Body, Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import AbstractCoupling
@@ -142,7 +142,11 @@ def in_words(mechanism: Any) -> str:
     ):
         given = getattr(mechanism, part)
         hidden = hinge_names(mechanism.loads) if part == "connections" else ()
-        given = {n: x for n, x in dict.items(given) if not isinstance(x, Piece) and n not in hidden}
+        given = {
+            n: x
+            for n, x in dict.items(given)
+            if not isinstance(x, (Elasticity, Piece)) and n not in hidden
+        }
         if given:
             width = max(map(len, given))
             lines += [part, *(f"  {n:<{width}}  {entry(n, x)}".rstrip() for n, x in given.items())]
