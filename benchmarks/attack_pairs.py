@@ -30,7 +30,7 @@ from benchmarks.measure import about, report
 DURATION, SAVES = 0.6, 121
 # By how much of itself a slope may be off.
 LIMIT = 0.01
-# Tolerances of the two references.
+# Bounds of the two references.
 TOLERANCES = (1e-11, 1e-10)
 RUNGS: dict[str, Any] = {
     "Adaptive": jc.integrator.Adaptive(),

@@ -39,16 +39,15 @@ FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
 STUDIES = (
     # What a study asks, and what it answers.
     "base distribution inputs variable limit_state store.digest answer endless warned",
-    "store.store store.files store.batch",
+    "store.store store.batch",
     "mechanism_problem function_problem position_problem problem sensor "
     "chosen_integrator usual_integrator",
     "sampling scrambling sequential replicas statistics",
     "monte_carlo sweep screening worst_case advice",
-    "store.result store.samples store.dataset campaign",
+    "campaign store",
     "surface",
     "statistics.shapley statistics.sobol_indices sensitivity fidelity reliability design life "
     "identification",
-    "store",
 )
 LONGEST_FILE, LONGEST_FUNCTION, LONGEST_LINE = 800, 80, 100
 # Libraries that a run does without: loaded when a table, a data set or a kernel is asked for.

@@ -5,6 +5,7 @@ What is not complete yet stands in refdata/undocumented.json, a list for each pa
 shrinks: `python -m tests.test_docstrings` takes out what is complete, and says what others lack.
 """
 
+import dataclasses
 import enum
 import inspect
 import json
@@ -122,6 +123,24 @@ def faults(arguments, docstrings):
             yield f"{name} has neither a unit nor a word for its kind: {described[name]!r}"
 
 
+RANGES = {"above": ">", "at_least": ">=", "below": "<", "at_most": "<="}
+
+
+def numbers_with_descriptions():
+    """(name, metadata, description) of numbers of public classes that describe them."""
+    for kind in {id(thing): thing for thing in public_classes()}.values():
+        descriptions = dict(listed_arguments(vars(kind).get("__doc__")))
+        for field in dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ():
+            if field.name in descriptions and field.metadata.get("unit", "(")[0] != "(":
+                name = f"{kind.__qualname__}.{field.name}"
+                yield name, field.metadata, descriptions[field.name]
+
+
+def public_classes():
+    offered = (vars(module)[n] for module in public_modules().values() for n in module.__all__)
+    return [thing for thing in offered if inspect.isclass(thing)]
+
+
 THINGS = documented_things()
 FAULTS = {name: found for name in THINGS if (found := [*faults(*THINGS[name])])}
 ALLOWED = json.loads(PENDING.read_text()) if PENDING.exists() else {}
@@ -168,6 +187,26 @@ def test_what_is_complete_is_taken_from_the_list_of_what_is_not(room):
 def test_the_rule_finds_each_fault(text, fault):
     found = "; ".join(faults(["x", "n"], [text]))
     assert fault in found if fault else not found
+
+
+def test_units_and_ranges_are_those_of_the_fields():
+    """A field's metadata say the same as the docstring, which also gives its meaning."""
+    numbers = list(numbers_with_descriptions())
+    assert len(numbers) > 150
+    assert not [(name, *told) for name, *own in numbers if (told := [*disagreements(*own)])]
+
+
+def disagreements(metadata, text):
+    units = [re.split("[;,]", own)[0] for own in re.findall(r"\[([^\]]*)\]", text)]
+    if metadata["unit"] not in ("1", *units) or not units:
+        yield f"[{metadata['unit']}] is not in {text!r}"
+    for key in RANGES.keys() & metadata.keys():
+        if f"{RANGES[key]} {metadata[key]:g}" not in text:
+            yield f"{RANGES[key]} {metadata[key]:g} is not in {text!r}"
+    if metadata.get("sliding", "") and f"{metadata['sliding']} for a sliding" not in text:
+        yield f"{metadata['sliding']} for a sliding joint is not in {text!r}"
+    if not metadata["meaning"]:
+        yield "no meaning"
 
 
 def test_a_member_of_a_family_inherits_the_list():

@@ -257,7 +257,7 @@ def test_monte_carlo_of_a_scene_is_interrupted_goes_on_and_is_reported(here, cap
     begun = subprocess.Popen(
         [sys.executable, "-c", BEGIN, *asked, "--out", "store"], stderr=subprocess.PIPE, text=True
     )
-    mark = here / "store" / "pieces"
+    mark = here / "store" / "chunks"
     for _ in range(1200):
         if mark.exists() and begun.poll() is None:
             break

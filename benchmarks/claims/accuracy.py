@@ -11,7 +11,7 @@ from typing import Any
 
 import jaxclear as jc
 from benchmarks.measure import arguments, report
-from jaxclear.errors.accuracy import of_run
+from jaxclear.errors.accuracy import bounds_of_run
 from jaxclear.simulation.simulate import How, chosen_for
 from jaxclear.studies.usual_integrator import usual_integrator
 from tests.rigs.accuracy_asked import CASES, Case, share_off, truth
@@ -46,16 +46,16 @@ def usual(name: str, case: Case, exact: Any) -> dict[str, Any]:
 
 def asked(name: str, case: Case, accuracy: float, exact: Any) -> dict[str, Any]:
     """What is chosen for an accuracy."""
-    rig, question = case.make(), of_run(accuracy)
+    rig, question = case.make(), bounds_of_run(accuracy)
     how = How(case.saves, balance=True)
-    found = chosen_for(rig, case.duration, question.seen, question.beside, how)
+    found = chosen_for(rig, case.duration, question.observe, question.compare, how)
     given = {"save": case.saves, "balance": True, "verify": False}
     run = jc.simulate(rig, case.duration, integrator=found.integrator, **given)
     return {
         "mechanism": name,
         "asked": f"{accuracy:.1%}",
         "chosen": found.why.split(": ")[0].removeprefix("Run with integrator."),
-        "told": found.told * accuracy,
+        "told": found.error_ratio * accuracy,
         "off": share_off(run, exact),
         "work": found.work,
         "work of the choice": found.spent,

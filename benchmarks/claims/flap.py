@@ -52,7 +52,7 @@ def row(name: str, run: jc.Trajectory, wanted: dict[str, np.ndarray], spent: flo
     """What is told of a run."""
     said = {"integrator": name, "CPU [s]": spent} | off(asked(run), wanted)
     return said | {
-        "warns of": ", ".join(told.name for told in run.verification.told if told.beyond),
+        "warns of": ", ".join(told.name for told in run.verification.entries if told.beyond),
     }
 
 

@@ -18,7 +18,7 @@ from jaxclear.scenes.antenna import BASE, TIP
 from jaxclear.scenes.parallel_3rsr import QUIET, RATTLING
 
 SAVES = 201
-# Tolerances of the number that varies, as a share of it.
+# Bounds of the number that varies, as a share of it.
 TOLERANCE = 1e-2
 
 

@@ -18,8 +18,7 @@ from jaxclear.commands.cache import cache
 from jaxclear.commands.own_scene import example, identify, monte_carlo, parameters, run
 from jaxclear.commands.report import report
 from jaxclear.ground import cache_folder
-from jaxclear.studies.store.files import Unwritable
-from jaxclear.studies.store.store import OtherStudy
+from jaxclear.studies.store.store import OtherStudyError, StoreError
 
 STUDIES = (antenna, arm, design, flap, four_bar, guide, parallel_3rsr, wear_life)
 # Programs that compile faster than this are not kept [s].
@@ -42,7 +41,7 @@ def answer(name: str, options: dict[str, Any]) -> None:
         given["show"] = not given.pop("quiet")
     try:
         COMMANDS[name.replace("-", "_")](**given)
-    except (jc.SimulationError, OtherStudy, Unwritable) as error:
+    except (jc.SimulationError, OtherStudyError, StoreError) as error:
         raise click.ClickException(str(error)) from None
 
 

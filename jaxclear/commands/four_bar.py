@@ -28,7 +28,7 @@ SAVES_PER_SECOND, SAVES_PER_TURN = 1600, 3200
 UNSHOWN = ("standard deviation", "5 %", "median", "95 %")
 # Time for one turn of the crank at 10 rad/s [s].
 TURN = 2 * np.pi / 10.0
-# Tolerances of the study (half of the allowed variation) [m]; assumed, of a usual machining grade.
+# Bounds of the study (half of the allowed variation) [m]; assumed, of a usual machining grade.
 CLEARANCE_TOLERANCE, LENGTH_TOLERANCE = 20e-6, 20e-6
 # Where clearance and lengths of links stand.
 LINKS: dict[str, Callable] = {

@@ -100,8 +100,8 @@ class InteriorPoint(AbstractSolver):
         most_steps: largest number of iterations, a count, >= 1.
     """
 
-    kappa: Scalar = quantity(1e-8, "1", "product z_i w_i, in the units of the problem", above=0)
-    most_steps: int = count(100, "most iterations")
+    kappa: Scalar = quantity(1e-8, "1", above=0)
+    most_steps: int = count(100)
 
     def solve(self, problem: AbstractLinearProblem) -> Solution:
         check_double_precision()

@@ -62,10 +62,8 @@ class ProjectedGaussSeidel(AbstractSolver):
         most_sweeps: largest number of sweeps over the contacts [1], > 0.
     """
 
-    tolerance: Scalar = quantity(
-        1e-12, "1", "residual relative to the largest velocity at which to stop", above=0
-    )
-    most_sweeps: Scalar = quantity(1000.0, "1", "most sweeps over the contacts", above=0)
+    tolerance: Scalar = quantity(1e-12, "1", above=0)
+    most_sweeps: Scalar = quantity(1000.0, "1", above=0)
 
     def solve(self, problem: FrictionContact) -> Solution:
         check_double_precision()

@@ -91,8 +91,8 @@ class MotorEnd(AbstractQuantified):
     """
 
     coordinate: str = eqx.field(static=True)
-    ratio: Scalar = quantity(unit="1", meaning="turns of the motor for one of the joint")
-    offset: Scalar | None = quantity(None, "rad", "angle of the motor where the joint's is 0")
+    ratio: Scalar = quantity(unit="1")
+    offset: Scalar | None = quantity(None, "rad")
 
 
 class AbstractStateLoad(AbstractLoad):

@@ -67,15 +67,14 @@ class Body(AbstractQuantified):
             of the others.
     """
 
-    mass: Scalar = quantity(unit="kg", meaning="mass", above=0)
+    mass: Scalar = quantity(unit="kg", above=0)
     inertia: Any = quantity(
         unit="kg m^2",
-        meaning="inertia about the centre of mass, body axes",
         converter=_inertia,
         counts=(1, 3, 6),
         wanted="1 number (about z, planar), 3 (xx, yy, zz) or 6 (xx, yy, zz, xy, xz, yz) [kg m^2]",
     )
-    com: tuple | None = vector(None, "m", "centre of mass in the body frame", counts=(2, 3))
+    com: tuple | None = vector(None, "m", counts=(2, 3))
 
     def __check_init__(self):
         values = [concrete(value) for value in self.inertia]
@@ -118,11 +117,13 @@ class Marker(AbstractQuantified):
 
     Args:
         body: name of the body, or "ground".
-        at: origin [m], 2 or 3 numbers; the body's origin by default.
-        axis: "x", "y", "z", "-x", "-y" or "-z" (known before tracing, costs nothing), or the
-            direction as numbers of any length: 2 in the x-y plane, or 3. "z" by default.
-        quaternion: the whole orientation (w, x, y, z) [1], in place of an axis.
-        angle: turns the frame about the body's z axis [rad], so that an inclination is one number
+        at: origin in the body frame [m], 2 or 3 numbers; the body's origin by default.
+        axis: direction of the marker's z axis in the body frame [1]: "x", "y", "z", "-x", "-y" or
+            "-z" (known before tracing, costs nothing), or numbers of any length: 2 in the x-y
+            plane, or 3. "z" by default.
+        quaternion: orientation in the body frame (w, x, y, z) [1], in place of an axis; none by
+            default.
+        angle: turn of the frame about the body's z axis [rad], so that an inclination is one number
             that can vary; None by default, which costs nothing.
 
     Raises:
@@ -131,16 +132,12 @@ class Marker(AbstractQuantified):
     """
 
     body: str = eqx.field(static=True)
-    at: tuple | None = vector(None, "m", "origin in the body frame", counts=(2, 3))
+    at: tuple | None = vector(None, "m", counts=(2, 3))
     # Of an axis of numbers "x" where it lies in the plane, "z" elsewhere.
     named_axis: str = eqx.field(static=True, default="z")
-    axis: tuple | None = vector(
-        None, "1", "direction of the marker's z axis in the body frame", counts=(2, 3)
-    )
-    quaternion: tuple | None = vector(
-        None, "1", "orientation in the body frame, scalar first", counts=(4,)
-    )
-    angle: Scalar | None = quantity(None, "rad", "turn of the frame about the body's z axis")
+    axis: tuple | None = vector(None, "1", counts=(2, 3))
+    quaternion: tuple | None = vector(None, "1", counts=(4,))
+    angle: Scalar | None = quantity(None, "rad")
 
     def __init__(self, body: str, at=None, axis="z", quaternion=None, angle=None):
         self.body, self.at, self.quaternion, self.angle = body, at, quaternion, angle

@@ -14,7 +14,7 @@ pressure is that after the loss, so a loss brings the wall at most to the shape 
 cut it. Where a contact is narrower than two cells, the loss is that of one as wide as these.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -38,6 +38,10 @@ SHARPEST = 1e-9
 # Share of its own pressure that is added to the mean over the way, so that some cell has one.
 LEAST_SHARE = 1e-6
 
+Depth = Float[Array, "around along"]
+# Column and row of a cell.
+Place = tuple[Int[Array, ""], Int[Array, ""]]
+
 
 class Elasticity(NamedTuple):
     """What the load of a contact overlaps on a wall without wear: `depth` [m], and the integrals of
@@ -48,24 +52,13 @@ class Elasticity(NamedTuple):
     root: Scalar
 
 
-class Overlapping(Protocol):
-    """How a part overlaps cells: its slope by the level is `cosine` times the share `at` that."""
-
-    @property
-    def cosine(self) -> Any: ...
-
-    def at(self, level: Scalar) -> tuple[Array, Array]:
-        """(mean over each cell of the overlap [m], where there is one; share of the cell where
-        there is) at an eccentricity [m]."""
-
-
 class Outline(NamedTuple):
     """How a part at eccentricity e [m] overlaps cells: by e `cosine` - `room`; `rounding`: half the
     change of that across a cell [m]."""
 
-    cosine: Float[Array, "..."] | Scalar
-    room: Float[Array, "around along"]
-    rounding: Float[Array, "..."] | Scalar
+    cosine: Array | Scalar
+    room: Depth
+    rounding: Array | Scalar
 
     def at(self, level: Scalar) -> tuple[Array, Array]:
         """(mean over each cell of the overlap [m], where there is one; share of the cell where
@@ -76,30 +69,22 @@ class Outline(NamedTuple):
         return 0.5 * inside * share + jnp.maximum(middle - self.rounding, 0.0), share
 
 
-class Way(NamedTuple):
-    """The arc that a contact goes through: cells lie `along` it [rad, 0 to pi] from its middle, and
-    overlap as `nearest` says when the contact comes closest; `half` the arc [rad], with the width
-    of a cell; `room` between the parts [m], centred, on the worn wall."""
-
-    along: Float[Array, "..."]
-    nearest: Outline
-    half: Array
-    room: Float[Array, "around along"]
-
-
 class Patch(NamedTuple):
-    """Cells and the part that wears them: the `outline` of all that it overlaps on its `way`.
+    """Cells and the part that wears them, which goes through an arc.
 
-    `area` of a cell of each row [m2]; `share` of the pressure there that is this contact's;
-    `start`: an eccentricity [m] near the solution and at or above it.
+    `outline`: of all that it overlaps on its way; `nearest`: when it comes closest to the cells;
+    these lie `along` the arc [rad, 0 to pi] from its middle; `half` the arc [rad], with the width
+    of a cell; `room` between the parts [m], centred, on the worn wall; `share` of the pressure
+    there that is this contact's; `root`: as of its `Elasticity`.
     """
 
-    outline: Overlapping
-    way: Way
-    area: Float[Array, " along"]
-    share: Float[Array, " along"] | Scalar
-    start: Scalar
-    elasticity: Elasticity
+    outline: Any
+    nearest: Outline
+    along: Array
+    half: Array
+    room: Depth
+    share: Array | Scalar
+    root: Scalar
 
     def overlapped(self, level: Scalar) -> tuple[Array, Array]:
         """(mean over each cell of the overlap [m], its slope by the level) at an eccentricity
@@ -107,64 +92,114 @@ class Patch(NamedTuple):
         overlap, share = self.outline.at(level)
         return overlap, self.outline.cosine * share
 
-    def pressures(self, volume: Scalar, level: Scalar) -> Float[Array, "around along"]:
-        """As `pressures`."""
-        return pressures(volume, self, level)
-
-
-class Cells(Protocol):
-    """Cells and the part that wears them."""
-
-    @property
-    def area(self) -> Any:
-        """Of a cell of each row [m2]."""
-
-    @property
-    def start(self) -> Scalar:
-        """A level of the part [m] near the solution and at or above it."""
-
-    @property
-    def elasticity(self) -> Elasticity:
-        """What its load overlaps before anything is lost."""
-
-    def overlapped(self, level: Scalar) -> tuple[Array, Array]:
-        """(mean over each cell of the overlap [m], its slope by the level) at a level [m]."""
-
     def pressures(self, volume: Scalar, level: Scalar) -> Array:
-        """What each cell loses beside the others of a volume [m3], where the part that wears them
-        has come to a level [m]."""
+        """What each cell loses of a volume [m3], relative to the others, where the part that wears
+        them has come to a level [m]."""
+        overlap = self.outline.at(level)[0]
+        mean = self.share * (self._mean_root(level) + LEAST_SHARE * safe_sqrt(overlap))
+        own, whole = volume * mean, 2.0 * self.root * overlap
+        return safe_divide(mean * overlap, own + safe_sqrt(own * own + whole * whole))
+
+    def _mean_root(self, level: Scalar) -> Array:
+        """Mean over the way, and over each cell, of the root of the overlap [m0.5]: as the contact
+        passes a cell, the overlap there is a parabola of the angle between both."""
+        overlap = self.nearest.at(level)[0]
+        # An overlap e - room that falls as e cos does vanishes where 1 - cos is this.
+        fallen = overlap / (overlap + self.room)
+        half_width = 2.0 * arc_sine(safe_sqrt(0.5 * fallen))
+        first, last = self.along + self.half, self.along - self.half
+        around = first - 2.0 * jnp.pi
+        first, last, around = (
+            _segment(safe_divide(end, half_width)) for end in (first, last, around)
+        )
+        swept = first - last + around + 0.25 * jnp.pi
+        return safe_sqrt(overlap) * half_width * swept / (2.0 * self.half)
 
 
-def depth_lost(volume: Scalar, patch: Cells) -> tuple[Float[Array, "around along"], Scalar]:
-    r"""(depth [m] that each cell loses, `volume` [m3] in all; eccentricity [m] of the part): in
-    proportion to its mean pressure once a part of it is lost (`volume_before_pressure`),
+@jax.custom_jvp
+def _segment(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Integral of sqrt(1 - t^2) from 0 to x, which lies within -1 and 1 or is taken so."""
+    x = jnp.clip(x, -1.0, 1.0)
+    return 0.5 * (x * safe_sqrt(1.0 - x * x) + arc_sine(x))
+
+
+@_segment.defjvp
+def _segment_jvp(primals, tangents):
+    (x,), (x_dot,) = primals, tangents
+    return _segment(x), safe_sqrt(1.0 - x * x) * x_dot
+
+
+class Touched(NamedTuple):
+    """Cells that a part may overlap: from a `first` column (of any turn) so many `columns`, each at
+    most once, and in each from a `lower` row so many `rows`."""
+
+    first: Int[Array, ""]
+    columns: Int[Array, ""]
+    lower: Int[Array, ""]
+    rows: Int[Array, ""]
+
+    @classmethod
+    def of(cls, *counts: Any) -> "Touched":
+        """From whole numbers of any type."""
+        return cls(*(jnp.asarray(n).astype(int) for n in counts))
+
+
+class Contact(Protocol):
+    """A part that takes a `volume` [m3] off a `surface` under a `load`."""
+
+    @property
+    def surface(self) -> Any: ...
+
+    @property
+    def volume(self) -> Scalar: ...
+
+    @property
+    def load(self) -> Elasticity: ...
+
+    def start(self, depth: Depth) -> Scalar:
+        """A level [m] of the part to begin with, near the solution and at or above it, where walls
+        are worn so deep [m]."""
+
+    def touched(self, level: Scalar) -> Touched:
+        """Cells that the part may overlap at a level [m]."""
+
+    def in_columns(self, column: Int[Array, "*columns"]) -> Any:
+        """What the cells of a column share, or of several."""
+
+    def patch(self, columns: Any, row: Int[Array, "*rows"], depth: Array) -> Any:
+        """Cells worn so deep [m], which have `overlapped` and `pressures` as of a `Patch`."""
+
+
+def depth_lost(contact: Contact, patch: Any, start: Scalar) -> tuple[Depth, Scalar]:
+    r"""(depth [m] that each cell loses, eccentricity [m] of the part, sought from a `start` [m]).
+    Depths are in proportion to the mean
+    pressure once a part of the volume is lost (`volume_before_pressure`),
     :math:`\Delta h = (V/S) w m\sqrt{u - \Delta h}` with V that part, u the largest overlap on the
     way before it, w the contact's share, m the mean of the roots over the way beside the largest
     and S the integral of w times the root of a contact.
     """
-    removed = volume_before_pressure(volume, patch.elasticity)
+    removed = volume_before_pressure(contact.volume, contact.load)
+    area = contact.surface.areas()[0]
 
-    def total(cells):
+    def closer(wanted, patch, level):
         # A product with a vector is several times faster than a sum.
-        return jnp.sum(cells @ patch.area)
+        sums = (jnp.sum(cells @ area) for cells in patch.overlapped(level))
+        return next_level(level, wanted, *sums)
 
-    def closer(volume, patch, level):
-        overlap, slope = patch.overlapped(level)
-        return next_level(level, volume + patch.elasticity.overlap, total(overlap), total(slope))
-
+    wanted = removed + contact.load.overlap
     # Held as they are: a loop that ends by itself has no derivative in reverse mode.
-    held = jax.lax.stop_gradient((removed, patch))
+    held = jax.lax.stop_gradient((wanted, patch))
 
     def turn(now):
         count, _, level = now
         return count + 1, *closer(*held, level)
 
-    first = jnp.zeros((), int), jnp.zeros((), bool), held[1].start
+    first = jnp.zeros((), int), jnp.zeros((), bool), jax.lax.stop_gradient(start)
     level = jax.lax.while_loop(lambda now: ~now[1] & (now[0] < MOST_STEPS), turn, first)[2]
     for _ in range(LAST_STEPS - 1):
-        _, level = closer(removed, patch, level)
+        _, level = closer(wanted, patch, level)
     pressure = patch.pressures(removed, level)
-    return volume * safe_divide(1.0, total(pressure)) * pressure, level
+    return contact.volume * safe_divide(1.0, jnp.sum(pressure @ area)) * pressure, level
 
 
 def volume_before_pressure(volume: Scalar, load: Elasticity) -> Scalar:
@@ -185,39 +220,110 @@ def next_level(
     return jnp.abs(missing) <= NEAR * wanted, level + safe_divide(missing, slope)
 
 
-def pressures(volume: Scalar, patch: Patch, level: Scalar) -> Float[Array, "around along"]:
-    """What each cell loses beside the others, where the part that wears them has come to a level
-    [m]."""
-    overlap = patch.outline.at(level)[0]
-    mean = patch.share * (_mean_root(patch.way, level) + LEAST_SHARE * safe_sqrt(overlap))
-    own, whole = volume * mean, 2.0 * patch.elasticity.root * overlap
-    return safe_divide(mean * overlap, own + safe_sqrt(own * own + whole * whole))
+class Share(NamedTuple):
+    """Which cells a loss is taken off, and what a cell's pressure is multiplied by [m]."""
+
+    touched: Touched
+    scale: Scalar
 
 
-def _mean_root(way: Way, level: Scalar) -> Float[Array, "around along"]:
-    """Mean over the way, and over each cell, of the root of the overlap [m0.5]: as the contact
-    passes a cell, the overlap there is a parabola of the angle between both."""
-    overlap = way.nearest.at(level)[0]
-    # An overlap e - room that falls as e cos does vanishes where 1 - cos is this.
-    fallen = overlap / (overlap + way.room)
-    half_width = 2.0 * arc_sine(safe_sqrt(0.5 * fallen))
-    ends = way.along + way.half, way.along - way.half, way.along + way.half - 2.0 * jnp.pi
-    first, last, around = (_segment(safe_divide(end, half_width)) for end in ends)
-    swept = first - last + around + 0.25 * jnp.pi
-    return safe_sqrt(overlap) * half_width * swept / (2.0 * way.half)
+def find_share(
+    contact_of: Callable[[], Contact], volume: Scalar, depth: Depth, pressure: Depth
+) -> tuple[Share, Depth]:
+    """(the `Share` of a loss of a volume [m3] on walls worn so deep [m], the pressures of its
+    cells, which are written over others): cell by cell, for a kernel."""
+
+    def turn(now):
+        contact = contact_of()
+        removed = volume_before_pressure(contact.volume, contact.load)
+        level = _find_level(contact, removed, depth)
+        touched = contact.touched(jax.lax.stop_gradient(level))
+
+        def visit(column, place, carry):
+            total, pressure = carry
+            patch = contact.patch(column, place[1], entry(depth, place))
+            found = patch.pressures(removed, level)
+            area = contact.surface.row_area(place[1])
+            return total + area * found, with_entry(pressure, place, found)
+
+        first = jnp.zeros(()), now[2]
+        total, after = through(touched, depth.shape, visit, first, (False, True), contact)
+        scale = contact.volume * safe_divide(1.0, total)
+        return jnp.zeros((), bool), Share(touched, scale), after
+
+    nothing = Share(Touched.of(0, 0, 0, 0), jnp.zeros(()))
+    # A loop of one turn or none: without a loss none of this is gone through.
+    first = volume != 0, nothing, pressure
+    return while_loop(lambda now: now[0], turn, first, (False, False, True))[1:]
 
 
-@jax.custom_jvp
-def _segment(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Integral of sqrt(1 - t^2) from 0 to x, which lies within -1 and 1 or is taken so."""
-    x = jnp.clip(x, -1.0, 1.0)
-    return 0.5 * (x * safe_sqrt(1.0 - x * x) + arc_sine(x))
+def _find_level(contact: Contact, removed: Scalar, depth: Depth) -> Scalar:
+    """Eccentricity [m] of the part once a volume [m3] is removed, as `depth_lost` finds it."""
+
+    def turn(now):
+        count, left, level = now
+
+        def visit(column, place, sums):
+            patch = contact.patch(column, place[1], entry(depth, place))
+            overlap, slope = patch.overlapped(level)
+            area = contact.surface.row_area(place[1])
+            return sums[0] + area * overlap, sums[1] + area * slope
+
+        nothing = jnp.zeros(()), jnp.zeros(())
+        touched = contact.touched(jax.lax.stop_gradient(level))
+        sums = through(touched, depth.shape, visit, nothing, False, contact)
+        near, level = next_level(level, removed + contact.load.overlap, *sums)
+        return count + 1, jnp.where(near, left - 1, left), level
+
+    first = jnp.zeros((), int), jnp.full((), LAST_STEPS), contact.start(depth)
+    return while_loop(lambda now: (now[1] > 0) & (now[0] < MOST_STEPS), turn, first)[2]
 
 
-@_segment.defjvp
-def _segment_jvp(primals, tangents):
-    (x,), (x_dot,) = primals, tangents
-    return _segment(x), safe_sqrt(1.0 - x * x) * x_dot
+def through(
+    touched: Touched,
+    cells: tuple[int, ...],
+    visit: Callable[[Any, Place, Any], Any],
+    first: Any,
+    long: Any = False,
+    contact: Any = None,
+) -> Any:
+    """What `visit` (of what a column's cells share by a `contact`, the place of a cell, and what
+    the visit before has left) leaves in the end, once it has been at all cells of a map of so many
+    `cells` that are touched. `long` as of `while_loop`."""
+    around, along = cells
+    # A turn once for all: a remainder of whole numbers costs as much as a cell.
+    first_column = touched.first % around
+
+    def visit_column(now):
+        count, carry = now
+        column = first_column + count
+        column = jnp.where(column < around, column, column - around)
+        shared = None if contact is None else contact.in_columns(column)
+        if along == 1:
+            return count + 1, visit(shared, (column, jnp.zeros_like(column)), carry)
+        cell = lambda now: (now[0] + 1, visit(shared, (column, touched.lower + now[0]), now[1]))
+        begin, inside = (jnp.zeros((), int), carry), lambda now: now[0] < touched.rows
+        return count + 1, while_loop(inside, cell, begin, (False, long))[1]
+
+    begin, inside = (jnp.zeros((), int), first), lambda now: now[0] < touched.columns
+    return while_loop(inside, visit_column, begin, (False, long))[1]
+
+
+def entry(array: Array, place: tuple) -> Scalar:
+    """That at one place."""
+    return jax.lax.dynamic_slice(array, place, (1,) * array.ndim)[(0,) * array.ndim]
+
+
+def with_entry(array: Array, place: tuple, value: Scalar) -> Array:
+    """The array with another value at one place."""
+    return jax.lax.dynamic_update_slice(array, jnp.reshape(value, (1,) * array.ndim), place)
+
+
+def table_rows(table: Float[np.ndarray, "n m"], index: Int[Array, "*rows"]) -> Array:
+    """Rows of a table, one or several."""
+    if index.ndim:
+        return jnp.asarray(table)[index]
+    return jax.lax.dynamic_slice(table, (index, 0), (1, table.shape[1]))[0]
 
 
 def line_contact(
@@ -266,7 +372,7 @@ def depth_of(square: Scalar, cell: Scalar, clearance: Scalar) -> Scalar:
     return 0.5 * clearance * jnp.maximum(square, (LEAST_WIDTH * cell) ** 2)
 
 
-def arc_with_cell(half_arc: Scalar, cell: Array | float) -> Array:
+def arc_with_cell(half_arc: Scalar, cell: Array | Scalar) -> Array:
     """Half of an arc [rad] over which, and over cells of this angle [rad], a mean is taken: as two
     spreads add up."""
     return jnp.sqrt(half_arc * half_arc + 0.25 * cell * cell)
@@ -280,212 +386,17 @@ def arc(length: Scalar) -> Scalar:
     return safe_sqrt(square)
 
 
-Depth = Float[Array, "around along"]
-# Column and row of a cell.
-Place = tuple[Int[Array, ""], Int[Array, ""]]
-
-
-class Touched(NamedTuple):
-    """Cells that a part may overlap: from a `first` column (of any turn) so many `columns`, each at
-    most once, and in each from a `lower` row so many `rows`."""
-
-    first: Int[Array, ""]
-    columns: Int[Array, ""]
-    lower: Int[Array, ""]
-    rows: Int[Array, ""]
-
-
-def ways(columns: int) -> Float[np.ndarray, "columns 2"]:
-    """Direction (x, y) of the centre of each of so many columns around."""
-    angles = (np.arange(columns) + 0.5) * (2 * np.pi / columns)
-    return np.stack([np.cos(angles), np.sin(angles)], axis=1)
-
-
-def way_of(column: Int[Array, ""], columns: int) -> Float[Array, "2"]:
-    """Direction (x, y) of one of so many columns."""
-    return jax.lax.dynamic_slice(ways(columns), (column, 0), (1, 2))[0]
-
-
-def least(cell: float, clearance: Scalar) -> tuple[Scalar, Scalar]:
+def least_overlap(cell: Scalar, clearance: Scalar) -> tuple[Scalar, Scalar]:
     """(a cell's own rounding [m], what a part's overlap cos + rounding sin is at the least where it
     overlaps one [m]) of cells of such an angle [rad]."""
     return 0.5 * cell * clearance, (1.0 - SHARPEST) * clearance
 
 
-def angle_touched(level: Scalar, cell: float, clearance: Scalar) -> Scalar:
+def angle_touched(level: Scalar, cell: Scalar, clearance: Scalar) -> Scalar:
     """An angle [rad] from a way of a part at a level [m] beyond which it overlaps no cell."""
-    rounding, needed = least(cell, clearance)
+    rounding, needed = least_overlap(cell, clearance)
     size = jnp.sqrt(level * level + rounding * rounding)
     # That of the largest sum is no more than its tangent, that of the cosine needed / size no more
     # than this.
     sine = safe_sqrt(0.5 * (1.0 - needed / size))
     return rounding / level + 2.0 * sine * (1.0 + (0.5 * jnp.pi - 1.0) * sine * sine)
-
-
-class Loss(Protocol):
-    """What a map of so many `cells` loses to a part: a `volume` [m3] under a `load`."""
-
-    @property
-    def cells(self) -> tuple[int, int]: ...
-
-    @property
-    def volume(self) -> Scalar: ...
-
-    @property
-    def load(self) -> Elasticity: ...
-
-    def start(self, depth: Depth) -> Scalar:
-        """A level [m] of the part to begin with, where walls are worn so deep [m]."""
-
-    def touched(self, level: Scalar) -> Touched:
-        """Cells that the part may overlap at a level [m]."""
-
-    def in_column(self, column: Int[Array, ""]) -> Any:
-        """What the cells of a column share."""
-
-    def cell(self, column: Any, row: Int[Array, ""], depth: Scalar) -> Cells:
-        """One of them, worn so deep [m]."""
-
-
-class Share(NamedTuple):
-    """Which cells a loss is taken off, and what a cell's pressure is multiplied by [m]."""
-
-    touched: Touched
-    scale: Scalar
-
-
-def worn_in_turn(
-    loss_of: Callable[..., Loss],
-    read_anew: Callable[[Touched, Depth, Any], Any],
-    depth: Depth,
-    reading: Any,
-    pressures: Sequence[Depth],
-    volume: Float[Array, " events"],
-    features: Float[Array, "events n"],
-) -> tuple[Depth, Any, Sequence[Depth]]:
-    """(depth, its reading, pressures) after the loss of each event; the reading (None: nobody asks
-    for it) is made anew where cells have been touched."""
-    shares, pressures = all_shared(loss_of, depth, pressures, volume, features)
-    depth = taken_off(shares, pressures, depth)
-    for touched, _ in shares if reading is not None else ():
-        reading = read_anew(touched, depth, reading)
-    return depth, reading, pressures
-
-
-def all_shared(
-    loss_of: Callable[..., Loss],
-    depth: Depth,
-    pressures: Sequence[Depth],
-    volume: Float[Array, " events"],
-    features: Float[Array, "events n"],
-) -> tuple[tuple[Share, ...], tuple[Depth, ...]]:
-    """(the `Share`, the pressures) of the loss of each event (volume [m3], location features)."""
-    found = []
-    for own, *event in zip(pressures, volume, features, strict=True):
-        loss = lambda event=event: loss_of(*event)
-        found.append(_shared(loss, event[0], depth, own))
-    shares, pressures = zip(*found, strict=True)
-    return shares, pressures
-
-
-def _shared(loss: Callable[[], Loss], volume: Scalar, depth: Depth, pressure: Depth) -> tuple:
-    """(the `Share` of a loss of a volume [m3] on walls worn so deep [m], the pressures of its
-    cells, which are written over others)."""
-    none = jnp.zeros((), int)
-
-    def turn(now):
-        own = loss()
-        removed = volume_before_pressure(own.volume, own.load)
-        level = _level(own, removed, depth)
-        touched = own.touched(jax.lax.stop_gradient(level))
-
-        def visit(column, place, carry):
-            total, pressure = carry
-            cell = own.cell(column, place[1], entry(depth, place))
-            found = cell.pressures(removed, level)
-            return total + cell.area * found, with_entry(pressure, place, found)
-
-        first = jnp.zeros(()), now[2]
-        total, after = through(touched, own.cells, visit, first, (False, True), own.in_column)
-        scale = own.volume * safe_divide(1.0, total)
-        return jnp.zeros((), bool), Share(touched, scale), after
-
-    nothing = Share(Touched(none, none, none, none), jnp.zeros(()))
-    # A loop of one turn or none: without a loss none of this is gone through.
-    first = volume != 0, nothing, pressure
-    return while_loop(lambda now: now[0], turn, first, (False, False, True))[1:]
-
-
-def _level(loss: Loss, removed: Scalar, depth: Depth) -> Scalar:
-    """Eccentricity [m] of the part once a volume [m3] is removed, as `depth_lost` finds it."""
-
-    def turn(now):
-        count, left, level = now
-
-        def visit(column, place, sums):
-            cell = loss.cell(column, place[1], entry(depth, place))
-            overlap, slope = cell.overlapped(level)
-            return sums[0] + cell.area * overlap, sums[1] + cell.area * slope
-
-        nothing = jnp.zeros(()), jnp.zeros(())
-        touched = loss.touched(jax.lax.stop_gradient(level))
-        overlap, slope = through(touched, loss.cells, visit, nothing, False, loss.in_column)
-        wanted = removed + loss.load.overlap
-        near, level = next_level(level, wanted, overlap, slope)
-        return count + 1, jnp.where(near, left - 1, left), level
-
-    first = jnp.zeros((), int), jnp.full((), LAST_STEPS), loss.start(depth)
-    return while_loop(lambda now: (now[1] > 0) & (now[0] < MOST_STEPS), turn, first)[2]
-
-
-def taken_off(shares: Sequence[Share], pressures: Sequence[Depth], depth: Depth) -> Depth:
-    """Depth [m] once cells have lost their shares, by their pressures in each."""
-    for (touched, scale), pressure in zip(shares, pressures, strict=True):
-
-        def visit(_, place, depth, scale=scale, pressure=pressure):
-            return with_entry(depth, place, entry(depth, place) + scale * entry(pressure, place))
-
-        depth = through(touched, depth.shape, visit, depth, True)
-    return depth
-
-
-def through(
-    touched: Touched,
-    cells: tuple[int, ...],
-    visit: Callable[[Any, Place, Any], Any],
-    first: Any,
-    long: Any = False,
-    in_column: Callable[[Array], Any] | None = None,
-) -> Any:
-    """What `visit` (of what a column's cells share, the place of a cell, and what the visit before
-    has left) leaves in the end, once it has been at all cells of a map of so many `cells` that are
-    touched. `long` as of `while_loop`."""
-    around, along = cells
-    # A turn once for all: a remainder of whole numbers costs as much as a cell.
-    first_column = touched.first % around
-
-    def one(now):
-        count, carry = now
-        column = first_column + count
-        column = jnp.where(column < around, column, column - around)
-        shared = None if in_column is None else in_column(column)
-        if along == 1:
-            return count + 1, visit(shared, (column, jnp.zeros_like(column)), carry)
-        cell = lambda own: (own[0] + 1, visit(shared, (column, touched.lower + own[0]), own[1]))
-        begin = jnp.zeros((), int), carry
-        return count + 1, while_loop(lambda own: own[0] < touched.rows, cell, begin, (False, long))[
-            1
-        ]
-
-    begin = jnp.zeros((), int), first
-    return while_loop(lambda now: now[0] < touched.columns, one, begin, (False, long))[1]
-
-
-def entry(array: Array, place: tuple) -> Scalar:
-    """That at one place."""
-    return jax.lax.dynamic_slice(array, place, (1,) * array.ndim)[(0,) * array.ndim]
-
-
-def with_entry(array: Array, place: tuple, value: Scalar) -> Array:
-    """The array with another value at one place."""
-    return jax.lax.dynamic_update_slice(array, jnp.reshape(value, (1,) * array.ndim), place)

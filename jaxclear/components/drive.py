@@ -50,8 +50,8 @@ class ConstantSpeed(AbstractDrive):
         start: position at time zero [rad; m for a sliding joint].
     """
 
-    speed: Scalar = quantity(unit="rad/s", meaning="constant speed (m/s for a sliding joint)")
-    start: Scalar = quantity(0.0, "rad", "position at time zero (m for a sliding joint)")
+    speed: Scalar = quantity(unit="rad/s", sliding="m/s")
+    start: Scalar = quantity(0.0, "rad", sliding="m")
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         return self.start + self.speed * time, self.speed, 0
@@ -64,7 +64,7 @@ class Held(AbstractDrive):
         position: the coordinate [rad; m for a sliding joint].
     """
 
-    position: Scalar = quantity(unit="rad", meaning="position (m for a sliding joint)")
+    position: Scalar = quantity(unit="rad", sliding="m")
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         return self.position, 0, 0
@@ -80,10 +80,10 @@ class Harmonic(AbstractDrive):
         offset: mean position [rad; m for a sliding joint].
     """
 
-    amplitude: Scalar = quantity(unit="rad", meaning="amplitude (m for a sliding joint)")
-    frequency: Scalar = quantity(unit="Hz", meaning="frequency", at_least=0)
-    phase: Scalar = quantity(0.0, "rad", "phase at time zero")
-    offset: Scalar = quantity(0.0, "rad", "mean position (m for a sliding joint)")
+    amplitude: Scalar = quantity(unit="rad", sliding="m")
+    frequency: Scalar = quantity(unit="Hz", at_least=0)
+    phase: Scalar = quantity(0.0, "rad")
+    offset: Scalar = quantity(0.0, "rad", sliding="m")
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         omega = 2 * jnp.pi * self.frequency
@@ -102,9 +102,9 @@ class RampUp(AbstractDrive):
         start: position at time zero [rad; m for a sliding joint].
     """
 
-    speed: Scalar = quantity(unit="rad/s", meaning="final speed (m/s for a sliding joint)")
-    duration: Scalar = quantity(unit="s", meaning="time until the final speed is reached", above=0)
-    start: Scalar = quantity(0.0, "rad", "position at time zero (m for a sliding joint)")
+    speed: Scalar = quantity(unit="rad/s", sliding="m/s")
+    duration: Scalar = quantity(unit="s", above=0)
+    start: Scalar = quantity(0.0, "rad", sliding="m")
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         s = jnp.clip(time / self.duration, 0.0, 1.0)
@@ -160,8 +160,8 @@ class Speed(AbstractDrive):
     """
 
     function: Callable = eqx.field(converter=opened)
-    start: Scalar = quantity(0.0, "rad", "position at time zero (m for a sliding joint)")
-    pieces: int = count(16, "pieces of the quadrature")
+    start: Scalar = quantity(0.0, "rad", sliding="m")
+    pieces: int = count(16)
 
     def __check_init__(self):
         check_function_of_time(self, "function")

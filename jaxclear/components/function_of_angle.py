@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.quantity import is_traced
-from jaxclear.ground.warning import call_user_function, shape_of
+from jaxclear.ground.warning import call_user, shape_of
 from jaxclear.ground.wording import described, public_name
 
 TURN = 2 * np.pi
@@ -28,9 +28,7 @@ def check_function_of_angle(part: Any, field: str) -> None:
     wanted = "it must take an angle [rad] and return one number, the same again after a turn"
     if not callable(function):
         raise ValueError(f"{owner}; {wanted}.")
-    answer = lambda at: call_user_function(
-        f"{owner}, which", function, at, requirement=f"I{wanted[1:]}."
-    )
+    answer = lambda at: call_user(f"{owner}, which", function, at, requirement=f"I{wanted[1:]}.")
     found = shape_of(
         lambda at: jax.tree.map(jnp.asarray, answer(at)), jax.ShapeDtypeStruct((), jnp.float64)
     )

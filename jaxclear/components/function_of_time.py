@@ -28,7 +28,7 @@ from jaxclear.ground.quantity import (
     is_traced,
     quantity,
 )
-from jaxclear.ground.warning import call_user_function, shape_of
+from jaxclear.ground.warning import call_user, shape_of
 from jaxclear.ground.wording import described, public_name
 
 
@@ -68,7 +68,7 @@ def check_function_of_time(part: Any, field: str, counts: tuple[int, ...] = (1,)
     owner = f"{public_name(type(part))} has {field} = {described(function)}"
     answers = lambda at: jax.tree.map(jnp.asarray, function(at))
     found = shape_of(
-        lambda at: call_user_function(f"{owner}, which", answers, at, requirement=f"It {wanted}."),
+        lambda at: call_user(f"{owner}, which", answers, at, requirement=f"It {wanted}."),
         jax.ShapeDtypeStruct((), jnp.float64),
     )
     shapes = [leaf.shape for leaf in jax.tree.leaves(found)]
@@ -147,7 +147,7 @@ class TimeTable(AbstractFunctionOfTime):
     values: Float[Array, "n ..."]
     coefficients: Float[Array, "4 pieces ..."]
     areas: Float[Array, "n ..."]
-    factor: Scalar = quantity(1.0, "1", "factor of all values")
+    factor: Scalar = quantity(1.0, "1")
     interpolation: str = eqx.field(static=True, default="cubic")
     beyond: str = eqx.field(static=True, default="held")
 

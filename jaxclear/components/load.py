@@ -186,9 +186,7 @@ class Gravity(AbstractLoad):
         acceleration: acceleration of free fall [m/s^2], 2 or 3 numbers in the ground frame.
     """
 
-    acceleration: tuple = vector(
-        (0.0, -9.81), "m/s^2", "free fall, ground frame", counts=(2, 3), usual=USUAL_GRAVITY
-    )
+    acceleration: tuple = vector((0.0, -9.81), "m/s^2", counts=(2, 3), usual=USUAL_GRAVITY)
 
     def springs_back(self):
         return False
@@ -204,12 +202,7 @@ class Force(AbstractBodyLoad):
     """
 
     marker: Marker
-    value: tuple | Callable = vector(
-        unit="N",
-        meaning="force, or a function of time",
-        counts=(2, 3),
-        converter=vector_or_function,
-    )
+    value: tuple | Callable = vector(unit="N", counts=(2, 3), converter=vector_or_function)
     follows: bool = eqx.field(static=True, default=False)
 
     def springs_back(self):
@@ -241,12 +234,7 @@ class Torque(AbstractBodyLoad):
     """
 
     marker: Marker
-    value: tuple | Callable = vector(
-        unit="N m",
-        meaning="torque, or a function of time",
-        counts=(1, 3),
-        converter=one_or_more_or_function,
-    )
+    value: tuple | Callable = vector(unit="N m", counts=(1, 3), converter=one_or_more_or_function)
     follows: bool = eqx.field(static=True, default=False)
 
     def springs_back(self):
@@ -285,9 +273,7 @@ class MotorTorque(AbstractBodyLoad):
 
     bearing: Marker
     journal: Marker
-    value: Scalar | Callable = quantity(
-        unit="N m", meaning="torque, or a function of time", converter=number_or_function
-    )
+    value: Scalar | Callable = quantity(unit="N m", converter=number_or_function)
 
     def springs_back(self):
         return False
@@ -321,9 +307,9 @@ class Spring(AbstractBodyLoad):
 
     start: Marker
     end: Marker
-    stiffness: Scalar | None = quantity(None, "N/m", "stiffness", at_least=0)
-    free_length: Scalar = quantity(0.0, "m", "length without force", at_least=0)
-    damping: Scalar | None = quantity(None, "N s/m", "viscous damping", at_least=0)
+    stiffness: Scalar | None = quantity(None, "N/m", at_least=0)
+    free_length: Scalar = quantity(0.0, "m", at_least=0)
+    damping: Scalar | None = quantity(None, "N s/m", at_least=0)
 
     def springs_back(self):
         return self.stiffness is not None
@@ -370,13 +356,9 @@ class JointSpring(AbstractCoordinateLoad):
     """
 
     connection: str = eqx.field(static=True)
-    stiffness: Scalar | None = quantity(
-        None, "N m/rad", "stiffness (N/m for a sliding joint)", at_least=0
-    )
-    rest: Scalar = quantity(0.0, "rad", "coordinate without force (m for a sliding joint)")
-    damping: Scalar | None = quantity(
-        None, "N m s/rad", "viscous damping (N s/m for a sliding joint)", at_least=0
-    )
+    stiffness: Scalar | None = quantity(None, "N m/rad", sliding="N/m", at_least=0)
+    rest: Scalar = quantity(0.0, "rad", sliding="m")
+    damping: Scalar | None = quantity(None, "N m s/rad", sliding="N s/m", at_least=0)
 
     def __check_init__(self):
         check_acts(self)
@@ -400,15 +382,11 @@ class JointTorque(AbstractCoordinateLoad):
 
     Args:
         connection: name of the joint.
-        value: torque [N m; force N for a sliding joint], a number or a function of time [s].
+        value: torque [N m; N for a sliding joint], a number or a function of time [s].
     """
 
     connection: str = eqx.field(static=True)
-    value: Scalar | Callable = quantity(
-        unit="N m",
-        meaning="torque (N for a sliding joint), or a function of time",
-        converter=number_or_function,
-    )
+    value: Scalar | Callable = quantity(unit="N m", sliding="N", converter=number_or_function)
 
     def __check_init__(self):
         check_function_of_time(self, "value")
@@ -439,11 +417,7 @@ class RotorInertia(AbstractCoordinateLoad):
     """
 
     connection: str = eqx.field(static=True)
-    reflected_inertia: Scalar = quantity(
-        unit="kg m^2",
-        meaning="the rotor's times the gear's ratio squared (kg for a sliding joint)",
-        at_least=0,
-    )
+    reflected_inertia: Scalar = quantity(unit="kg m^2", sliding="kg", at_least=0)
 
     def force(self, time, position, speed):
         return 0, 0, 0, 0

@@ -63,41 +63,17 @@ class Servo(AbstractStateLoad):
     """
 
     joint: str = eqx.field(static=True)
-    reference: Scalar | Callable = quantity(
-        unit="rad",
-        meaning="wanted coordinate (m for a sliding joint), or a function of time",
-        converter=number_or_function,
-    )
-    kp: Scalar = quantity(
-        unit="N m/rad", meaning="gain k_p of the error (N/m for a sliding joint)", at_least=0
-    )
-    ki: Scalar | None = quantity(
-        None,
-        "N m/rad/s",
-        "gain k_i of its integral (N/m/s for a sliding joint)",
-        at_least=0,
-        kw_only=True,
-    )
-    kd: Scalar | None = quantity(
-        None,
-        "N m s/rad",
-        "gain k_d of its rate (N s/m for a sliding joint)",
-        at_least=0,
-        kw_only=True,
-    )
+    reference: Scalar | Callable = quantity(unit="rad", sliding="m", converter=number_or_function)
+    kp: Scalar = quantity(unit="N m/rad", sliding="N/m", at_least=0)
+    ki: Scalar | None = quantity(None, "N m/rad/s", sliding="N/m/s", at_least=0, kw_only=True)
+    kd: Scalar | None = quantity(None, "N m s/rad", sliding="N s/m", at_least=0, kw_only=True)
     encoder: str | None = eqx.field(static=True, default=None, kw_only=True)
-    torque_limit: Scalar | None = quantity(
-        None, "N m", "largest torque, at the joint (N for a sliding joint)", above=0, kw_only=True
-    )
+    torque_limit: Scalar | None = quantity(None, "N m", sliding="N", above=0, kw_only=True)
     feedforward: Scalar | Callable | None = quantity(
-        None,
-        "N m",
-        "torque beside it (N for a sliding joint), or a function of time",
-        converter=number_or_function,
-        kw_only=True,
+        None, "N m", sliding="N", converter=number_or_function, kw_only=True
     )
-    period: Scalar | None = quantity(None, "s", "period of sampling", above=0, kw_only=True)
-    delay: int = count(0, "instants from looking to acting", at_least=0, kw_only=True)
+    period: Scalar | None = quantity(None, "s", above=0, kw_only=True)
+    delay: int = count(0, at_least=0, kw_only=True)
 
     def __check_init__(self):
         check_function_of_time(self, "reference")

@@ -3,7 +3,6 @@ how wide and deep it is there. Cells share a loss as in `contact_patch`, all ove
 poles included; quadratic B-splines read the map between their centres.
 """
 
-import functools
 import math
 from typing import NamedTuple
 
@@ -19,21 +18,17 @@ from jaxclear.components.contact_patch import (
     Outline,
     Patch,
     Touched,
-    Way,
-    all_shared,
     angle_touched,
     arc,
     arc_with_cell,
-    depth_lost,
     depth_of,
     entry,
     point_contact,
     point_sunk,
     square_width,
-    taken_off,
-    way_of,
+    table_rows,
 )
-from jaxclear.components.wear_map import AbstractWearMap
+from jaxclear.components.wear_map import AbstractSurface, directions_around
 from jaxclear.ground.numerics import OFF_THE_TIES, arc_sine, direction_angle, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 
@@ -45,41 +40,6 @@ STILL = 1e-13
 # what tells it drowns in rounding; and below which cells do not resolve it, so that nothing real
 # hangs on how it changes.
 DROWNED, UNRESOLVED = 1e-4, 0.2
-
-
-class Wall(NamedTuple):
-    """A wall of so many `cells` of azimuth and elevation; radius and radial clearance [m]."""
-
-    cells: tuple[int, int]
-    radius: Scalar
-    clearance: Scalar
-
-    @property
-    def sides(self) -> tuple[float, float]:
-        """Of a cell at the equator, around and along [rad]."""
-        around, along = self.cells
-        return 2 * math.pi / around, math.pi / along
-
-    @property
-    def cell(self) -> float:
-        """The shorter side of a cell at the equator [rad]: a groove of that width is resolved where
-        it runs along the longer one."""
-        return min(self.sides)
-
-    def position(self, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Where a direction (x, y, z) lies, in units of cells: azimuth, elevation."""
-        around, along = self.cells
-        azimuth = direction_angle(x, y)
-        elevation = direction_angle(safe_sqrt(x * x + y * y), z)
-        return azimuth * (around / (2 * jnp.pi)) - 0.5, (elevation / jnp.pi + 0.5) * along - 0.5
-
-    def rows(self) -> Float[np.ndarray, "along 3"]:
-        """Cosine and sine of the elevation of the centre of each row, area of its cells beside the
-        square of the radius."""
-        around, along = self.cells
-        angles = ((np.arange(along) + 0.5) / along - 0.5) * np.pi
-        bands = np.diff(np.sin(np.linspace(-np.pi / 2, np.pi / 2, along + 1)))
-        return np.stack([np.cos(angles), np.sin(angles), bands * (2 * np.pi / around)], axis=1)
 
 
 class Swept(NamedTuple):
@@ -114,33 +74,40 @@ class Swept(NamedTuple):
         return overlap * filled, share * covered
 
 
-class Loss(NamedTuple):
-    """A volume [m3] that a `wall` loses to a ball that comes closest towards a direction of length
-    1 (0: without one), and goes through an arc of half that angle [rad] about it in the direction
-    of its `travel`, of length 1 or less where cells do not resolve the arc; its `load` before
-    anything is lost, and how deep it would sink into an unworn wall (`sunk`) [m]."""
+class PointContact(NamedTuple):
+    """A ball that takes a volume [m3] off the wall of a `surface`. It comes closest towards a
+    direction (`normal`) of length 1 (not `directed`: 0), and goes through an arc of half that angle
+    [rad] about it in the direction of its `travel`, of length 1 or less where cells do not resolve
+    the arc; its `load` before anything is lost, and how deep it would sink into an unworn wall
+    (`sunk`) [m]."""
 
-    wall: Wall
+    surface: "SphereMap"
     volume: Scalar
     normal: Float[Array, "3"]
-    there: Array
+    directed: Array
     travel: Float[Array, "3"]
     half_arc: Scalar
     load: Elasticity
     sunk: Scalar
 
     @property
-    def cells(self) -> tuple[int, int]:
-        """How many cells the wall has, azimuth and elevation."""
-        return self.wall.cells
+    def middle(self) -> Scalar:
+        """The column of its mean direction, in units of columns."""
+        return self.surface.position(*self.normal)[0]
 
-    def patch(self, places: Float[Array, "*cells 3"], depth: Array, area: Array) -> Patch:
-        """Cells in these directions, worn so deep [m], of this area [m2]; no start."""
-        x, y, z = (places[..., i] for i in range(3))
-        ahead, sideways = places @ self.normal, places @ self.travel
+    def in_columns(self, column: Int[Array, "*columns"]) -> tuple[Array, Array]:
+        """Cosine and sine of the azimuth."""
+        azimuth = table_rows(directions_around(self.surface.cells[0]), column)
+        return azimuth[..., 0], azimuth[..., 1]
+
+    def patch(self, columns: tuple[Array, Array], row: Array, depth: Array) -> Patch:
+        elevation = table_rows(self.surface.rows(), row)
+        level, z = elevation[..., 0], elevation[..., 1]
+        x, y = columns[0] * level, columns[1] * level
+        ahead, sideways = (x * a + y * b + z * c for a, b, c in (self.normal, self.travel))
         beside = safe_sqrt(ahead * ahead + sideways * sideways)
         # A cell's sides, along the mean normal and along the travel.
-        wide, high = self.wall.sides
+        wide, high = self.surface.sides
         level = safe_sqrt(x * x + y * y)
         pairs = (self.normal, ahead), (self.travel, sideways)
         around = [wide * (x * way[1] - y * way[0]) for way, _ in pairs]
@@ -153,80 +120,46 @@ class Loss(NamedTuple):
 
         a, b = safe_divide(ahead, beside), safe_divide(sideways, beside)
         # Without a direction all are as near.
-        cosine = jnp.where(self.there, beside, 1.0)
-        away = jnp.where(self.there, direction_angle(ahead, jnp.abs(sideways)), 0.0)
-        room = self.wall.clearance + depth
-        nearest = Outline(cosine, room, self.wall.clearance * (0.5 * extent(a, b) + SHARPEST))
+        cosine = jnp.where(self.directed, beside, 1.0)
+        away = jnp.where(self.directed, direction_angle(ahead, jnp.abs(sideways)), 0.0)
+        clearance = self.surface.clearance
+        room = clearance + depth
+        nearest = Outline(cosine, room, clearance * (0.5 * extent(a, b) + SHARPEST))
         long = extent(-b, a) + SHARPEST
-        way = Way(away, nearest, arc_with_cell(self.half_arc, long), room)
+        half = arc_with_cell(self.half_arc, long)
         outline = Swept(nearest, away, self.half_arc, long)
-        return Patch(outline, way, area, 1.0, 0.0, self.load)
-
-    def in_column(self, column: Int[Array, ""]) -> Float[Array, "2"]:
-        """Cosine and sine of its azimuth."""
-        return way_of(column, self.cells[0])
-
-    def cell(self, column: Float[Array, "2"], row: Int[Array, ""], depth: Scalar) -> Patch:
-        """One of them, worn so deep [m]."""
-        level, height, area = jax.lax.dynamic_slice(self.wall.rows(), (row, 0), (1, 3))[0]
-        place = jnp.stack([column[0] * level, column[1] * level, height])
-        return self.patch(place, depth, area * self.wall.radius * self.wall.radius)
+        return Patch(outline, nearest, away, half, room, 1.0, self.load.root)
 
     def start(self, depth: Float[Array, "around along"]) -> Scalar:
-        """A level [m] near that of the ball and above it, on walls worn so deep [m]: in the middle
-        of its arc."""
-        around, along = self.cells
+        # In the middle of its arc.
+        around, along = self.surface.cells
         # Between two cells either rounding must choose the same.
         off = OFF_THE_TIES - 0.5
-        place = (jnp.floor(each + off).astype(int) for each in self.wall.position(*self.normal))
-        column, row = place
+        place = self.surface.position(*self.normal)
+        column, row = (jnp.floor(each + off).astype(int) for each in place)
         there = entry(depth, (column % around, jnp.clip(row, 0, along - 1)))
-        return self.wall.clearance + there + self.sunk
+        return self.surface.clearance + there + self.sunk
 
     def touched(self, level: Scalar) -> Touched:
-        """Cells that the ball may overlap at a level: of a cap about its mean direction."""
-        around, along = self.cells
+        # Those of a cap about its mean direction.
+        surface, (around, along) = self.surface, self.surface.cells
         # A cell that lies aslant of the travel is touched from as far as its diagonal.
-        diagonal = math.sqrt(2.0) * max(self.wall.sides)
-        reach = self.half_arc + angle_touched(level, diagonal, self.wall.clearance)
-        column, row = self.wall.position(*self.normal)
+        diagonal = math.sqrt(2.0) * max(surface.sides)
+        reach = self.half_arc + angle_touched(level, diagonal, surface.clearance)
+        column, row = surface.position(*self.normal)
         level = safe_sqrt(1.0 - self.normal[2] * self.normal[2])
         # A cap that holds a pole lies on all columns.
         beside = jnp.sin(jnp.minimum(reach, 0.5 * jnp.pi))
-        all_around = (beside >= level) | ~self.there
+        all_around = (beside >= level) | ~self.directed
         wide = arc_sine(jnp.where(all_around, 1.0, safe_divide(beside, level)))
         wide, high = wide * (around / (2 * jnp.pi)), reach * (along / jnp.pi)
         first = -jnp.floor(wide - column)
         columns = jnp.where(all_around, around, jnp.floor(column + wide) - first + 1.0)
-        lower = jnp.where(self.there, jnp.maximum(-jnp.floor(high - row), 0.0), 0.0)
-        upper = jnp.where(self.there, jnp.minimum(jnp.floor(row + high), along - 1.0), along - 1.0)
-        counts = first, jnp.minimum(columns, around), lower, upper - lower + 1.0
-        return Touched(*(jnp.asarray(each).astype(int) for each in counts))
-
-
-def loss_of(wall: Wall, volume: Scalar, features: Float[Array, "9"]) -> Loss:
-    """What an event with these location features takes off a wall (see `SphereMap`)."""
-    mean, products, narrowness = features[:3], features[3:8], features[8]
-    length = safe_sqrt(jnp.sum(mean * mean))
-    normal = safe_divide(mean, length)
-    travel, share = _travel(normal, products, DROWNED * wall.cell)
-    half_arc = arc(length) * safe_sqrt(share)
-    square, unresolved = half_arc * half_arc, (UNRESOLVED * wall.cell) ** 2
-    held = jax.lax.stop_gradient(travel)
-    told = square / jnp.sqrt(square * square + unresolved * unresolved)
-    travel = held + jax.lax.stop_gradient(told) * (travel - held)
-    overlap = depth_of(safe_divide(1.0, narrowness), wall.cell, wall.clearance)
-    load = point_contact(overlap, wall.radius, wall.clearance, half_arc)
-    return Loss(
-        wall,
-        volume,
-        normal,
-        length > 0,
-        travel,
-        half_arc,
-        load,
-        point_sunk(volume + load.overlap, wall.radius, wall.clearance),
-    )
+        lower = jnp.where(self.directed, jnp.maximum(-jnp.floor(high - row), 0.0), 0.0)
+        upper = jnp.where(
+            self.directed, jnp.minimum(jnp.floor(row + high), along - 1.0), along - 1.0
+        )
+        return Touched.of(first, jnp.minimum(columns, around), lower, upper - lower + 1.0)
 
 
 def _travel(
@@ -296,7 +229,7 @@ def stencil(
     return columns[..., :, None], rows[..., None, :], weights
 
 
-class SphereMap(AbstractWearMap):
+class SphereMap(AbstractSurface):
     """Wall of a socket: azimuth from x towards y in [0, 2 pi), elevation from -pi/2 to pi/2.
 
     Location features: direction (x, y, z), its products (xx, xy, xz, yy, yz), which tell the arc
@@ -312,61 +245,68 @@ class SphereMap(AbstractWearMap):
     def thickness(self):
         return self.radius
 
-    def areas(self) -> Float[Array, "around along"]:
+    @property
+    def sides(self) -> tuple[Scalar, Scalar]:
+        """Of a cell at the equator, around and along [rad]."""
         around, along = self.cells
-        bands = jnp.diff(jnp.sin(jnp.linspace(-jnp.pi / 2, jnp.pi / 2, along + 1)))
-        return jnp.ones((around, 1)) * bands * (2 * jnp.pi / around) * self.radius**2
+        return 2 * math.pi / around, math.pi / along
+
+    @property
+    def cell(self) -> Scalar:
+        """The shorter side of a cell at the equator [rad]: a groove of that width is resolved where
+        it runs along the longer one."""
+        return min(self.sides)
+
+    def rows(self) -> Float[np.ndarray, "along 3"]:
+        """Cosine and sine of the elevation of the centre of each row, area of its cells relative to
+        the square of the radius."""
+        around, along = self.cells
+        angles = ((np.arange(along) + 0.5) / along - 0.5) * np.pi
+        bands = np.diff(np.sin(np.linspace(-np.pi / 2, np.pi / 2, along + 1)))
+        return np.stack([np.cos(angles), np.sin(angles), bands * (2 * np.pi / around)], axis=1)
+
+    def row_area(self, row):
+        return table_rows(self.rows(), row)[..., 2] * self.radius * self.radius
 
     def path(self, features):
-        return 2.0 * arc(safe_sqrt(jnp.sum(features[:3] ** 2))) / self.wall.cell
+        return 2.0 * arc(safe_sqrt(jnp.sum(features[:3] ** 2))) / self.cell
 
     def angles(self) -> Float[Array, " around"]:
         """Azimuth of the centre of each cell [rad]."""
         return (jnp.arange(self.cells[0]) + 0.5) * (2 * jnp.pi / self.cells[0])
 
+    def directions(self) -> Float[Array, "around along 3"]:
+        """Direction of the centre of each cell."""
+        azimuth, (level, height, _) = directions_around(self.cells[0])[:, None], self.rows().T
+        parts = azimuth[..., 0] * level, azimuth[..., 1] * level
+        return jnp.stack([*parts, jnp.broadcast_to(height, self.cells)], axis=-1)
+
     def narrowness(self, indentation: Scalar) -> Scalar:
         """One over the square of half the width [1/rad2] of a contact of some indentation [m]. Its
         mean over a loss tells how deep that is in the contact's middle."""
-        return 1.0 / square_width(indentation, self.wall.cell, self.clearance)
+        return 1.0 / square_width(indentation, self.cell, self.clearance)
 
     def position(self, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
         """Where a direction (x, y, z) lies, in units of cells: azimuth, elevation."""
-        return self.wall.position(x, y, z)
+        around, along = self.cells
+        azimuth = direction_angle(x, y)
+        elevation = direction_angle(safe_sqrt(x * x + y * y), z)
+        return azimuth * (around / (2 * jnp.pi)) - 0.5, (elevation / jnp.pi + 0.5) * along - 0.5
 
-    @property
-    def wall(self) -> Wall:
-        """Its geometry alone."""
-        return Wall(self.cells, self.radius, self.clearance)
-
-    def deposit(self, depth, volume, features):
-        lost = jax.vmap(self._lost, (None, 0, 0))(depth, volume, features)
-        return depth + jnp.sum(lost, axis=0)
-
-    def _lost(self, depth, volume, features):
-        """What each cell loses in an event [m]."""
-        loss = loss_of(self.wall, volume, features)
-        patch = loss.patch(self.directions(), depth, self.areas()[0])
-        return depth_lost(volume, patch._replace(start=loss.start(depth)))[0]
-
-    def deposit_in_turn(self, depth, reading, pressures, volume, features):
-        loss = functools.partial(loss_of, self.wall)
-        shares, pressures = all_shared(loss, depth, pressures, volume, features)
-        # The gap reads the depths themselves.
-        if reading is not None:
-            reading = taken_off(shares, pressures, reading)
-        return taken_off(shares, pressures, depth), reading, pressures
-
-    def directions(self) -> Float[Array, "around along 3"]:
-        """Direction of the centre of each cell."""
-        along = self.cells[1]
-        azimuth = self.angles()[:, None]
-        elevation = ((jnp.arange(along) + 0.5) / along - 0.5) * jnp.pi
-        level = jnp.cos(elevation)
-        parts = (jnp.cos(azimuth) * level, jnp.sin(azimuth) * level, jnp.sin(elevation))
-        return jnp.stack([*parts[:2], jnp.broadcast_to(parts[2], self.cells)], axis=-1)
-
-    def reading(self, depth):
-        return depth
+    def contact(self, volume, features):
+        mean, products, narrowness = features[:3], features[3:8], features[8]
+        length = safe_sqrt(jnp.sum(mean * mean))
+        normal = safe_divide(mean, length)
+        travel, share = _travel(normal, products, DROWNED * self.cell)
+        half_arc = arc(length) * safe_sqrt(share)
+        square, unresolved = half_arc * half_arc, (UNRESOLVED * self.cell) ** 2
+        held = jax.lax.stop_gradient(travel)
+        told = square / jnp.sqrt(square * square + unresolved * unresolved)
+        travel = held + jax.lax.stop_gradient(told) * (travel - held)
+        overlap = depth_of(safe_divide(1.0, narrowness), self.cell, self.clearance)
+        load = point_contact(overlap, self.radius, self.clearance, half_arc)
+        sunk = point_sunk(volume + load.overlap, self.radius, self.clearance)
+        return PointContact(self, volume, normal, length > 0, travel, half_arc, load, sunk)
 
     def depth_towards(
         self, depth: Float[Array, "around along"], x: Scalar, y: Scalar, z: Scalar

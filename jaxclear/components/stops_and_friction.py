@@ -70,24 +70,12 @@ class JointStop(AbstractCoordinateLoad):
     """
 
     connection: str = eqx.field(static=True)
-    lower: Scalar | None = quantity(None, "rad", "least coordinate (m for a sliding joint)")
-    upper: Scalar | None = quantity(None, "rad", "largest coordinate (m for a sliding joint)")
-    stiffness: Scalar | None = quantity(
-        None, "N m/rad", "stiffness k (N/m for a sliding joint)", above=0, kw_only=True
-    )
-    damping: Scalar | None = quantity(
-        None, "N m s/rad", "damping d (N s/m for a sliding joint)", at_least=0, kw_only=True
-    )
-    restitution: Scalar | None = quantity(
-        None, "1", "share of the speed that comes back", at_least=0, at_most=1, kw_only=True
-    )
-    depth: Scalar | None = quantity(
-        None,
-        "rad",
-        "way over which damping sets in (m for a sliding joint; None: by the spring's own force)",
-        above=0,
-        kw_only=True,
-    )
+    lower: Scalar | None = quantity(None, "rad", sliding="m")
+    upper: Scalar | None = quantity(None, "rad", sliding="m")
+    stiffness: Scalar | None = quantity(None, "N m/rad", sliding="N/m", above=0, kw_only=True)
+    damping: Scalar | None = quantity(None, "N m s/rad", sliding="N s/m", at_least=0, kw_only=True)
+    restitution: Scalar | None = quantity(None, "1", at_least=0, at_most=1, kw_only=True)
+    depth: Scalar | None = quantity(None, "rad", sliding="m", above=0, kw_only=True)
 
     def __check_init__(self):
         if self.lower is None and self.upper is None:
@@ -170,7 +158,7 @@ class Pressed(AbstractQuantified):
     """
 
     by: str = eqx.field(static=True)
-    factor: Scalar = quantity(unit="m", meaning="friction for a unit of force", at_least=0)
+    factor: Scalar = quantity(unit="m", at_least=0)
 
 
 class JointFriction(AbstractStateLoad):
@@ -219,32 +207,11 @@ class JointFriction(AbstractStateLoad):
 
     connection: str = eqx.field(static=True)
     torque: Scalar | Callable | Pressed = quantity(
-        unit="N m",
-        meaning="friction when it slides (N for a sliding joint), or a function of time",
-        converter=_number_function_or_pressed,
-        at_least=0,
+        unit="N m", sliding="N", converter=_number_function_or_pressed, at_least=0
     )
-    transition_speed: Scalar | None = quantity(
-        None,
-        "rad/s",
-        "speed v_0 at which three quarters of the friction act (m/s for a sliding joint; None: it "
-        "holds)",
-        above=0,
-    )
-    presliding: Scalar | None = quantity(
-        None,
-        "rad",
-        "deflection z_0 at which the bristle yields (m if sliding; None: from the inertia)",
-        above=0,
-        kw_only=True,
-    )
-    settling_time: Scalar | None = quantity(
-        None,
-        "s",
-        "damping time t_0 of the bristle (None: 0.01 beside a presliding, else from the inertia)",
-        above=0,
-        kw_only=True,
-    )
+    transition_speed: Scalar | None = quantity(None, "rad/s", sliding="m/s", above=0)
+    presliding: Scalar | None = quantity(None, "rad", sliding="m", above=0, kw_only=True)
+    settling_time: Scalar | None = quantity(None, "s", above=0, kw_only=True)
 
     def coordinates(self):
         return (self.connection,)

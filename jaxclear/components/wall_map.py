@@ -11,11 +11,9 @@ A corner that moves while it wears leaves to each cell the mean of its pressures
 The pressure is that after the loss, as in `contact_patch`.
 """
 
-import functools
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -25,13 +23,9 @@ from jaxclear.components.contact_patch import (
     Elasticity,
     Outline,
     Touched,
-    depth_lost,
     entry,
-    through,
-    with_entry,
-    worn_in_turn,
 )
-from jaxclear.components.wear_map import AbstractWearMap, mean_along
+from jaxclear.components.wear_map import AbstractSurface, mean_along, spline
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 
@@ -42,31 +36,6 @@ LEAST_CELLS, LEAST_OVERLAP = 2.0, 1e-3
 
 # Half of the shortest way [cells]: how long a shorter one is hangs on rounding.
 LEAST_WAY = 1e-2
-
-
-class Wall(NamedTuple):
-    """Two walls of so many `cells`; their length, the length of the `face` that wears them, breadth
-    of both, and gap beside a centred slider [m]."""
-
-    cells: tuple[int, int]
-    length: Scalar
-    face: Scalar
-    breadth: Scalar
-    clearance: Scalar
-
-    @property
-    def cell(self) -> Scalar:
-        """Length of a cell [m]."""
-        return self.length / self.cells[1]
-
-    @property
-    def area(self) -> Scalar:
-        """Of a cell [m2]."""
-        return self.breadth * self.cell
-
-    def place(self, row: Array) -> Array:
-        """Where the centres of cells lie, from the middle [m]."""
-        return self.length * ((row + 0.5) / self.cells[1] - 0.5)
 
 
 class Face(NamedTuple):
@@ -99,11 +68,11 @@ class Face(NamedTuple):
         return positive_part((b - a) * (self.depth - linear + square))
 
 
-class WallCells(NamedTuple):
+class FacePatch(NamedTuple):
     """Cells of a wall, worn so deep [m], `away` so far [m] from the middle of a corner's way of
     this `half` [m], under a face of a `slope` and `length` [m]; `covered`: their share that the
-    face comes to; `outline`: how it overlaps them where it comes closest; the rest as in
-    `contact_patch.Patch`."""
+    face comes to; `outline`: how it overlaps them where it comes closest; `root`: as of
+    `Elasticity`."""
 
     away: Array
     half: Scalar
@@ -112,32 +81,29 @@ class WallCells(NamedTuple):
     covered: Array
     depth: Array
     outline: Outline
-    area: Scalar
-    start: Scalar
-    elasticity: Elasticity
+    root: Scalar
 
     def overlapped(self, level: Scalar) -> tuple[Array, Array]:
-        """(mean over each cell of the overlap [m], its slope by the level) where the corner is at a
-        level [m]."""
+        """As of a `contact_patch.Patch`, where the corner is at a level [m]."""
         overlap, share = self.outline.at(level)
         return self.covered * overlap, self.covered * share
 
     def pressures(self, volume: Scalar, level: Scalar) -> Array:
-        """What each cell loses beside the others, where the corner has come to a level [m]."""
+        """As of a `contact_patch.Patch`, where the corner has come to a level [m]."""
         overlap, _ = self.overlapped(level)
         face = Face(level - self.depth, self.slope, self.length)
         mean = face.share(self.away - self.half, self.away + self.half) / (2.0 * self.half)
         own = volume * (mean + LEAST_SHARE * overlap)
-        return safe_divide(own * overlap, own + self.elasticity.root * overlap)
+        return safe_divide(own * overlap, own + self.root * overlap)
 
 
-class Loss(NamedTuple):
-    """A volume [m3] that one wall (`side` 0 or 1) loses to a corner at an `end` (-1 or 1) of a
-    face, which is at a `place` [m] from the walls' middle in the mean of its way, `half` [m] to
-    either side; `load` before anything is lost, and how deep the corner would sink into an unworn
-    wall (`sunk`) [m]; the face's `slope` towards its other corner."""
+class FaceContact(NamedTuple):
+    """A corner at an `end` (-1 or 1) of a face that takes a volume [m3] off one wall (`side` 0 or
+    1) of a `surface`. It is at a `place` [m] from the walls' middle in the mean of its way, `half`
+    [m] to either side; `load` before anything is lost, and how deep the corner would sink into an
+    unworn wall (`sunk`) [m]; the face's `slope` towards its other corner."""
 
-    wall: Wall
+    surface: "WallMap"
     volume: Scalar
     side: Scalar
     end: Scalar
@@ -147,67 +113,40 @@ class Loss(NamedTuple):
     load: Elasticity
     sunk: Scalar
 
-    @property
-    def cells(self) -> tuple[int, int]:
-        """Two walls, and how many cells each has."""
-        return self.wall.cells
+    def in_columns(self, column: Int[Array, "*columns"]) -> Array:
+        """1 of the wall that is worn, 0 of the other."""
+        return (column == self.side).astype(float)
 
-    def in_column(self, column: Int[Array, ""]) -> None:
-        """Nothing."""
-
-    def cell(self, column: None, row: Array, depth: Array, start: Scalar = 0.0) -> WallCells:
-        """Cells in rows, worn so deep [m]; where their level is sought, from `start` [m]."""
-        wall, half, slope = self.wall, self.half, self.slope
-        face, cell = wall.face, wall.cell
-        away = self.end * (self.place - wall.place(row))
-        covered = _share((away + half) / cell) * _share((face + half - away) / cell)
+    def patch(self, columns: Array, row: Array, depth: Array) -> FacePatch:
+        surface, half, slope = self.surface, self.half, self.slope
+        face, cell = surface.face, surface.cell
+        away = self.end * (self.place - surface.place(row))
+        covered = columns * _share((away + half) / cell) * _share((face + half - away) / cell)
         nearest = jnp.clip(away - half, 0.0, face), jnp.clip(away + half, 0.0, face)
         fallen = positive_part(slope) * nearest[0] - positive_part(-slope) * nearest[1]
-        rounding = 0.5 * jnp.abs(slope) * cell + SHARPEST * wall.clearance
+        rounding = 0.5 * jnp.abs(slope) * cell + SHARPEST * surface.clearance
         outline = Outline(1.0, depth + fallen, rounding)
         # As two spreads add up: over the way, and over the cell.
         spread = jnp.sqrt(half * half + 0.25 * cell * cell)
-        parts = away, spread, slope, face, covered, depth, outline
-        return WallCells(*parts, wall.area, start, self.load)
+        return FacePatch(away, spread, slope, face, covered, depth, outline, self.load.root)
 
     def start(self, depth: Float[Array, "2 along"]) -> Scalar:
-        """A level [m] near that of the corner, on walls worn so deep [m]."""
         # The cell that the corner has left behind.
-        row = self._row(self.place - 0.5 * self.end * self.wall.cell)
-        here = jnp.clip(jnp.round(_number(row)), 0, self.cells[1] - 1).astype(int)
+        row = self.surface.row(self.place - 0.5 * self.end * self.surface.cell)
+        here = jnp.clip(jnp.round(_number(row)), 0, self.surface.cells[1] - 1).astype(int)
         return entry(depth, (jnp.asarray(self.side).astype(int), here)) + self.sunk
 
     def touched(self, level: Scalar) -> Touched:
-        """Cells that the face comes to."""
-        far, near = self.wall.face + self.half, self.half
+        # All cells that the face comes to.
+        far, near = self.surface.face + self.half, self.half
         forward = self.end > 0
-        lower = self._row(self.place - jnp.where(forward, far, near))
-        upper = self._row(self.place + jnp.where(forward, near, far))
-        last = self.cells[1] - 1.0
+        lower = self.surface.row(self.place - jnp.where(forward, far, near))
+        upper = self.surface.row(self.place + jnp.where(forward, near, far))
+        last = self.surface.cells[1] - 1.0
         # A cell is come to where its centre is less than half a cell away.
         first = jnp.clip(jnp.floor(_number(lower + 0.5)), 0.0, last)
         rows = jnp.clip(jnp.ceil(_number(upper - 0.5)), 0.0, last) - first + 1.0
-        found = self.side, 1.0, first, rows
-        return Touched(*(jnp.asarray(n).astype(int) for n in found))
-
-    def _row(self, place: Scalar) -> Scalar:
-        """A place [m] in units of cells."""
-        return (place / self.wall.length + 0.5) * self.cells[1] - 0.5
-
-
-def loss_of(wall: Wall, volume: Scalar, features: Float[Array, "6"]) -> Loss:
-    """What an event with these location features takes off walls (see `WallMap`)."""
-    middle, square, fall, indentation, side, end = features
-    half = jnp.sqrt(_half_path_squared(middle, square) + (LEAST_WAY * wall.cell) ** 2)
-    slope = fall / wall.face
-    least = LEAST_CELLS * wall.cell * positive_part(slope) + LEAST_OVERLAP * wall.clearance
-    face = Face(jnp.maximum(indentation, least), slope, wall.face)
-    deepest = face.depth + positive_part(-fall)
-    overlap = wall.breadth * (face.overlap() + 2.0 * half * deepest)
-    load = Elasticity(face.depth, overlap, wall.breadth * face.share(0.0, wall.face))
-    sunk = _sunk((volume + overlap) / wall.breadth, wall.face, half, slope)
-    place = middle + 0.5 * end * wall.face
-    return Loss(wall, volume, side, end, place, half, slope, load, sunk)
+        return Touched.of(self.side, 1.0, first, rows)
 
 
 def _half_path_squared(middle: Scalar, square: Scalar) -> Scalar:
@@ -237,7 +176,7 @@ def _number(row: Array) -> Array:
     return jnp.where(jnp.isfinite(row), row, 0.0)
 
 
-class WallMap(AbstractWearMap):
+class WallMap(AbstractSurface):
     """Walls at -x (row 0) and x (row 1) of a guide, or of a slider: z from `middle` - length/2 to
     `middle` + length/2.
 
@@ -254,92 +193,74 @@ class WallMap(AbstractWearMap):
     clearance: Scalar = quantity(unit="m", meaning="gap beside a centred slider", above=0)
     distance: Scalar = quantity(unit="m", meaning="distance of each wall from the middle", above=0)
 
-    def areas(self) -> Float[Array, "2 along"]:
-        return jnp.full(self.cells, 1.0) * self.wall.area
+    @property
+    def cell(self) -> Scalar:
+        """Length of a cell [m]."""
+        return self.length / self.cells[1]
+
+    def row_area(self, row):
+        return self.breadth * self.cell
 
     def over_three(self, depth):
         # Either row is a wall of its own.
         return mean_along(depth)
 
     def path(self, features):
-        return 2.0 * safe_sqrt(_half_path_squared(features[0], features[1])) / self.wall.cell
+        return 2.0 * safe_sqrt(_half_path_squared(features[0], features[1])) / self.cell
+
+    def place(self, row: Array) -> Array:
+        """Where the centres of cells lie, from the middle of the walls [m]."""
+        return self.length * ((row + 0.5) / self.cells[1] - 0.5)
+
+    def row(self, place: Scalar) -> Scalar:
+        """A place from the middle of the walls [m] in units of cells."""
+        return (place / self.length + 0.5) * self.cells[1] - 0.5
 
     def places(self) -> Float[Array, " along"]:
         """Where the centre of each cell lies along the guide (or slider) [m]."""
-        return self.middle + self.wall.place(jnp.arange(self.cells[1]))
+        return self.middle + self.place(jnp.arange(self.cells[1]))
 
     @property
     def flat(self):
         return True
 
-    @property
-    def wall(self) -> Wall:
-        """Its geometry alone."""
-        return Wall(self.cells, self.length, self.face, self.breadth, self.clearance)
-
     def within(self, place: Scalar) -> Array:
         """Whether a place along the guide [m] is on the walls."""
         return jnp.abs(place - self.middle) <= 0.5 * self.length
 
-    def deposit(self, depth, volume, features):
-        lost = jax.vmap(self._lost, (None, 0, 0))(depth, volume, features)
-        return depth + jnp.sum(lost, axis=0)
+    def contact(self, volume, features):
+        middle, square, fall, indentation, side, end = features
+        half = jnp.sqrt(_half_path_squared(middle, square) + (LEAST_WAY * self.cell) ** 2)
+        slope = fall / self.face
+        least = LEAST_CELLS * self.cell * positive_part(slope) + LEAST_OVERLAP * self.clearance
+        face = Face(jnp.maximum(indentation, least), slope, self.face)
+        deepest = face.depth + positive_part(-fall)
+        overlap = self.breadth * (face.overlap() + 2.0 * half * deepest)
+        load = Elasticity(face.depth, overlap, self.breadth * face.share(0.0, self.face))
+        sunk = _sunk((volume + overlap) / self.breadth, self.face, half, slope)
+        place = middle + 0.5 * end * self.face
+        return FaceContact(self, volume, side, end, place, half, slope, load, sunk)
 
-    def _lost(self, depth, volume, features):
-        """What each cell loses in an event [m]."""
-        loss = loss_of(self.wall, volume, features)
-        side = features[4].astype(int)
-        own = jax.lax.dynamic_slice(depth, (side, jnp.zeros_like(side)), (1, self.cells[1]))
-        patch = loss.cell(None, jnp.arange(self.cells[1]), own, loss.start(depth))
-        lost, _ = depth_lost(volume, patch._replace(area=self.areas()[0]))
-        return jnp.where(jnp.arange(2)[:, None] == side, lost, 0.0)
-
-    def deposit_in_turn(self, depth, reading, pressures, volume, features):
-        loss = functools.partial(loss_of, self.wall)
-        worn = depth, reading, pressures
-        return worn_in_turn(loss, self._read_anew, *worn, volume, features)
-
-    def _read_anew(self, touched, depth, reading):
-        """The reading where these cells of a wall have changed."""
-
-        def one(_, place, reading):
-            return with_entry(reading, (place[0], place[1] + 1), entry(depth, place))
-
-        reading = through(touched, self.cells, one, reading, True)
-        for side in (0, 1):
-            for last, inside, beyond in self._ends():
-                edge = _beyond(entry(depth, (side, last)), entry(depth, (side, inside)))
-                reading = with_entry(reading, (side, beyond), edge)
-        return reading
-
-    def _ends(self) -> tuple[tuple[int, int, int], ...]:
-        """(last cell of a wall, the next further inside, the place beyond in the reading) at its
-        lower and upper end."""
-        last = self.cells[1] - 1
-        return (0, min(1, last), 0), (last, max(last - 1, 0), last + 2)
-
-    def reading(self, depth):
-        """The cells of each wall, with one more beyond either end: what a place reads of it is one
-        small slice."""
-        beyond = [_beyond(depth[:, last], depth[:, inside]) for last, inside, _ in self._ends()]
-        return jnp.concatenate([beyond[0][:, None], depth, beyond[1][:, None]], axis=1)
-
-    def depth_at(self, reading: Array, side: int, place: Scalar) -> Scalar:
+    def depth_at(self, depth: Array, side: int, place: Scalar) -> Scalar:
         """Worn depth [m] of a wall (0 or 1) at a place along the guide [m]."""
-        along = self.cells[1]
-        position = ((place - self.middle) / self.length + 0.5) * along - 0.5
-        nearest = jnp.clip(jnp.round(position), 0.0, along - 1.0)
-        f = position - nearest
-        first = side, nearest.astype(int)
-        left, here, right = jax.lax.dynamic_slice(reading, first, (1, 3))[0]
-        # A quadratic B-spline.
-        curvature = 0.5 * (left + right) - here
-        return 0.125 * (left + 6.0 * here + right) + f * (0.5 * (right - left) + f * curvature)
+        last = self.cells[1] - 1
+        position = self.row(place - self.middle)
+        nearest = jnp.clip(jnp.round(position), 0.0, float(last))
+        row = nearest.astype(int)
+        left, here, right = (entry(depth, (side, jnp.clip(row + k, 0, last))) for k in (-1, 0, 1))
+        if last:
+            left, right = (
+                jnp.where(row == 0, _beyond(here, right), left),
+                jnp.where(row == last, _beyond(here, left), right),
+            )
+        return spline(position - nearest, left, here, right)
 
-    def depth_at_end(self, reading: Array, side: int, end: int) -> Scalar:
+    def depth_at_end(self, depth: Array, side: int, end: int) -> Scalar:
         """Worn depth [m] of a wall (0 or 1) at its lower (-1) or upper (1) end."""
-        first = 0 if end < 0 else self.cells[1]
-        return 0.5 * (entry(reading, (side, first)) + entry(reading, (side, first + 1)))
+        last = self.cells[1] - 1
+        row, inside = (0, min(1, last)) if end < 0 else (last, max(last - 1, 0))
+        edge, further = (entry(depth, (side, k)) for k in (row, inside))
+        return 0.5 * (_beyond(edge, further) + edge)
 
 
 def _beyond(last: Array, inside: Array) -> Array:

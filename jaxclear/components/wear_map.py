@@ -3,9 +3,9 @@ overlap; and one depth where parts without a gap wear into each other.
 
 Every cell loses what its own pressure takes, which follows from its own gap on the worn surface
 (`contact_patch`): on a cylinder also along the tilted journal. Volume is conserved to rounding, and
-depth is a smooth function of where and how much. What is lost between two saving times is spread
-over the arc that the contact has gone through. Quadratic B-splines read the depth back when the
-worn surface enters the gap.
+depth is a smooth function of where and how much. What is lost between two updates is spread over
+the arc that the contact has gone through. Quadratic B-splines read the depth back when the worn
+surface enters the gap.
 """
 
 import functools
@@ -17,6 +17,7 @@ import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxclear.components.contact_patch import (
@@ -25,22 +26,20 @@ from jaxclear.components.contact_patch import (
     Outline,
     Patch,
     Touched,
-    Way,
     angle_touched,
     arc,
     arc_with_cell,
     depth_lost,
     depth_of,
     entry,
-    least,
+    find_share,
+    least_overlap,
     line_contact,
     line_sunk,
     square_width,
+    table_rows,
     through,
-    way_of,
-    ways,
     with_entry,
-    worn_in_turn,
 )
 from jaxclear.ground.numerics import (
     OFF_THE_TIES,
@@ -52,168 +51,7 @@ from jaxclear.ground.numerics import (
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
 from jaxclear.laws.wear import AbstractWearLaw
 
-
-class Wall(NamedTuple):
-    """A wall of so many `cells` around and along; radius, length, radial clearance [m]."""
-
-    cells: tuple[int, int]
-    radius: Scalar
-    length: Scalar
-    clearance: Scalar
-
-    @property
-    def cell(self) -> float:
-        """Angle of a cell [rad]."""
-        return 2 * math.pi / self.cells[0]
-
-    @property
-    def area(self) -> Scalar:
-        """Of a cell [m2]."""
-        return (2 * math.pi * self.radius / self.cells[0]) * (self.length / self.cells[1])
-
-    def height(self, row: Array) -> Array:
-        """z of the centre of cells [m]."""
-        return self.length * ((row + 0.5) / self.cells[1] - 0.5)
-
-
-class Column(NamedTuple):
-    """Angle between a column and the middle of an arc [rad, 0 to pi]; cosine and size of the sine
-    of that between it and the arc; without a direction all columns are in it."""
-
-    along: Array
-    cosine: Array
-    sine: Array
-
-
-class Loss(NamedTuple):
-    """A volume [m3] that a `wall` loses to a part that comes closest `towards` a direction, which
-    `middle` says in units of columns, goes through an arc of half that angle [rad] about it (with
-    cosine and sine, `turned`), and overlaps by `fall` [m] less at the other `end`; that by which
-    the overlap falls over half a cell at most (`steepest`) [m]; its `load` before anything is lost,
-    and how deep it would sink into an unworn wall (`sunk`) [m]."""
-
-    wall: Wall
-    volume: Scalar
-    towards: tuple[Scalar, Scalar]
-    middle: Scalar
-    half_arc: Scalar
-    turned: tuple[Scalar, Scalar]
-    fall: Scalar
-    end: Scalar
-    steepest: Scalar
-    load: Elasticity
-    sunk: Scalar
-
-    @property
-    def cells(self) -> tuple[int, int]:
-        """How many cells the wall has, around and along."""
-        return self.wall.cells
-
-    def columns(self, ways: Float[Array, "*columns 2"]) -> Column:
-        """Columns in these directions (x, y)."""
-        x, y = ways[..., 0], ways[..., 1]
-        towards, (c, s) = self.towards, self.turned
-        cosine = x * towards[0] + y * towards[1]
-        sine = jnp.abs(x * towards[1] - y * towards[0])
-        inside = cosine >= c
-        return Column(
-            direction_angle(cosine, sine),
-            jnp.where(inside, 1.0, cosine * c + sine * s),
-            jnp.where(inside, 0.0, sine * c - cosine * s),
-        )
-
-    def in_column(self, column: Int[Array, ""]) -> Column:
-        """That column alone."""
-        return self.columns(way_of(column, self.cells[0]))
-
-    def cell(self, column: Column, row: Array, depth: Array, start: Scalar = 0.0) -> Patch:
-        """Cells of columns in rows, worn so deep [m]; where their level is sought, from `start`
-        [m]."""
-        wall, clearance = self.wall, self.wall.clearance
-        away = 0.5 * jnp.abs(self.end) - self.end * wall.height(row) / wall.length
-        rounding = (
-            (jnp.pi / wall.cells[0]) * clearance * column.sine
-            + self.steepest * jnp.abs(column.cosine)
-            + SHARPEST * clearance
-        )
-        room, fallen = clearance + depth, self.fall * away
-        outline = Outline(column.cosine, room + fallen * column.cosine, rounding)
-        nearest = Outline(1.0, room + fallen, self.steepest + SHARPEST * clearance)
-        half = arc_with_cell(self.half_arc, wall.cell)
-        way = Way(column.along, nearest, half, room)
-        return Patch(outline, way, wall.area, 1.0 - away, start, self.load)
-
-    def start(self, depth: Float[Array, "around along"]) -> Scalar:
-        """A level [m] near that of the part and above it, on walls worn so deep [m]: at the end
-        that carries."""
-        around, along = self.wall.cells
-        row = jnp.where(self.end > 0, along - 1, 0)
-        edge = entry(depth, (self.nearest.astype(int) % around, row))
-        return self.wall.clearance + edge + self.sunk
-
-    def reach(self, level: Scalar) -> Scalar:
-        """Angle [rad] to either side beyond which the part overlaps no cell at a level [m]."""
-        most = level + positive_part(-self.fall) + self.steepest
-        return self.half_arc + angle_touched(most, self.wall.cell, self.wall.clearance)
-
-    @property
-    def nearest(self) -> Scalar:
-        """The first column in the arc, or the nearest to it."""
-        half_arc = self.half_arc / self.wall.cell
-        first = -jnp.floor(half_arc - self.middle)
-        # Between two columns either rounding must choose the same.
-        nearest = jnp.floor(self.middle + (OFF_THE_TIES - 0.5))
-        return jnp.where(first <= self.middle + half_arc, first, nearest)
-
-    def touched(self, level: Scalar) -> Touched:
-        """Cells that the part may overlap at a level."""
-        around, along = self.wall.cells
-        reach, middle = self.reach(level) / self.wall.cell, self.middle
-        first = -jnp.floor(reach - middle)
-        nowhere = self.towards[0] ** 2 + self.towards[1] ** 2 < 0.5
-        whole = nowhere | (2.0 * reach + 1.0 >= around)
-        columns = jnp.where(whole, around, jnp.floor(middle + reach) - first + 1.0)
-        # A row is overlapped, if at all, where level cos + rounding sin is as much as is needed.
-        rounding, needed = least(self.wall.cell, self.wall.clearance)
-        lowest = jnp.sqrt(needed * needed - rounding * rounding)
-        share = (level + self.steepest - lowest) / jnp.where(self.fall > 0, self.fall, jnp.inf)
-        tilted = (self.fall > 0) & (jnp.abs(self.end) > 0.5)
-        rows = jnp.where(tilted, jnp.clip(-jnp.floor(0.5 - share * along), 0.0, along), along)
-        lower = jnp.where(self.end > 0.5, along - rows, 0.0)
-        return Touched(*(jnp.asarray(n).astype(int) for n in (first, columns, lower, rows)))
-
-
-def loss_of(wall: Wall, volume: Scalar, features: Float[Array, "5"]) -> Loss:
-    """What an event with these location features takes off a wall (see `CylinderMap`)."""
-    x, y, fall, narrowness, end = features
-    ends, clearance = jnp.abs(end), wall.clearance
-    length = safe_sqrt(x * x + y * y)
-    half_arc = arc(length)
-    square = safe_divide(1.0, narrowness * narrowness)
-    overlap = depth_of(square, wall.cell, clearance)
-    # Up to where a tilted journal overlaps. Its two ends have shares, as the line between them
-    # tells, that add up to one.
-    touching = safe_divide(overlap * wall.length, 2.5 * jnp.abs(fall) * ends + overlap)
-    load = line_contact(overlap, wall.radius, clearance, touching, half_arc)
-    load = load._replace(root=load.root * (1.0 - 0.5 * ends * touching / wall.length))
-    wanted = volume + load.overlap
-    towards = safe_divide(x, length), safe_divide(y, length)
-    return Loss(
-        wall,
-        volume,
-        towards,
-        direction_angle(*towards) / wall.cell - 0.5,
-        half_arc,
-        (jnp.cos(half_arc), jnp.sin(half_arc)),
-        fall,
-        end,
-        (0.5 / wall.cells[1]) * jnp.abs(fall),
-        load,
-        line_sunk(wanted, wall.radius, clearance, wall.length, jnp.abs(fall) * ends),
-    )
-
-
-# Angle [rad] to either side of a contact that is looked at first.
+# Angle [rad] to either side of a contact of the cells that XLA looks at first.
 REACH = 0.6
 
 
@@ -248,9 +86,9 @@ class Wearing(AbstractQuantified):
         converter=lambda given: tuple(given) if isinstance(given, list) else given,
         metadata={"wanted": "2 whole numbers: cells around and along"},
     )
-    acceleration: Scalar = quantity(1.0, "1", "worn volume per simulated volume", at_least=0)
+    acceleration: Scalar = quantity(1.0, "1", at_least=0)
     worn_radius: bool = eqx.field(static=True, default=False, kw_only=True)
-    updates: int | None = count(None, "most updates of the worn surface in a run", kw_only=True)
+    updates: int | None = count(None, kw_only=True)
 
     def __check_init__(self):
         if self.cells[0] < 4 or self.cells[1] < 1:
@@ -355,7 +193,188 @@ class AbstractWearMap(AbstractQuantified):
         return depth, None if reading is None else self.reading(depth), pressures
 
 
-class CylinderMap(AbstractWearMap):
+class AbstractSurface(AbstractWearMap):
+    """A surface of which each cell loses what its own pressure takes. A kind of surface gives the
+    area of its cells, how gaps read it and the `contact` that takes a loss off."""
+
+    @abstractmethod
+    def contact(self, volume: Scalar, features: Float[Array, " n"]) -> Any:
+        """The part that takes a volume [m3] off, by the location features of a loss: a `Contact`,
+        the surface of which is this."""
+
+    @abstractmethod
+    def row_area(self, row: Int[Array, "*rows"]) -> Any:
+        """Area of a cell of a row [m2], or of several."""
+
+    def areas(self):
+        return jnp.ones(self.cells) * self.row_area(jnp.arange(self.cells[1]))
+
+    def reading(self, depth):
+        return depth
+
+    def deposit(self, depth, volume, features):
+        around = self.cells[0]
+        reach = math.ceil(REACH * around / (2 * math.pi))
+        width = 2 * reach + 1
+
+        def wide():
+            columns = jnp.arange(around)
+            whole = jax.vmap(lambda *event: self._lost(columns, depth, depth, *event)[0])
+            return depth + jnp.sum(whole(volume, features), axis=0)
+
+        if width >= around:
+            return wide()
+
+        def near(*event):
+            first = jnp.floor(self.contact(*event).middle).astype(int) - reach
+            columns = (first + jnp.arange(width)) % around
+            turned = jnp.roll(depth, -first, axis=0)[:width]
+            lost, touched = self._lost(columns, turned, depth, *event)
+            inside = (touched.first >= first) & (touched.columns <= width + first - touched.first)
+            spread = jnp.pad(lost, ((0, around - width), (0, 0)))
+            return jnp.roll(spread, first, axis=0), inside | (event[0] == 0)
+
+        lost, inside = jax.vmap(near)(volume, features)
+        narrow = lambda: depth + jnp.sum(lost, axis=0)
+        # A choice of its own for each sample of a batch would be both branches: the wide one, which
+        # costs several times as much, is entered where a sample needs it.
+        fits = jnp.all(inside)
+        rare = lambda: jnp.where(fits, narrow(), wide())
+        return jax.lax.cond(eqxi.unvmap_all(fits), narrow, rare)
+
+    def _lost(self, columns, depth, whole_depth, volume, features):
+        """(what each cell of some columns, worn so deep [m], loses in an event [m], which cells of
+        all the contact may overlap)."""
+        contact = self.contact(volume, features)
+        shared = jax.tree.map(lambda each: each[:, None], contact.in_columns(columns))
+        patch = contact.patch(shared, jnp.arange(self.cells[1]), depth)
+        lost, level = depth_lost(contact, patch, contact.start(whole_depth))
+        return lost, contact.touched(level)
+
+    def deposit_in_turn(self, depth, reading, pressures, volume, features):
+        found = [
+            find_share(functools.partial(self.contact, *event), event[0], depth, pressure)
+            for pressure, *event in zip(pressures, volume, features, strict=True)
+        ]
+        shares, pressures = zip(*found, strict=True)
+        for (touched, scale), pressure in zip(shares, pressures, strict=True):
+
+            def visit(_, place, depth, scale=scale, pressure=pressure):
+                return with_entry(
+                    depth, place, entry(depth, place) + scale * entry(pressure, place)
+                )
+
+            depth = through(touched, self.cells, visit, depth, True)
+        for touched, _ in shares if reading is not None else ():
+            reading = self._read_anew(touched, depth, reading)
+        return depth, reading, pressures
+
+    def _read_anew(self, touched: Touched, depth: Array, reading: Any) -> Any:
+        """The reading where these cells have changed."""
+        visit = lambda _, place, reading: with_entry(reading, place, entry(depth, place))
+        return through(touched, self.cells, visit, reading, True)
+
+
+class Column(NamedTuple):
+    """Angle between a column and the middle of an arc [rad, 0 to pi]; cosine and size of the sine
+    of that between it and the arc; without a direction all columns are in it."""
+
+    along: Array
+    cosine: Array
+    sine: Array
+
+
+class LineContact(NamedTuple):
+    """A journal that takes a volume [m3] off the wall of a `surface`. It comes closest `towards` a
+    direction, which `middle` says in units of columns, goes through an arc of half that angle [rad]
+    about it (with cosine and sine, `turned`), and overlaps by `fall` [m] less at the other `end`;
+    that by which the overlap falls over half a cell at most (`steepest`) [m]; its `load` before
+    anything is lost, and how deep it would sink into an unworn wall (`sunk`) [m]."""
+
+    surface: "CylinderMap"
+    volume: Scalar
+    towards: tuple[Scalar, Scalar]
+    middle: Scalar
+    half_arc: Scalar
+    turned: tuple[Scalar, Scalar]
+    fall: Scalar
+    end: Scalar
+    steepest: Scalar
+    load: Elasticity
+    sunk: Scalar
+
+    def in_columns(self, column: Int[Array, "*columns"]) -> Column:
+        direction = table_rows(directions_around(self.surface.cells[0]), column)
+        x, y = direction[..., 0], direction[..., 1]
+        towards, (c, s) = self.towards, self.turned
+        cosine = x * towards[0] + y * towards[1]
+        sine = jnp.abs(x * towards[1] - y * towards[0])
+        inside = cosine >= c
+        return Column(
+            direction_angle(cosine, sine),
+            jnp.where(inside, 1.0, cosine * c + sine * s),
+            jnp.where(inside, 0.0, sine * c - cosine * s),
+        )
+
+    def patch(self, columns: Column, row: Array, depth: Array) -> Patch:
+        surface, clearance = self.surface, self.surface.clearance
+        away = 0.5 * jnp.abs(self.end) - self.end * surface.height(row) / surface.length
+        rounding = (
+            0.5 * surface.cell * clearance * columns.sine
+            + self.steepest * jnp.abs(columns.cosine)
+            + SHARPEST * clearance
+        )
+        room, fallen = clearance + depth, self.fall * away
+        outline = Outline(columns.cosine, room + fallen * columns.cosine, rounding)
+        nearest = Outline(1.0, room + fallen, self.steepest + SHARPEST * clearance)
+        half = arc_with_cell(self.half_arc, surface.cell)
+        return Patch(outline, nearest, columns.along, half, room, 1.0 - away, self.load.root)
+
+    def start(self, depth: Float[Array, "around along"]) -> Scalar:
+        # At the end that carries.
+        around, along = self.surface.cells
+        row = jnp.where(self.end > 0, along - 1, 0)
+        edge = entry(depth, (self.nearest.astype(int) % around, row))
+        return self.surface.clearance + edge + self.sunk
+
+    def reach(self, level: Scalar) -> Scalar:
+        """Angle [rad] to either side beyond which the part overlaps no cell at a level [m]."""
+        most = level + positive_part(-self.fall) + self.steepest
+        return self.half_arc + angle_touched(most, self.surface.cell, self.surface.clearance)
+
+    @property
+    def nearest(self) -> Scalar:
+        """The first column in the arc, or the nearest to it."""
+        half_arc = self.half_arc / self.surface.cell
+        first = -jnp.floor(half_arc - self.middle)
+        # Between two columns either rounding must choose the same.
+        nearest = jnp.floor(self.middle + (OFF_THE_TIES - 0.5))
+        return jnp.where(first <= self.middle + half_arc, first, nearest)
+
+    def touched(self, level: Scalar) -> Touched:
+        surface, (around, along) = self.surface, self.surface.cells
+        reach, middle = self.reach(level) / surface.cell, self.middle
+        first = -jnp.floor(reach - middle)
+        nowhere = self.towards[0] ** 2 + self.towards[1] ** 2 < 0.5
+        whole = nowhere | (2.0 * reach + 1.0 >= around)
+        columns = jnp.where(whole, around, jnp.floor(middle + reach) - first + 1.0)
+        # A row is overlapped, if at all, where level cos + rounding sin is as much as is needed.
+        rounding, needed = least_overlap(surface.cell, surface.clearance)
+        lowest = jnp.sqrt(needed * needed - rounding * rounding)
+        share = (level + self.steepest - lowest) / jnp.where(self.fall > 0, self.fall, jnp.inf)
+        tilted = (self.fall > 0) & (jnp.abs(self.end) > 0.5)
+        rows = jnp.where(tilted, jnp.clip(-jnp.floor(0.5 - share * along), 0.0, along), along)
+        lower = jnp.where(self.end > 0.5, along - rows, 0.0)
+        return Touched.of(first, columns, lower, rows)
+
+
+def directions_around(columns: int) -> Float[np.ndarray, "columns 2"]:
+    """Direction (x, y) of the centre of each of so many columns around."""
+    angles = (np.arange(columns) + 0.5) * (2 * np.pi / columns)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+class CylinderMap(AbstractSurface):
     """Wall of a bearing or journal: theta from x towards y in [0, 2 pi), z from -length/2 to
     length/2.
 
@@ -373,14 +392,16 @@ class CylinderMap(AbstractWearMap):
     def thickness(self):
         return self.radius
 
-    def areas(self) -> Float[Array, "around along"]:
-        around, along = self.cells
-        return (
-            jnp.full(self.cells, 1.0) * (2 * jnp.pi * self.radius / around) * (self.length / along)
-        )
+    @property
+    def cell(self) -> Scalar:
+        """Angle of a cell [rad]."""
+        return 2 * math.pi / self.cells[0]
+
+    def row_area(self, row):
+        return (2 * math.pi * self.radius / self.cells[0]) * (self.length / self.cells[1])
 
     def path(self, features):
-        return 2.0 * arc(safe_sqrt(features[0] ** 2 + features[1] ** 2)) / self._cell
+        return 2.0 * arc(safe_sqrt(features[0] ** 2 + features[1] ** 2)) / self.cell
 
     def angles(self) -> Float[Array, " around"]:
         """Direction of the centre of each cell [rad]."""
@@ -388,16 +409,16 @@ class CylinderMap(AbstractWearMap):
 
     def heights(self) -> Float[Array, " along"]:
         """z of the centre of each cell [m]."""
-        return self.length * ((jnp.arange(self.cells[1]) + 0.5) / self.cells[1] - 0.5)
+        return self.height(jnp.arange(self.cells[1]))
+
+    def height(self, row: Array) -> Array:
+        """z of the centre of cells of a row [m]."""
+        return self.length * ((row + 0.5) / self.cells[1] - 0.5)
 
     def narrowness(self, indentation: Scalar) -> Scalar:
         """One over half the width [1/rad] of a contact of some indentation [m]. Its mean over a
         loss tells how deep that is in the contact's middle."""
-        return 1.0 / jnp.sqrt(square_width(indentation, self._cell, self.clearance))
-
-    @property
-    def _cell(self) -> float:
-        return 2 * math.pi / self.cells[0]
+        return 1.0 / jnp.sqrt(square_width(indentation, self.cell, self.clearance))
 
     def position(self, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
         """Where a place of the wall [m] lies, in units of cells: around, along."""
@@ -406,69 +427,38 @@ class CylinderMap(AbstractWearMap):
     def _column(self, x, y):
         return direction_angle(x, y) * (self.cells[0] / (2 * jnp.pi)) - 0.5
 
-    @property
-    def wall(self) -> Wall:
-        """Its geometry alone."""
-        return Wall(self.cells, self.radius, self.length, self.clearance)
-
-    def deposit(self, depth, volume, features):
-        around = self.cells[0]
-        reach = math.ceil(REACH * around / (2 * math.pi))
-
-        # A table: XLA would work them out anew for every cell of a column.
-        table = ways(around)
-
-        def wide():
-            whole = jax.vmap(lambda *event: self._lost(table, depth, depth, *event))
-            return depth + jnp.sum(whole(volume, features)[0], axis=0)
-
-        if 2 * reach + 1 >= around:
-            return wide()
-        towards = direction_angle(features[:, 0], features[:, 1]) * (around / (2 * jnp.pi))
-        first = (jnp.floor(towards).astype(int) - reach) % around
-        width = 2 * reach + 1
-        twice = jnp.concatenate([depth, depth[:width]])
-        near = lambda these, start: jax.lax.dynamic_slice_in_dim(these, start, width)
-        table_twice = jnp.concatenate([table, table[:width]])
-        lost, fits = jax.vmap(
-            lambda start, *event: self._lost(
-                near(table_twice, start), near(twice, start), depth, *event
-            )
-        )(first, volume, features)
-
-        def narrow():
-            # Slices: to scatter costs XLA several times as much as the losses themselves.
-            gained = jnp.zeros_like(twice)
-            for start, own in zip(first, lost, strict=True):
-                there = jax.lax.dynamic_slice_in_dim(gained, start, width)
-                gained = jax.lax.dynamic_update_slice_in_dim(gained, there + own, start, 0)
-            return depth + gained[:around].at[:width].add(gained[around:])
-
-        # A choice of its own for each sample of a batch would be both branches: the wide one, which
-        # costs several times as much, is entered where a sample needs it.
-        fit = jnp.all(fits)
-        rare = lambda: jnp.where(fit, narrow(), wide())
-        return jax.lax.cond(eqxi.unvmap_all(fit), narrow, rare)
-
-    def _lost(self, table, depth, of_all, volume, features):
-        """(what each cell of columns in these directions, worn so deep [m], loses in an event [m],
-        whether no other column is reached)."""
-        loss = loss_of(self.wall, volume, features)
-        columns = jax.tree.map(lambda each: each[:, None], loss.columns(table))
-        patch = loss.cell(columns, jnp.arange(self.cells[1]), depth, loss.start(of_all))
-        lost, level = depth_lost(volume, patch._replace(area=self.areas()[0]))
-        return lost, (loss.reach(level) < REACH) | (volume == 0)
-
-    def deposit_in_turn(self, depth, reading, pressures, volume, features):
-        loss = functools.partial(loss_of, self.wall)
-        worn = depth, reading, pressures
-        return worn_in_turn(loss, self._read_anew, *worn, volume, features)
+    def contact(self, volume, features):
+        x, y, fall, narrowness, end = features
+        ends, clearance = jnp.abs(end), self.clearance
+        length = safe_sqrt(x * x + y * y)
+        half_arc = arc(length)
+        square = safe_divide(1.0, narrowness * narrowness)
+        overlap = depth_of(square, self.cell, clearance)
+        # Up to where a tilted journal overlaps. Its two ends have shares, as the line between them
+        # tells, that add up to one.
+        touching = safe_divide(overlap * self.length, 2.5 * jnp.abs(fall) * ends + overlap)
+        load = line_contact(overlap, self.radius, clearance, touching, half_arc)
+        load = load._replace(root=load.root * (1.0 - 0.5 * ends * touching / self.length))
+        towards = safe_divide(x, length), safe_divide(y, length)
+        wanted, fallen = volume + load.overlap, jnp.abs(fall) * ends
+        return LineContact(
+            self,
+            volume,
+            towards,
+            direction_angle(*towards) / self.cell - 0.5,
+            half_arc,
+            (jnp.cos(half_arc), jnp.sin(half_arc)),
+            fall,
+            end,
+            (0.5 / self.cells[1]) * jnp.abs(fall),
+            load,
+            line_sunk(wanted, self.radius, clearance, self.length, fallen),
+        )
 
     def _read_anew(self, touched, depth, reading):
-        """The reading where cells of these columns have changed."""
         around = self.cells[0]
 
-        def one(_, place, reading):
+        def visit(_, place, reading):
             column = place[0]
             ends = []
             for own, (row, inside) in zip(reading, self._edges(), strict=True):
@@ -476,7 +466,7 @@ class CylinderMap(AbstractWearMap):
                 ends.append(with_entry(own, (column + 1,), _to_the_edge(last, further)))
             return tuple(ends)
 
-        reading = through(touched, (around, 1), one, reading, True)
+        reading = through(touched, (around, 1), visit, reading, True)
         # The last column once more in front of the first, the first behind the last.
         for to, of in ((0, around), (around + 1, 1)):
             reading = tuple(with_entry(own, (to,), entry(own, (of,))) for own in reading)
@@ -502,13 +492,15 @@ class CylinderMap(AbstractWearMap):
         """
         position = self._column(x, y)
         nearest = jnp.round(position)
-        f = position - nearest
         first = nearest.astype(int) % self.cells[0]
         own = reading[0 if end < 0 else -1]
-        left, here, right = jax.lax.dynamic_slice_in_dim(own, first, 3)
-        # A quadratic B-spline.
-        curvature = 0.5 * (left + right) - here
-        return 0.125 * (left + 6.0 * here + right) + f * (0.5 * (right - left) + f * curvature)
+        return spline(position - nearest, *jax.lax.dynamic_slice_in_dim(own, first, 3))
+
+
+def spline(place: Scalar, left: Scalar, here: Scalar, right: Scalar) -> Scalar:
+    """A quadratic B-spline at a place, in cells from the nearest of three."""
+    curvature = 0.5 * (left + right) - here
+    return 0.125 * (left + 6.0 * here + right) + place * (0.5 * (right - left) + place * curvature)
 
 
 def _to_the_edge(last: Array, inside: Array) -> Array:

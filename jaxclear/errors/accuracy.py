@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from jaxclear.errors.observables import Apart, Observables, apart, observed
+from jaxclear.errors.observables import Difference, Observables, differences, observed
 from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.printing import in_a_line
 from jaxclear.ground.quantity import is_traced
@@ -24,14 +24,14 @@ NOTHING = Promise(None, None, None, None, None)
 DRAWN = "drawn"
 
 
-class Seen(NamedTuple):
+class Observed(NamedTuple):
     """What is compared of a run: its standard answers, and what was drawn from it."""
 
     standard: Observables
     drawn: tuple[float, ...]
 
 
-class Asked(NamedTuple):
+class Bounds(NamedTuple):
     """How far answers may be off: by the shares of a `promise`, or in `units` by the name of an
     answer, that of a standard one or of one of the `responses` that a user draws. `why`: what the
     integrator was chosen for, in a sentence."""
@@ -41,24 +41,26 @@ class Asked(NamedTuple):
     responses: tuple[tuple[str, Callable], ...] = ()
     why: str = ""
 
-    def seen(self, run: Trajectory) -> Seen:
+    def observe(self, run: Trajectory) -> Observed:
         """What is compared of a run."""
-        return Seen(observed(run), tuple(float(np.asarray(own(run))) for _, own in self.responses))
+        return Observed(observed(run), tuple(float(np.asarray(f(run))) for _, f in self.responses))
 
-    def apart(self, run: Trajectory, one: Seen, other: Seen, finest: Seen) -> list[Apart]:
+    def differences(
+        self, run: Trajectory, one: Observed, other: Observed, finest: Observed
+    ) -> list[Difference]:
         """How far two runs are apart, by answer, beside the `finest`; `run`: the one that is
         judged. Raises `ValueError` for a name that no answer has."""
-        rows = apart(run, one.standard, other.standard, finest.standard)
+        rows = differences(run, one.standard, other.standard, finest.standard)
         drawn = zip(self.responses, one.drawn, other.drawn, finest.drawn, strict=True)
-        for (name, own), x, y, last in drawn:
-            row = name, DRAWN, "", unit_of(own, run.mechanism), x, abs(x - y), abs(last)
-            rows.append(Apart(*row))
-        known = {name for row in rows for name in (row.answer, row.name)}
+        for (name, response), x, y, last in drawn:
+            row = name, DRAWN, "", unit_of(response, run.mechanism), x, abs(x - y), abs(last)
+            rows.append(Difference(*row))
+        names = {name for row in rows for name in (row.answer, row.name)}
         for name, _ in self.units:
-            check_name("answer", name, sorted(known), " of this run")
+            check_name("answer", name, sorted(names), " of this run")
         return rows
 
-    def allowed(self, row: Apart) -> float | None:
+    def allowed(self, row: Difference) -> float | None:
         """By how much an answer may be off, in its unit; None: by any."""
         units = dict(self.units)
         most = units.get(row.name, units.get(row.answer))
@@ -67,35 +69,35 @@ class Asked(NamedTuple):
         share = getattr(self.promise, row.part, None)
         return None if share is None else share * row.scale
 
-    def promised(self, row: Apart) -> float | None:
+    def promised(self, row: Difference) -> float | None:
         """The same as a share."""
         most = self.allowed(row)
         if most is None:
             return None
         return most / row.scale if row.scale > 0 else np.inf
 
-    def beside(self, run: Trajectory, one: Seen, other: Seen) -> dict[str, float]:
+    def compare(self, run: Trajectory, one: Observed, other: Observed) -> dict[str, float]:
         """By answer how far two runs are apart, beside what is allowed."""
-        rows = ((row, self.allowed(row)) for row in self.apart(run, one, other, other))
-        return {row.name: beside(row.off, most) for row, most in rows if most is not None}
+        rows = ((row, self.allowed(row)) for row in self.differences(run, one, other, other))
+        return {row.name: ratio_to_allowed(row.off, most) for row, most in rows if most is not None}
 
 
-def beside(off: float, allowed: float) -> float:
+def ratio_to_allowed(off: float, allowed: float) -> float:
     """A difference beside what is allowed; of what may not differ at all 0 or endless."""
     if allowed > 0:
         return off / allowed
     return 0.0 if off == 0 else np.inf
 
 
-def of_run(accuracy: Any) -> Asked:
+def bounds_of_run(accuracy: Any) -> Bounds:
     """What `simulate(accuracy=)` asks: a share of all standard answers, or a mapping. Raises
     `ValueError` with a sentence."""
-    asked = checked_accuracy(accuracy, "simulate")
-    if not isinstance(asked, dict):
-        return Asked(Promise(asked, None, asked, None, asked))
-    units = tuple((_called(name), most) for name, most in asked.items())
-    drawn = tuple((_called(name), name) for name in asked if not isinstance(name, str))
-    return Asked(NOTHING, units, drawn)
+    accuracies = checked_accuracy(accuracy, "simulate")
+    if not isinstance(accuracies, dict):
+        return Bounds(Promise(accuracies, None, accuracies, None, accuracies))
+    units = tuple((_called(name), most) for name, most in accuracies.items())
+    drawn = tuple((_called(name), name) for name in accuracies if not isinstance(name, str))
+    return Bounds(NOTHING, units, drawn)
 
 
 def _called(answer: Any) -> str:
@@ -115,8 +117,8 @@ def checked_accuracy(accuracy: Any, owner: str) -> float | dict[Any, float]:
             "by runs, before anything is traced; give a number of Python."
         )
     if not isinstance(accuracy, Mapping):
-        wanted = f"accuracy of {owner} (a share of each answer, 0.01 for 1 %)"
-        check_number(wanted, accuracy, above=0, below=1)
+        what = f"accuracy of {owner} (a share of each answer, 0.01 for 1 %)"
+        check_number(what, accuracy, above=0, below=1)
         return float(accuracy)
     if not accuracy:
         raise ValueError(f"accuracy of {owner} is empty; name one answer at least.")

@@ -28,7 +28,7 @@ from jaxclear.multibody.mechanism import Mechanism
 
 # Share of 1 / rate of a contact that the first steps have: near where rk4 is stable at all.
 FIRST_SHARE = 1.44
-# Tolerances: the loosest where nothing touches, the tightest; each ten times tighter, which takes
+# Bounds: the loosest where nothing touches, the tightest; each ten times tighter, which takes
 # the fifth root of that more steps. Where joints have clearance looser ones than the usual count as
 # the usual (`Adaptive`).
 LOOSEST, TIGHTEST, TIGHTER = 1e-4, 1e-12, 0.1
@@ -85,15 +85,15 @@ def rungs_of(
         halving(ImplicitStep(first, rebound=1.0), mechanism),
         halving(FixedStep(first), mechanism),
     ]
-    found = [rung for rung in rungs if _suits(rung, accepts)]
-    if not found and _complies(mechanism):
+    suitable = [rung for rung in rungs if _suits(rung, accepts)]
+    if not suitable and _complies(mechanism):
         accepts(rungs[0].first)
-    if not found:
+    if not suitable:
         interval = float(np.min(np.diff(times)))
         rigid = MoreauJean(min(interval, float(MoreauJean().step)))
         accepts(rigid)
-        found = [halving(rigid, mechanism)]
-    return found
+        suitable = [halving(rigid, mechanism)]
+    return suitable
 
 
 def others_of(
@@ -108,17 +108,17 @@ def others_of(
         rungs.append(FixedStep(min(interval, SHORT_STEPS * first), contact_steps=SHORT_STEPS))
     if _complies(mechanism):
         models = [
-            type(own)(min(_shortened(interval), float(own.step)))
-            for own in (MoreauJean(), NonColliding())
+            type(x)(min(_shortened(interval), float(x.step)))
+            for x in (MoreauJean(), NonColliding())
         ]
-    halved = ([halving(own, mechanism) for own in each] for each in (rungs, models))
+    halved = ([halving(x, mechanism) for x in each] for each in (rungs, models))
     stated, other = ([rung for rung in each if _suits(rung, accepts)] for each in halved)
     return stated, other
 
 
 def halving(first: AbstractIntegrator, mechanism: Mechanism) -> Rung:
     """Steps of a length, each setting half as long as the one before."""
-    return Rung(first, lambda own: own.with_finer_steps(HALF), first.evaluations(mechanism))
+    return Rung(first, lambda setting: setting.with_finer_steps(HALF), first.evaluations(mechanism))
 
 
 def _suits(rung: Rung, accepts: Callable[[AbstractIntegrator], None]) -> bool:
@@ -132,7 +132,7 @@ def _suits(rung: Rung, accepts: Callable[[AbstractIntegrator], None]) -> bool:
 def _complies(mechanism: Mechanism) -> bool:
     """Whether a contact of the mechanism has an elastic law."""
     joints = [mechanism.connections[name].joint for name in mechanism.topology.clearances]
-    return any(own.contact.compliant for joint in joints for own in joint.contact_laws())
+    return any(laws.contact.compliant for joint in joints for laws in joint.contact_laws())
 
 
 def _controlled(mechanism: Mechanism) -> Rung:
@@ -190,8 +190,8 @@ class Question(NamedTuple):
     """What is compared of a run, as `seen(run)`; and, as `beside(run, one, other)`, how far two
     runs are apart, by answer, beside what is allowed; the saving `times` [s]."""
 
-    seen: Callable[[Any], Any]
-    beside: Callable[[Any, Any, Any], dict[str, float]]
+    observe: Callable[[Any], Any]
+    compare: Callable[[Any, Any, Any], dict[str, float]]
     times: np.ndarray
 
 
@@ -202,14 +202,14 @@ class Chosen(NamedTuple):
 
     integrator: AbstractIntegrator
     why: str
-    told: float
+    error_ratio: float
     work: int
     spent: int
 
     @property
     def reached(self) -> bool:
         """Whether the accuracy is reached."""
-        return self.told <= 1
+        return self.error_ratio <= 1
 
 
 class Tried(NamedTuple):
@@ -219,7 +219,7 @@ class Tried(NamedTuple):
     rung: Rung
     integrator: AbstractIntegrator
     run: Any
-    seen: Any
+    observed: Any
     work: int
     errors: dict[str, float]
 
@@ -229,7 +229,7 @@ class Tried(NamedTuple):
         return max(self.errors, key=lambda name: self.errors[name], default="the run")
 
     @property
-    def told(self) -> float:
+    def error_ratio(self) -> float:
         """Its error; endless where the run failed."""
         return max(self.errors.values(), default=math.inf)
 
@@ -240,7 +240,7 @@ def budget_of(times: np.ndarray) -> float:
     return max(PATIENCE * usual, LEAST_BUDGET)
 
 
-def chosen(
+def choose_setting(
     rungs: list[Rung], again: Again, question: Question, budget: float | None = None
 ) -> Chosen:
     """The cheapest setting of these rungs, of which the first is under error control if any is,
@@ -249,23 +249,23 @@ def chosen(
     search = Search(again, question, budget)
     for rung in rungs:
         search.climb(rung)
-    spent, found = search.spent, search.best or search.nearest
-    if found is None:
+    spent, choice = search.spent, search.best or search.nearest
+    if choice is None:
         usual = Adaptive() if rungs[0].controlled else rungs[0].first
         why = f"Run with integrator.{as_typed(usual)}: no setting tried gives an estimate."
         return Chosen(usual, why, math.inf, 0, spent)
     if search.best is not None:
         why = (
             f"the cheapest setting tried that keeps the accuracy asked (estimated error "
-            f"{found.told:.0%} of it), {found.work} evaluations of forces a run"
+            f"{choice.error_ratio:.0%} of it), {choice.work} evaluations of forces a run"
         )
     else:
         why = (
             f"nothing within {search.budget:.2g} evaluations of forces keeps the accuracy asked; "
-            f"the error of {found.worst} is {found.told:.2g} times that"
+            f"the error of {choice.worst} is {choice.error_ratio:.2g} times that"
         )
-    why = f"Run with integrator.{as_typed(found.integrator)}: {why}."
-    return Chosen(found.integrator, why, found.told, found.work, spent)
+    why = f"Run with integrator.{as_typed(choice.integrator)}: {why}."
+    return Chosen(choice.integrator, why, choice.error_ratio, choice.work, spent)
 
 
 class Search:
@@ -290,8 +290,8 @@ class Search:
     @property
     def nearest(self) -> Tried | None:
         """The most accurate of all settings that were judged; None where none was."""
-        known = [each for each in self.judged if each.told < math.inf]
-        return min(known, key=lambda each: each.told, default=None)
+        finite = [each for each in self.judged if each.error_ratio < math.inf]
+        return min(finite, key=lambda each: each.error_ratio, default=None)
 
     def climb(self, rung: Rung) -> None:
         """Settings of a rung from coarse to fine, until one keeps the accuracy, or none that does
@@ -306,7 +306,7 @@ class Search:
                 if one is None:
                     break
                 self.judged.append(one)
-                if one.told <= 1:
+                if one.error_ratio <= 1:
                     self._keep(one, settings[-1])
                     return
                 first += 1
@@ -318,9 +318,9 @@ class Search:
         what is known of it."""
         if len(undecided) < 2:
             return
-        one = self._told(undecided[0], undecided[1:3])
+        one = self._with_errors(undecided[0], undecided[1:3])
         self.judged.append(one)
-        if one.told <= 1 and self._trusted(one):
+        if one.error_ratio <= 1 and self._trusted(one):
             self._keep(one, undecided[-1])
 
     def _trusted(self, one: Tried) -> bool:
@@ -329,14 +329,14 @@ class Search:
 
     def _affords(self, rung: Rung, setting: AbstractIntegrator, open_settings: list[Tried]):
         """Whether a setting is worth a run, behind those that are not decided yet."""
-        known = rung.work_before(setting, self.question.times)
+        work = rung.work_before(setting, self.question.times)
         last = open_settings[-1].work if open_settings else None
-        own = open_settings[0].work if open_settings else known
-        if self.best is not None and own is not None and own >= self.best.work:
+        least_work = open_settings[0].work if open_settings else work
+        if self.best is not None and least_work is not None and least_work >= self.best.work:
             return False
-        if known is None:
-            known = self._foreseen(rung, setting) if last is None else rung.growth * last
-        return self.spent + known <= self.budget
+        if work is None:
+            work = self._foreseen(rung, setting) if last is None else rung.growth * last
+        return self.spent + work <= self.budget
 
     def _foreseen(self, rung: Rung, setting: AbstractIntegrator) -> float:
         """Work of a run that finds its steps itself, from runs of longer and longer first parts,
@@ -355,27 +355,27 @@ class Search:
         run = self.again(setting, 1.0)
         work = rung.work_of(run)
         self.spent += work
-        seen = self.question.seen(run) if run.succeeded else None
-        return Tried(rung, setting, run if run.succeeded else None, seen, work, {})
+        observed = self.question.observe(run) if run.succeeded else None
+        return Tried(rung, setting, run if run.succeeded else None, observed, work, {})
 
     def _judged(self, one: Tried, finer: list[Tried]) -> Tried | None:
         """A setting with its error, as finer ones tell it; None where another one must."""
-        found = self._told(one, finer)
-        sure = found.told <= DOUBT and self._trusted(one)
-        return found if len(finer) > 1 or sure or found.told > 1 else None
+        judged = self._with_errors(one, finer)
+        sure = judged.error_ratio <= DOUBT and self._trusted(one)
+        return judged if len(finer) > 1 or sure or judged.error_ratio > 1 else None
 
-    def _told(self, one: Tried, finer: list[Tried]) -> Tried:
+    def _with_errors(self, one: Tried, finer: list[Tried]) -> Tried:
         """A setting with its error, as far as finer ones and the reference tell it."""
         if one.run is None or any(each.run is None for each in finer):
             return one
-        off = [self.question.beside(one.run, one.seen, each.seen) for each in finer]
+        off = [self.question.compare(one.run, one.observed, each.observed) for each in finer]
         shares = [one.rung.share(one.integrator, each.integrator) for each in finer]
-        told = {name: float(richardson([each[name] for each in off], shares)) for name in off[0]}
+        errors = {name: float(richardson([each[name] for each in off], shares)) for name in off[0]}
         if self.reference is not None:
-            known = self.question.beside(one.run, one.seen, self.reference.seen)
-            told = {name: max(error, known[name]) for name, error in told.items()}
-        told = {name: math.inf if math.isnan(error) else error for name, error in told.items()}
-        return one._replace(errors=told)
+            from_reference = self.question.compare(one.run, one.observed, self.reference.observed)
+            errors = {name: max(error, from_reference[name]) for name, error in errors.items()}
+        errors = {name: math.inf if math.isnan(error) else error for name, error in errors.items()}
+        return one._replace(errors=errors)
 
     def _keep(self, one: Tried, finest: Tried) -> None:
         if self.best is None or one.work < self.best.work:

@@ -32,7 +32,7 @@ WORDS = {
 }
 
 
-class Told(NamedTuple):
+class StandardAnswer(NamedTuple):
     """A standard `answer` of a `part` of the promise at a `place`, its `value` and told `error` in
     its `unit`, the error as the `share` by which it is judged, what is `promised` of it (None:
     nothing), and whether it is `lost`: no run tells it."""
@@ -45,7 +45,7 @@ class Told(NamedTuple):
     error: float
     share: float
     promised: float | None
-    lost: bool
+    chaotic: bool
 
     @property
     def name(self) -> str:
@@ -69,7 +69,7 @@ class Verified(AbstractVerification):
 
     replicas: tuple[Trajectory, ...]
     numbers: Float[np.ndarray, "answers 4"]
-    lost: Bool[np.ndarray, " answers"]
+    chaotic: Bool[np.ndarray, " answers"]
     path: Float[np.ndarray, "2"] | None
     since: Float[np.ndarray, ""]
     promise: Promise
@@ -78,37 +78,37 @@ class Verified(AbstractVerification):
     why: str = eqx.field(static=True, default="")
 
     @property
-    def told(self) -> tuple[Told, ...]:
+    def entries(self) -> tuple[StandardAnswer, ...]:
         """The standard answers."""
-        rows = zip(self.answers, self.numbers.tolist(), self.lost.tolist(), strict=True)
+        rows = zip(self.answers, self.numbers.tolist(), self.chaotic.tolist(), strict=True)
         return tuple(
-            Told(*names, value, error, share, None if math.isnan(most) else most, lost)
-            for names, (value, error, share, most), lost in rows
+            StandardAnswer(*names, value, error, share, None if math.isnan(most) else most, chaotic)
+            for names, (value, error, share, most), chaotic in rows
         )
 
     @property
     def beyond(self):
-        return frozenset(told.part for told in self.told if told.beyond)
+        return frozenset(t.part for t in self.entries if t.beyond)
 
     @property
     def warnings(self):
-        beyond = sorted((t for t in self.told if t.beyond), key=lambda t: -t.share / t.promised)
-        said = []
+        beyond = sorted((t for t in self.entries if t.beyond), key=lambda t: -t.share / t.promised)
+        sentences = []
         if self.path is not None:
             since, growth = map(float, self.path)
-            said.append(
+            sentences.append(
                 f"From {since:.3g} s on places in gaps hang on the start's tenth digit (e-fold in "
                 f"{growth:.2g} s): no run tells them; ask means over samples."
             )
-        answers = [told for told in beyond if not told.lost]
-        return (*said, *([self._sentence(answers)] if answers else []))
+        answers = [row for row in beyond if not row.chaotic]
+        return (*sentences, *([self._sentence(answers)] if answers else []))
 
-    def _sentence(self, beyond: list[Told]) -> str:
+    def _sentence(self, beyond: list[StandardAnswer]) -> str:
         """What is off, by how much, and what to do, of the answers that are furthest beyond."""
         worst, others = beyond[0], len(beyond) - 1
         more = f" (and {others} more answer{'s' * (others > 1)})" if others else ""
-        told = f"{worst.share:.2g} {WORDS[worst.part]} ({worst.promised:g} promised)"
-        return f"{worst.name[0].upper()}{worst.name[1:]}: error about {told}{more}; {self.remedy}."
+        error = f"{worst.share:.2g} {WORDS[worst.part]} ({worst.promised:g} promised)"
+        return f"{worst.name[0].upper()}{worst.name[1:]}: error about {error}{more}; {self.remedy}."
 
     def estimate(self, run, response):
         value = response(run)
@@ -118,7 +118,7 @@ class Verified(AbstractVerification):
             # What is found in a run need not be in its replica: a tenth impact, a row of a table.
             return Estimate(value, math.nan, f"in finer steps the same fails: {failure}")
         try:
-            error = jax.tree.map(_told_error, value, *values)
+            error = jax.tree.map(_estimate_error, value, *values)
         except (TypeError, ValueError):
             return Estimate(value, math.nan, "the answer is no number, or of another form there")
         if not jax.tree.leaves(error):
@@ -139,20 +139,20 @@ class Verified(AbstractVerification):
 
     def table(self):
         columns = ("name", "value", "error", "unit", "share", "promised")
-        rows = [[getattr(told, column) for column in columns] for told in self.told]
+        rows = [[getattr(t, column) for column in columns] for t in self.entries]
         return as_table(rows, columns=["answer", *columns[1:]], errors={"value": "error"})
 
     def attributes(self):
-        rows = [f"{t.name}: {t.error:.2g} {t.unit}" for t in self.told]
+        rows = [f"{t.name}: {t.error:.2g} {t.unit}" for t in self.entries]
         return {"numerical errors": "; ".join(rows)}
 
     def _shown(self):
-        of = lambda told: "lost" if told.lost else "beyond" if told.beyond else ""
+        of = lambda t: "lost" if t.chaotic else "beyond" if t.beyond else ""
         table = self.table().drop(columns=["share", "promised"])
         for head in ("share", "promised"):
             parts = [100 * part for part in self.table()[head]]
             table[f"{head} [%]"] = [float(f"{part:.2g}") for part in parts]
-        marks = [of(told) for told in self.told]
+        marks = [of(t) for t in self.entries]
         table = table.assign(remark=marks) if any(marks) else table
         return table, f"Numerical errors are {self._how()}. {self.why}".rstrip()
 
@@ -191,7 +191,7 @@ def richardson(differences: list[Any], shares: Sequence[float | None] = (HALF, Q
     return functools.reduce(jnp.maximum if is_traced(errors) else np.maximum, errors)
 
 
-def _told_error(value: Any, *values: Any) -> Any:
+def _estimate_error(value: Any, *values: Any) -> Any:
     """Of a number, or an array of them. Raises `TypeError` or `ValueError` for what is none, and
     for arrays of another shape."""
     number, *others = (
@@ -200,5 +200,5 @@ def _told_error(value: Any, *values: Any) -> Any:
     if any(other.shape != number.shape for other in others):
         raise ValueError("arrays of another shape")
     with np.errstate(invalid="ignore"):
-        found = richardson([abs(number - other) for other in others])
-    return found if is_traced(found) else np.asarray(found)[()]
+        error = richardson([abs(number - other) for other in others])
+    return error if is_traced(error) else np.asarray(error)[()]

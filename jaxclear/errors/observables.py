@@ -85,9 +85,9 @@ def _coupled(run: Trajectory) -> tuple[str, ...]:
     """Couplings that loops determine, but for motors that turn with a joint: what these transmit is
     worked out from accelerations alone, which takes long to compile."""
     topology = run.mechanism.topology
-    left_out = {*dict(topology.geared)}
-    left_out |= set() if topology.redundancy is None else {*topology.redundancy.joints}
-    return tuple(n for n in run.mechanism.couplings if not {n, motor_name(n)} & left_out)
+    excluded = {*dict(topology.geared)}
+    excluded |= set() if topology.redundancy is None else {*topology.redundancy.joints}
+    return tuple(n for n in run.mechanism.couplings if not {n, motor_name(n)} & excluded)
 
 
 def named(answer: str, place: str) -> str:
@@ -95,7 +95,7 @@ def named(answer: str, place: str) -> str:
     return f'{answer}, "{place}"' if place else answer
 
 
-class Apart(NamedTuple):
+class Difference(NamedTuple):
     """How far two runs are apart in an `answer`: by its `part` of the promise and its `place`, in
     its `unit`, beside the `scale` by which it is judged; `value`: what the answer is."""
 
@@ -139,22 +139,22 @@ def _observed(run: Trajectory) -> Observables:
         columns(each) if each else jnp.zeros((len(run.time), 0, k))
         for each, k in zip(moved, (3, 9, 3), strict=True)
     )
-    sent = {name: jnp.abs(own) for name, own in zip(coupled, sent, strict=True)}
+    sent = {name: jnp.abs(part) for name, part in zip(coupled, sent, strict=True)}
     heavy = [link.mass for link in system.links]
     peaks_sent = [peak_of_steps(run, name, jnp.max(sent[name])) for name in peaks_of(run)]
     joints = run.formulation.contact_joints(run.mechanism)
-    contacts = [(name, k) for name, own in system.bearings.items() for k in range(len(own.radii))]
+    contacts = [(name, k) for name, part in system.bearings.items() for k in range(len(part.radii))]
     stacked = lambda each: jnp.stack(each) if each else jnp.zeros(0)
     mean = stacked([histories.contact_impulse(history, name)[-1] / duration for name in joints])
     peaks = None
     if run.extremes is not None and not run.formulation.forces_are_means:
         peaks = stacked([PeakContactForce(name)(run) for name in run.mechanism.topology.clearances])
-    lost, turned = None, None
+    friction, turnover = None, None
     if history.balanced:
         energies = histories.energies(history)
-        lost = energies.friction_loss[-1]
-        turned = jnp.max(energies.kinetic) + jnp.max(jnp.abs(energies.input))
-    places = [(joint, surface) for joint, own in run.worn.items() for surface in own]
+        friction = energies.friction_loss[-1]
+        turnover = jnp.max(energies.kinetic) + jnp.max(jnp.abs(energies.input))
+    places = [(joint, surface) for joint, part in run.worn.items() for surface in part]
     volumes = [histories.worn_volume(history, *place)[-1] for place in places]
     depths = [jnp.max(run.worn[joint][surface]) for joint, surface in places]
     maps, opens = wear_maps(system), bool(system.bearings)
@@ -167,8 +167,8 @@ def _observed(run: Trajectory) -> Observables:
         jnp.asarray([list(joints).index(name) for name, _ in contacts]) if opens else None,
         mean,
         peaks,
-        lost,
-        turned,
+        friction,
+        turnover,
         stacked(volumes),
         stacked(depths),
         stacked(areas),
@@ -186,38 +186,38 @@ observed = compiled_quickly(_observed, AROUND_A_KERNEL)
 def _in_gaps(now: Instant) -> tuple:
     """Where each contact's parts are in their gap, beside its width: the vector from the middle
     along which it closes, in the bearing's axes."""
-    found: list[Any] = []
+    shares: list[Any] = []
     for name, bearing in now.model.system.bearings.items():
         _, pose, _ = kinematics.relative_motion(bearing.closure, now.motions)
         drawn = contact_point.depths(bearing.joint, REST, {})
         contacts = contact_point.gap_function(bearing.joint, pose, now.model.worn.get(name, {}))
-        for room, contact in zip(drawn, contacts, strict=True):
-            width = abs(room)
+        for gap, contact in zip(drawn, contacts, strict=True):
+            width = abs(gap)
             share = safe_divide(contact.indentation + width, width)
-            found.append(sp.scale(share, contact.slope))
-    return tuple(found)
+            shares.append(sp.scale(share, contact.slope))
+    return tuple(shares)
 
 
-def apart(
+def differences(
     run: Trajectory, one: Observables, other: Observables, finest: Observables
-) -> list[Apart]:
+) -> list[Difference]:
     """How far two runs are apart, by answer; `run`: the first of them, which is judged and whose
     names are told; `finest`: the run that is nearest to what answers are, beside which they are
     judged."""
     one, other, finest = (Observables(*map(_numbers, each)) for each in (one, other, finest))
     widest = 0.0 if one.rooms is None else float(np.max(np.asarray(one.rooms), initial=0.0))
     arm = float(one.arm)
-    way, longest = (_way(each.centres) for each in (one, finest))
-    turned, most = (_angle(each.axes, each.axes[:1]) for each in (one, finest))
-    ways = max(longest, GAPS * widest, AT_REST * arm)
+    shift, longest = (_largest_displacement(each.centres) for each in (one, finest))
+    angle, most = (_angle(each.axes, each.axes[:1]) for each in (one, finest))
+    length_scale = max(longest, GAPS * widest, AT_REST * arm)
     angles = max(most, GAPS * widest / arm if arm > 0 else 0.0, AT_REST)
     off = float(np.max(np.abs(one.centres - other.centres), initial=0.0))
-    turned_off = _angle(one.axes, other.axes)
-    found = [
-        Apart("places of bodies", "places", "", "m", way, off, ways),
-        Apart("orientation of bodies", "places", "", "rad", turned, turned_off, angles),
+    angle_off = _angle(one.axes, other.axes)
+    rows = [
+        Difference("places of bodies", "places", "", "m", shift, off, length_scale),
+        Difference("orientation of bodies", "places", "", "rad", angle, angle_off, angles),
     ]
-    found += _gaps_apart(run, one, other)
+    rows += _gap_differences(run, one, other)
     joints = run.formulation.contact_joints(run.mechanism)
     of_joints = (
         ("mean contact force", "mean_force", joints),
@@ -226,44 +226,44 @@ def apart(
     for answer, part, names in of_joints:
         forces = [getattr(each, part) for each in (one, other, finest)]
         if forces[0] is not None and len(forces[0]):
-            found += _by_place(answer, part, "N", names, *forces)
+            rows += _by_place(answer, part, "N", names, *forces)
     couplings = run.mechanism.couplings
     of_couplings = (("mean", "mean_force", means_of(run)), ("peak", "peak_force", peaks_of(run)))
     for kind, part, names in of_couplings:
         for unit, least in (("N m", float(one.idle)), ("N", float(one.idle) / arm if arm else 0.0)):
             torque = unit == "N m"
-            own = [k for k, n in enumerate(names) if turns(run.mechanism, couplings[n]) == torque]
-            a, b, c = (np.asarray(getattr(x, f"{kind}_sent"))[own] for x in (one, other, finest))
-            if own:
-                places = [names[k] for k in own]
-                found += _by_place(f"{kind} transmitted", part, unit, places, a, b, c, least)
+            ks = [k for k, n in enumerate(names) if turns(run.mechanism, couplings[n]) == torque]
+            a, b, c = (np.asarray(getattr(x, f"{kind}_sent"))[ks] for x in (one, other, finest))
+            if ks:
+                places = [names[k] for k in ks]
+                rows += _by_place(f"{kind} transmitted", part, unit, places, a, b, c, least)
     if one.friction_loss is not None:
         loss, less, last = (float(np.asarray(each.friction_loss)) for each in (one, other, finest))
         scale = max(last, LEAST_LOSS * float(np.asarray(finest.turnover))) or max(loss, less)
         if max(loss, less) > 0:
             row = "friction loss", "losses", "", "J", loss, abs(loss - less), scale
-            found.append(Apart(*row))
-    places = [f"{joint}, {surface}" for joint, own in run.worn.items() for surface in own]
+            rows.append(Difference(*row))
+    places = [f"{joint}, {surface}" for joint, ks in run.worn.items() for surface in ks]
     if places:
         least = NO_WEAR * float(np.sqrt(np.max(one.area)))
         volumes = one.volume, other.volume, finest.volume
-        found += _by_place(
+        rows += _by_place(
             "worn volume", "losses", "m^3", places, *volumes, least * float(np.max(one.area))
         )
         depths = one.depth, other.depth, finest.depth
-        found += _by_place("worn depth", "losses", "m", places, *depths, least)
-    return found
+        rows += _by_place("worn depth", "losses", "m", places, *depths, least)
+    return rows
 
 
-def _way(history: Any) -> float:
+def _largest_displacement(history: Any) -> float:
     """The longest way from where it begins."""
     return float(np.max(np.abs(history - history[:1]), initial=0.0))
 
 
 def _angle(one: Any, other: Any) -> float:
     """The largest angle [rad] between axes."""
-    apart = np.sum(np.square(np.asarray(one) - np.asarray(other)), axis=-1)
-    half = np.sqrt(np.max(apart, initial=0.0) / 8)
+    squares = np.sum(np.square(np.asarray(one) - np.asarray(other)), axis=-1)
+    half = np.sqrt(np.max(squares, initial=0.0) / 8)
     return float(2 * np.arcsin(np.minimum(half, 1.0)))
 
 
@@ -271,19 +271,19 @@ def _numbers(values: Any) -> Any:
     return None if values is None else np.asarray(values)
 
 
-def _gaps_apart(run: Trajectory, one: Observables, other: Observables) -> list[Apart]:
+def _gap_differences(run: Trajectory, one: Observables, other: Observables) -> list[Difference]:
     if one.in_gaps is None:
         return []
     off = np.max(np.abs(np.asarray(one.in_gaps) - np.asarray(other.in_gaps)), axis=(0, 2))
     joints = list(run.formulation.contact_joints(run.mechanism))
     names = [joints[int(owner)] for owner in np.asarray(one.owners)]
     largest: dict[str, tuple[float, float]] = {}
-    for name, share, room in zip(names, off, np.asarray(one.rooms), strict=True):
-        largest[name] = max(largest.get(name, (0.0, 0.0)), (float(share), float(room)))
+    for name, share, gap in zip(names, off, np.asarray(one.rooms), strict=True):
+        largest[name] = max(largest.get(name, (0.0, 0.0)), (float(share), float(gap)))
     return [
-        Apart("places in the gap", "gaps", name, "m", room, share * room, room)
-        for name, (share, room) in largest.items()
-        if is_gap(room, float(one.arm))
+        Difference("places in the gap", "gaps", name, "m", gap, share * gap, gap)
+        for name, (share, gap) in largest.items()
+        if is_gap(gap, float(one.arm))
     ]
 
 
@@ -296,14 +296,14 @@ def _by_place(
     other: Any,
     finest: Any,
     least: float = 0.0,
-) -> list[Apart]:
+) -> list[Difference]:
     """Of an answer by place, judged beside the `finest` one that is largest (of all runs where
     there is none in this), or beside the `least` that counts."""
     largest = float(np.max(np.abs(finest))) or float(np.max(np.abs(one)))
     scale = max(largest, least)
     rows = zip(places, one, other, strict=True)
     return [
-        Apart(answer, part, place, unit, float(x), abs(float(x) - float(y)), scale)
+        Difference(answer, part, place, unit, float(x), abs(float(x) - float(y)), scale)
         for place, x, y in rows
     ]
 

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.errors.accuracy import Asked, Seen
+from jaxclear.errors.accuracy import Bounds, Observed
 from jaxclear.errors.estimates import HALF, QUARTER, Failed, Verified, richardson
 from jaxclear.errors.observables import parted
 from jaxclear.ground.quantity import concrete, is_traced, with_fields
@@ -55,28 +55,28 @@ def replica(integrator: AbstractIntegrator, times: Any, share: float) -> Replica
     whole number; None where the integrator knows no finer steps."""
     finer = round(1 / share)
     if integrator.steps_between_saves is not None:
-        return Replica(integrator, between(times, finer), finer)
+        return Replica(integrator, refine_times(times, finer), finer)
     if integrator.asked_step() is not None:
-        asked = concrete(integrator.asked_step())
-        if asked is None:
+        step = concrete(integrator.asked_step())
+        if step is None:
             return None
-        share = share * step_taken(times, asked) / asked
-    own = integrator.with_finer_steps(share)
-    return None if own is None else Replica(own, np.asarray(times), updates=finer)
+        share = share * step_taken(times, step) / step
+    refined = integrator.with_finer_steps(share)
+    return None if refined is None else Replica(refined, np.asarray(times), updates=finer)
 
 
-def step_taken(times: Any, asked: float) -> float:
+def step_taken(times: Any, step: float) -> float:
     """The shortest step [s] that is taken between saving times [s] where one of `asked` [s] is
     asked for (steps end at all of them), but for intervals that together are next to nothing: of
     two saving times side by side no step is to be that short everywhere."""
     intervals = np.diff(np.asarray(times))
-    taken = intervals / np.maximum(np.ceil(intervals / asked * (1 - SLIVER)), 1)
+    taken = intervals / np.maximum(np.ceil(intervals / step * (1 - SLIVER)), 1)
     order = np.argsort(taken)
-    passed = np.cumsum(intervals[order])
-    return float(taken[order][np.searchsorted(passed, NEXT_TO_NOTHING * passed[-1])])
+    elapsed = np.cumsum(intervals[order])
+    return float(taken[order][np.searchsorted(elapsed, NEXT_TO_NOTHING * elapsed[-1])])
 
 
-def between(times: Any, every: int) -> np.ndarray:
+def refine_times(times: Any, every: int) -> np.ndarray:
     """The times with so many intervals in the place of each, the given ones bit for bit."""
     times = np.asarray(times)
     shares = np.arange(every) / every
@@ -84,19 +84,19 @@ def between(times: Any, every: int) -> np.ndarray:
     return np.append(inside.ravel(), times[-1])
 
 
-def thinned(run: Trajectory, every: int) -> Trajectory:
+def thin_run(run: Trajectory, every: int) -> Trajectory:
     """A run as saved at every so many-th of its saving times: what a response sees of a replica."""
     if every == 1:
         return run
     history = run.history
-    kept = dataclasses.replace(
+    sparse = dataclasses.replace(
         history,
         time=history.time[::every],
         states=history.states[::every],
         read=jax.tree.map(lambda depths: depths[::every], history.read),
     )
     noted = None if run.noted is None else _joined(run.noted, every)
-    return dataclasses.replace(run, history=kept, noted=noted)
+    return dataclasses.replace(run, history=sparse, noted=noted)
 
 
 def _joined(noted: Events, every: int) -> Events:
@@ -106,9 +106,9 @@ def _joined(noted: Events, every: int) -> Events:
     missing = np.arange(most) >= counts[..., None]
     together = lambda each: np.concatenate([each[k::every] for k in range(every)], axis=-1)
     first = np.argsort(together(missing), axis=-1, stable=True)[..., :most]
-    kept = lambda each: jnp.asarray(np.take_along_axis(together(np.asarray(each)), first, axis=-1))
+    at = lambda each: jnp.asarray(np.take_along_axis(together(np.asarray(each)), first, axis=-1))
     of_all = counts.reshape(-1, every, counts.shape[-1]).sum(axis=1)
-    return Events(kept(noted.times), kept(noted.rates), jnp.asarray(of_all))
+    return Events(at(noted.times), at(noted.rates), jnp.asarray(of_all))
 
 
 # Share of the promise from which on a second replica is asked.
@@ -120,75 +120,79 @@ TENTH_DIGIT = 1e-10
 OF_A_REPLICA = "a replica of another run"
 
 
-def verified(
+def verify_run(
     run: Trajectory,
     integrator: AbstractIntegrator,
     again: Callable[..., Trajectory],
     verify: bool | None,
-    asked: Asked | None = None,
+    bounds: Bounds | None = None,
 ) -> Trajectory:
     """The run with what its replicas tell; `again(replica, moved)`: the same run as that
     `Replica` is made, its start moved by so much. `verify`: whether replicas are run (None: where
     they take seconds at the most). `asked`: the accuracy (None: what the integrator promises). What
     goes wrong in replicas, Ctrl-C too, leaves the run as it is."""
-    asked = Asked(integrator.promise) if asked is None else asked
+    bounds = Bounds(integrator.promise) if bounds is None else bounds
     why = _why_not(run, verify)
-    known: AbstractVerification = Unverified(_and_chosen(why, asked))
+    verification: AbstractVerification = Unverified(_and_chosen(why, bounds))
     if not why:
         try:
             with stoppable():
-                known = _verification(run, integrator, again, asked)
+                verification = _verification(run, integrator, again, bounds)
         except KeyboardInterrupt:
-            known = Unverified("interrupted")
+            verification = Unverified("interrupted")
         except (MemoryError, jax.errors.JaxRuntimeError) as error:
             reason = str(error).partition("\n")[0] or "out of memory"
-            known = Unverified(f"a replica could not be run: {reason}")
-    return with_fields(run, verification=known)
+            verification = Unverified(f"a replica could not be run: {reason}")
+    return with_fields(run, verification=verification)
 
 
-def _and_chosen(why: str, asked: Asked) -> str:
-    return f"{why}. {asked.why.removesuffix('.')}" if asked.why else why
+def _and_chosen(why: str, bounds: Bounds) -> str:
+    return f"{why}. {bounds.why.removesuffix('.')}" if bounds.why else why
 
 
 def _verification(
-    run: Trajectory, integrator: AbstractIntegrator, again: Callable[..., Trajectory], asked: Asked
+    run: Trajectory,
+    integrator: AbstractIntegrator,
+    again: Callable[..., Trajectory],
+    bounds: Bounds,
 ) -> AbstractVerification:
-    own, counting = asked.seen(run), integrator
-    if own.standard.rooms is not None:
-        counting = _counting(integrator, own.standard.rooms, own.standard.arm)
-    found = [replica(counting, run.time, share) for share in (HALF, QUARTER)]
-    plans = [plan for plan in found if plan is not None]
-    if len(plans) < len(found):
+    coarse, counting = bounds.observe(run), integrator
+    if coarse.standard.rooms is not None:
+        counting = _counting(integrator, coarse.standard.rooms, coarse.standard.arm)
+    possible = [replica(counting, run.time, share) for share in (HALF, QUARTER)]
+    plans = [plan for plan in possible if plan is not None]
+    if len(plans) < len(possible):
         return Unverified("its steps cannot be refined")
 
     def repeated(plan: Replica, moved: float = 0.0) -> Trajectory:
-        return thinned(again(plan, moved), plan.every)
+        return thin_run(again(plan, moved), plan.every)
 
     replicas: list[Trajectory] = []
-    seen: list[Seen] = []
+    finer: list[Observed] = []
     for plan in plans:
         replicas.append(repeated(plan))
         if not replicas[-1].succeeded:
             return Failed(replicas[-1].result)
-        seen.append(asked.seen(replicas[-1]))
-        rows = list(zip(*(asked.apart(run, own, other, seen[-1]) for other in seen), strict=True))
-        promised = np.array([_number(asked.promised(row[-1])) for row in rows])
+        finer.append(bounds.observe(replicas[-1]))
+        pairs = (bounds.differences(run, coarse, other, finer[-1]) for other in finer)
+        rows = list(zip(*pairs, strict=True))
+        promised = np.array([_number(bounds.promised(row[-1])) for row in rows])
         shares = np.array([float(richardson([each.share for each in row])) for row in rows])
         if not np.any(~np.isnan(promised) & ~(shares <= DOUBT * promised)):
             break
     errors = [float(richardson([each.off for each in row])) for row in rows]
     numbers = np.stack([[row[0].value for row in rows], errors, shares, promised], axis=1)
-    path, lost = None, np.zeros(len(rows), bool)
+    path, chaotic = None, np.zeros(len(rows), bool)
     gaps = np.array([row[0].part == "gaps" for row in rows])
     if np.any(gaps & ~np.isnan(promised) & ~(shares <= promised)):
         limit = float(np.nanmin(promised[gaps]))
-        path, lost = _lost(run, asked, seen[0], repeated(plans[0], TENTH_DIGIT), limit)
-    known = tuple(
+        path, chaotic = _find_chaotic(run, bounds, finer[0], repeated(plans[0], TENTH_DIGIT), limit)
+    companions = tuple(
         dataclasses.replace(each, verification=Unverified(OF_A_REPLICA)) for each in replicas
     )
     answers = tuple((row[0].answer, row[0].part, row[0].place, row[0].unit) for row in rows)
-    ends = np.asarray(run.time)[0], asked.promise, answers, integrator.remedy, asked.why
-    return Verified(known, numbers, lost, path, *ends)
+    ends = np.asarray(run.time)[0], bounds.promise, answers, integrator.remedy, bounds.why
+    return Verified(companions, numbers, chaotic, path, *ends)
 
 
 @compiled_quickly
@@ -213,15 +217,16 @@ def _why_not(run: Trajectory, verify: bool | None) -> str:
     return ""
 
 
-def _lost(
-    run: Trajectory, asked: Asked, finer: Seen, moved: Trajectory, limit: float
+def _find_chaotic(
+    run: Trajectory, bounds: Bounds, finer: Observed, moved: Trajectory, limit: float
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """(from when on [s] a path hangs on the tenth digit of its start, and within which time errors
     grow e-fold [s]; None where it does not; which answers are lost by that), from how far a `finer`
     run and the same with its start `moved` are apart, in gaps by more than the `limit`."""
-    other = asked.seen(moved)
-    rows = [(row.share, asked.promised(row)) for row in asked.apart(run, finer, other, finer)]
-    lost = np.array([most is not None and share > most for share, most in rows])
+    other = bounds.observe(moved)
+    differences = bounds.differences(run, finer, other, finer)
+    rows = [(row.share, bounds.promised(row)) for row in differences]
+    chaotic = np.array([most is not None and share > most for share, most in rows])
     off = parted(finer.standard, other.standard)
     beyond = off > limit
     if not moved.succeeded or not beyond.any():
@@ -230,4 +235,4 @@ def _lost(
     elapsed = float(run.time[first] - run.time[0])
     began = max(float(off[0]), TENTH_DIGIT)
     growth = elapsed / max(math.log(float(off[first]) / began), 1.0)
-    return np.array([float(run.time[first]), growth]), lost
+    return np.array([float(run.time[first]), growth]), chaotic

@@ -363,7 +363,8 @@ def _unit(metadata: Mapping[str, Any]) -> str:
 def _told(metadata: Mapping[str, Any]) -> Schema:
     """What a field says of its number."""
     unit = metadata.get("unit", "1")
-    words = [metadata.get("meaning", ""), "" if unit == "1" else f"[{unit}]"]
+    sliding = f"; {metadata['sliding']} for a sliding joint" if "sliding" in metadata else ""
+    words = [metadata.get("meaning", ""), "" if unit == "1" else f"[{unit}{sliding}]"]
     said = " ".join(word for word in words if word)
     bounds = {word: metadata[key] for key, word in BOUNDS.items() if key in metadata}
     return (bounds if "counts" not in metadata else {}) | ({"description": said} if said else {})

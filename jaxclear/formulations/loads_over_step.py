@@ -22,14 +22,14 @@ from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.laws.rebound import restitution_of
-from jaxclear.multibody import constraints, kinematics
-from jaxclear.multibody.damped_stops import coordinate_row
-from jaxclear.multibody.forces import Acting, Forces, as_pressed, give, seen_at
+from jaxclear.multibody import kinematics
+from jaxclear.multibody.forces import Forces, as_pressed, read_coordinate
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.rows import ActingForces, forces_on_drives
 from jaxclear.multibody.state import Followed, unpack_motion
 from jaxclear.multibody.system import System, Transmission, coordinate_loads
-from jaxclear.multibody.transmissions import Pressing, twist_of
+from jaxclear.multibody.transmissions import Pressing, row_of, twist_direction, twist_of
 from jaxclear.multibody.tree import Motion
 
 # Explicit steps h follow a spring up to h omega = 2 and a damper up to h d / m = 2; they are left
@@ -183,16 +183,15 @@ def coordinates_of(
 
 
 def _twist(system: System, motions: tuple[Motion, ...], own: Transmission) -> Coordinate:
-    rows = constraints.constraint_rows(system, motions, own.closure)
-    row = {j: entry / own.scale for j, entry in rows.jacobian[0].items()}
-    return Coordinate(rows.residuals[0] / own.scale, rows.rates[0] / own.scale, row)
+    twist = twist_of(system, motions, own)
+    return Coordinate(twist.value, twist.rate, row_of(system, motions, own))
 
 
 def _coordinate(
     system: System, motions: tuple[Motion, ...], name: str, followed: Followed
 ) -> Coordinate:
-    now = seen_at(system, motions, name, followed)
-    return Coordinate(now.position, now.speed, coordinate_row(system, motions, name))
+    position, speed, direction = read_coordinate(system, motions, name, followed)
+    return Coordinate(position, speed, direction.jacobian(system, motions))
 
 
 def coordinates_at(
@@ -208,28 +207,27 @@ def with_loads(system: System, forces: Forces, given: dict[str, Any]) -> Forces:
     every = held(system)
     if not every:
         return forces
-    links = list(forces.wrenches), list(forces.coordinate_forces)
-    acting, pressing = Acting(*links, dict(forces.on_joints), {}), dict(forces.pressing)
+    motions, pressing = forces.motions, dict(forces.pressing)
+    acting = ActingForces(list(forces.wrenches), list(forces.coordinate_forces), [])
     for name, own in every.items():
         if not own.flank:
-            seen_at(system, forces.motions, own.on, forces.followed).push(acting, given[name])
+            reading = read_coordinate(system, motions, own.on, forces.followed)
+            acting.add(name, reading.direction, given[name])
             continue
         flanks, torque = system.flanks[own.on], -given[name]
-        give(system, forces.motions, flanks, torque, acting)
-        twist, none = twist_of(system, forces.motions, flanks), (0.0, 0.0)
+        acting.add(own.on, twist_direction(motions, flanks), given[name] / flanks.scale)
+        twist, none = twist_of(system, motions, flanks), (0.0, 0.0)
         torques = positive_part(torque), positive_part(-torque)
         pressing[own.on] = Pressing(torque, None, 0.0, 0.0, twist, none, none, torques)
-    external, on_drives = forces.external_power, dict(forces.on_drives)
-    for link, force in acting.on_drives.items():
-        external = sp.sub(external, sp.mul(force, forces.motions[link].speeds[0]))
-        on_drives[link] = sp.add(on_drives.get(link, 0), force)
+    external = forces.external_power
+    for link, force in forces_on_drives(motions, acting.rows).items():
+        external = sp.sub(external, sp.mul(force, motions[link].speeds[0]))
     return forces._replace(
         wrenches=tuple(acting.wrenches),
-        coordinate_forces=tuple(acting.forces),
-        on_joints=acting.on_joints,
+        coordinate_forces=tuple(acting.coordinate_forces),
+        rows=(*forces.rows, *acting.rows),
         pressing=pressing,
         external_power=external,
-        on_drives=on_drives,
     )
 
 

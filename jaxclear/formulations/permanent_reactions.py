@@ -20,8 +20,9 @@ from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.pose import FLIP, Pose
 from jaxclear.multibody import constraints, dynamics, kinematics
 from jaxclear.multibody.dynamics import Solution
-from jaxclear.multibody.forces import Forces, add_action_and_reaction
+from jaxclear.multibody.forces import Forces
 from jaxclear.multibody.kinematics import along
+from jaxclear.multibody.rows import add_action_and_reaction
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import Wrench
 

@@ -51,8 +51,8 @@ from jaxclear.formulations.unilateral import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
-from jaxclear.multibody.forces import add_action_and_reaction
 from jaxclear.multibody.kinematics import along
+from jaxclear.multibody.rows import add_action_and_reaction
 from jaxclear.multibody.state import unpack_motion
 
 

@@ -8,7 +8,7 @@ from jaxclear.ground.compiling import map_many
 from jaxclear.multibody import dynamics
 from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.dynamics import Solution
-from jaxclear.multibody.forces import Forces, seen_at
+from jaxclear.multibody.forces import Forces, read_coordinate
 from jaxclear.multibody.state import Layout, unpack_motion
 from jaxclear.multibody.system import System, flanks_that_wear
 
@@ -78,7 +78,7 @@ def _of_flanks(system: System, forces: Forces) -> list:
     found = []
     for name, play in flanks_that_wear(system).items():
         slides: Any = system.transmissions[name].slides
-        speed = seen_at(system, forces.motions, slides, forces.followed).speed
+        speed = read_coordinate(system, forces.motions, slides, forces.followed).speed
         found += [play.wear_rate(torque, speed) for torque in forces.pressing[name].torques]
     return found
 

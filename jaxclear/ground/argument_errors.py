@@ -10,6 +10,7 @@ import importlib.util
 import inspect
 import re
 from collections.abc import Callable
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
 
 import equinox as eqx
@@ -23,6 +24,11 @@ else:
 
 P, R = ParamSpec("P"), TypeVar("R")
 PACKAGE_PATH = re.compile(r"\bjaxclear(\.\w+)+")
+# An entry of `Args:`: names, and the description up to the unit, the range or the default.
+ARGUMENT = re.compile(
+    r"^ {4}((?:\w+, )*\w+): (.*?)(?: \[|, [<>]=? |, a count|; |\.(?:\s|\Z))",
+    re.MULTILINE | re.DOTALL,
+)
 KEYWORDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 ORDERED = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
@@ -44,7 +50,9 @@ class AnsweringMeta(ModuleMeta):
         check = namespace.get("__check_init__")
         if check is not None and any(isinstance(base, AnsweringMeta) for base in bases):
             namespace = namespace | {"__check_init__": _after_fields(check)}
-        return ModuleMeta.__new__(mcs, name, bases, namespace, **kwargs)
+        kind = ModuleMeta.__new__(mcs, name, bases, namespace, **kwargs)
+        _describe_fields(kind)
+        return kind
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
         if cls.__name__.startswith("Abstract"):
@@ -60,6 +68,17 @@ class AnsweringMeta(ModuleMeta):
             if sentence:
                 raise TypeError(sentence) from None
             raise
+
+
+def _describe_fields(kind: Any) -> None:
+    """Takes the meaning of a class's numbers from `Args:` of its docstring, up to the unit."""
+    section = inspect.cleandoc(vars(kind).get("__doc__") or "").partition("\n\nArgs:\n")[2]
+    for names, meaning in ARGUMENT.findall(section.partition("\n\n")[0]):
+        for name in names.split(", "):
+            field = kind.__dataclass_fields__.get(name)
+            if field is not None and field.metadata.get("meaning") == "":
+                words = {"meaning": " ".join(meaning.split())}
+                field.metadata = MappingProxyType({**field.metadata, **words})
 
 
 def _after_fields(class_check: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -88,9 +107,8 @@ def answering(function: Callable[P, R]) -> Callable[P, R]:
             raise
 
     signature = inspect.signature(function)
-    parameters = [
-        p.replace(annotation=_as_offered(p.annotation)) for p in signature.parameters.values()
-    ]
+    declared = signature.parameters.values()
+    parameters = [p.replace(annotation=_as_offered(p.annotation)) for p in declared]
     returned = _as_offered(signature.return_annotation)
     called.__signature__ = signature.replace(  # type: ignore[attr-defined]
         parameters=parameters, return_annotation=returned

@@ -66,23 +66,19 @@ def tables_of(pattern: Pattern) -> Tables:
     for place, i in enumerate(below):
         unknown[i] = place
     rows = [sorted(unknown[i] for i in column) for column in below.values()]
-    columns = [0, *np.cumsum([1 + len(rows_below) for rows_below in rows]).tolist()]
+    columns = [0, *np.cumsum([1 + len(lower) for lower in rows]).tolist()]
     at = {(j, j): start for j, start in enumerate(columns[:-1])}
-    at |= {
-        (i, j): columns[j] + 1 + k
-        for j, rows_below in enumerate(rows)
-        for k, i in enumerate(rows_below)
-    }
+    at |= {(i, j): columns[j] + 1 + k for j, lower in enumerate(rows) for k, i in enumerate(lower)}
     updates: list[Any] = []
     solves: list[Any] = []
     update_starts, solve_starts = [0], [0]
-    for j, rows_below in enumerate(rows):
+    for j, lower in enumerate(rows):
         first = columns[j] + 1
-        for k, i in enumerate(rows_below):
-            changed = [at[other, i] for other in rows_below[k:]]
+        for k, i in enumerate(lower):
+            changed = [at[other, i] for other in lower[k:]]
             updates += [(t, first + k + s, k, n) for t, s, n in _stretches(changed)]
         update_starts.append(len(updates))
-        solves += [(row, first + s, n) for row, s, n in _stretches(rows_below)]
+        solves += [(row, first + s, n) for row, s, n in _stretches(lower)]
         solve_starts.append(len(solves))
     places = ((unknown[i], unknown[j]) for i, j in pattern.places)
     entries = [at[max(pair), min(pair)] for pair in places]
@@ -97,7 +93,7 @@ def _columns_below(pattern: Pattern) -> dict[int, set[int]]:
         if i != j:
             tied[i].add(j)
             tied[j].add(i)
-    waiting = [(len(neighbours), i) for i, neighbours in enumerate(tied)]
+    waiting = [(len(near), i) for i, near in enumerate(tied)]
     heapq.heapify(waiting)
     out: dict[int, set[int]] = {}
     while waiting:
@@ -145,7 +141,7 @@ def _by_lapack(entries, *further, pattern):
 
 def _differentiate(primals, tangents, *, pattern):
     """M dx = db - dM x."""
-    *matrix_operands, _ = primals
+    *matrix, _ = primals
     solution = solve_p.bind(*primals, pattern=pattern)
     changed, right_tangent = tangents[0], tangents[-1]
     if isinstance(changed, ad.Zero):
@@ -159,7 +155,7 @@ def _differentiate(primals, tangents, *, pattern):
                 taken[j] = sp.add(taken[j], entry * x[i])
         taken = jnp.stack(taken, -1)
         moved = -taken if isinstance(right_tangent, ad.Zero) else right_tangent - taken
-    return solution, solve_p.bind(*matrix_operands, moved, pattern=pattern)
+    return solution, solve_p.bind(*matrix, moved, pattern=pattern)
 
 
 def _parts(array: Any) -> list:
@@ -167,13 +163,13 @@ def _parts(array: Any) -> list:
 
 
 def _backwards(cotangent, *operands, pattern):
-    *matrix_operands, _ = operands
-    right_cotangent = (
+    *matrix, _ = operands
+    out = (
         None
         if isinstance(cotangent, ad.Zero)
-        else solve_p.bind(*matrix_operands, cotangent, pattern=pattern)
+        else solve_p.bind(*matrix, cotangent, pattern=pattern)
     )
-    return [*[None] * len(matrix_operands), right_cotangent]
+    return [*[None] * len(matrix), out]
 
 
 def _batch(operands, dims, *, pattern):

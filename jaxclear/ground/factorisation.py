@@ -284,7 +284,7 @@ class Change(NamedTuple):
     """The smallest change, and which equations it meets; the rest follow from those before."""
 
     change: Float[Array, " n"]
-    satisfied: Bool[Array, " rows"]
+    exact: Bool[Array, " rows"]
 
 
 def least_change(
@@ -301,7 +301,7 @@ def least_change(
         return along, row - jnp.sum(along[:, None] * basis, axis=0)
 
     def add(carry, entry):
-        basis, parts, satisfied, place = carry
+        basis, parts, exact, place = carry
         row, target = entry
         first, rest = across(row, basis)
         second, rest = across(rest, basis)
@@ -311,17 +311,12 @@ def least_change(
         part = (target - jnp.sum((first + second) * parts)) * inverse
         here = place == jnp.arange(m)
         basis = jnp.where(here[:, None], rest * inverse, basis)
-        return (
-            basis,
-            jnp.where(here, part, parts),
-            jnp.where(here, new, satisfied),
-            place + 1,
-        ), None
+        return (basis, jnp.where(here, part, parts), jnp.where(here, new, exact), place + 1), None
 
     # All is carried: kernels leave nothing by turns within a loop.
     start = jnp.zeros_like(scaled), jnp.zeros_like(targets), jnp.zeros(m, bool), jnp.zeros((), int)
-    (basis, parts, satisfied, _), _ = jax.lax.scan(add, start, (scaled, targets))
-    return Change(scales * jnp.sum(parts[:, None] * basis, axis=0), satisfied)
+    (basis, parts, exact, _), _ = jax.lax.scan(add, start, (scaled, targets))
+    return Change(scales * jnp.sum(parts[:, None] * basis, axis=0), exact)
 
 
 def of_rank(

@@ -68,12 +68,12 @@ def stacked(numbers: Sequence[Any], least: int = MANY) -> jax.Array:
     sources: list[Any] = []
     lengths = [0]
     starts: dict[int, int] = {}
-    for origin in origins:
-        if origin is not None and id(origin.array) not in starts:
-            starts[id(origin.array)] = lengths[-1]
-            sources.append(origin.array)
-            lengths.append(lengths[-1] + len(origin.array))
-    alone = [each for each, origin in zip(numbers, origins, strict=True) if origin is None]
+    for o in origins:
+        if o is not None and id(o.array) not in starts:
+            starts[id(o.array)] = lengths[-1]
+            sources.append(o.array)
+            lengths.append(lengths[-1] + len(o.array))
+    alone = [each for each, o in zip(numbers, origins, strict=True) if o is None]
     if 4 * (len(sources) + len(alone)) > len(numbers) or any(
         x.dtype != sources[0].dtype for x in sources
     ):
@@ -82,10 +82,7 @@ def stacked(numbers: Sequence[Any], least: int = MANY) -> jax.Array:
         sources.append(jnp.stack([jnp.asarray(x, sources[0].dtype) for x in alone]))
     joined = sources[0] if len(sources) == 1 else jnp.concatenate(sources)
     further = iter(range(lengths[-1], lengths[-1] + len(alone)))
-    places = [
-        next(further) if origin is None else starts[id(origin.array)] + origin.place
-        for origin in origins
-    ]
+    places = [next(further) if o is None else starts[id(o.array)] + o.place for o in origins]
     return looked_up(joined, np.array(places))
 
 

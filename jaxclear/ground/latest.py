@@ -59,8 +59,5 @@ class Latest(Generic[Value]):
     def keep(self, key: Any, value: Value, size: float = 1.0) -> None:
         with self.looking:
             self.entries[key] = value, size
-            while (
-                len(self.entries) > 1
-                and sum(entry_size for _, entry_size in self.entries.values()) > self.most
-            ):
+            while len(self.entries) > 1 and sum(s for _, s in self.entries.values()) > self.most:
                 self.entries.popitem(last=False)

@@ -42,9 +42,9 @@ def part_in_words(part: Any) -> str:
     if len(line) <= LONGEST:
         return line
     inner = [text for name, text in entries if isinstance(getattr(part, name), eqx.Module)]
-    scalars = [text for name, text in entries if not isinstance(getattr(part, name), eqx.Module)]
+    plain = [text for name, text in entries if not isinstance(getattr(part, name), eqx.Module)]
     return "\n".join(
-        [f"{kind} {', '.join(scalars)}".rstrip(), *(f"{INDENT}{text}" for text in inner)]
+        [f"{kind} {', '.join(plain)}".rstrip(), *(f"{INDENT}{text}" for text in inner)]
     )
 
 
@@ -76,9 +76,7 @@ def numbers_in_words(part: Any, unit: Unit = unit_of_field) -> str:
 def fields_in_words(part: Any, unit: Unit = unit_of_field) -> Iterator[tuple[str, str]]:
     """Every field that holds something, by name, in the order of its arguments: numbers with units,
     parts by their kind."""
-    for field in sorted(
-        dataclasses.fields(part), key=lambda declared_field: bool(declared_field.kw_only)
-    ):
+    for field in sorted(dataclasses.fields(part), key=lambda f: bool(f.kw_only)):
         value = getattr(part, field.name)
         empty = isinstance(value, (str, tuple, dict)) and not value
         if value is not None and not empty:
@@ -244,9 +242,7 @@ def with_error(value: float, error: float) -> str:
     power = math.floor(math.log10(size))
     power = 0 if SMALL <= size < PLAIN else power
     places = power + 1 - math.floor(math.log10(error))
-    texts = [
-        f"{round(number / 10.0**power, places):.{max(places, 0)}f}" for number in (value, error)
-    ]
+    texts = [f"{round(x / 10.0**power, places):.{max(places, 0)}f}" for x in (value, error)]
     if float(texts[0]) == 0:
         texts[0] = texts[0].lstrip("-")
     both = " ± ".join(texts)

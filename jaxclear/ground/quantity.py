@@ -456,14 +456,16 @@ def quantity(
     Args:
         default: a number, or None where the number may be absent; without it the field is required.
         unit: SI unit; "1" (default) for a number without.
-        meaning: what the number is, part of a sentence; "" by default.
+        meaning: what the number is, part of a sentence; by default what `Args:` in the docstring of
+            the class says up to the unit.
         above: exclusive lower bound [unit]; None (default) for none.
         at_least: inclusive lower bound [unit]; None (default) for none.
         below: exclusive upper bound [unit]; None (default) for none.
         at_most: inclusive upper bound [unit]; None (default) for none.
         kwargs: further arguments of `equinox.field`; `converter` for a field that accepts more than
             one number; `usual`, (least, largest, likely mistake) [unit] of usual mechanisms, beyond
-            which a `Mechanism` warns; `wanted`, what the field accepts, in words.
+            which a `Mechanism` warns; `wanted`, what the field accepts, in words; `sliding`, the
+            unit of a joint that slides, where `unit` is that of one that turns.
 
     Returns:
         The field.
@@ -476,8 +478,8 @@ def quantity(
 
 
 # Metadata of a field that a check reads: numbers of a vector, what it must be in words, its usual
-# range.
-METADATA = ("counts", "usual", "wanted")
+# range, its unit where a joint slides.
+METADATA = ("counts", "usual", "wanted", "sliding")
 
 
 def vector(

@@ -20,7 +20,7 @@ import numpy as np
 from jaxclear.ground.printing import PLAIN, SMALL, WIDTH, displayed_error, in_few, with_error
 
 # Spaces between columns; where the names of rows, and heads over narrow columns, are broken.
-COLUMN_GAP, NAMES, HEAD = 2, 40, 12
+GAP, NAMES, HEAD = 2, 40, 12
 # Digits of a column, and the most where its numbers differ by less, as a micrometre beside a metre,
 # or rise by less, as times do.
 DIGITS, MOST_DIGITS, MOST_OF_STEPS = 4, 7, 9
@@ -138,11 +138,11 @@ class _Cells(NamedTuple):
     def swapped(self) -> "_Cells":
         """Rows as columns."""
         name = _Column(
-            ", ".join(filter(None, (level.head for level in self.names))),
+            ", ".join(filter(None, (n.head for n in self.names))),
             [column.head for column in self.columns],
             True,
         )
-        heads = zip(*(level.cells for level in self.names), strict=True)
+        heads = zip(*(n.cells for n in self.names), strict=True)
         rows = zip(*(column.cells for column in self.columns), strict=True)
         columns = [
             _Column(" ".join(filter(None, head)), list(row), False)
@@ -165,8 +165,8 @@ def _cells(frame: Any) -> _Cells:
         n: labels.index(error) for n, error in error_columns.items() if error in labels
     }
     of_rows = values[labels.index("unit")] if "unit" in labels else []
-    without_unit = [v for n, v in zip(labels, values, strict=True) if n not in units]
-    by_row = zip(*without_unit, strict=True)
+    plain = [v for n, v in zip(labels, values, strict=True) if n not in units]
+    by_row = zip(*plain, strict=True)
     rows = [_in_row(_floats(row)) for row in by_row] if of_rows else None
     columns = [
         _column(
@@ -182,45 +182,40 @@ def _cells(frame: Any) -> _Cells:
         names, columns = columns[:1], columns[1:]
     else:
         levels = [frame.index.get_level_values(k) for k in range(frame.index.nlevels)]
-        heads = [_measured(str(item.name or ""), units.get(item.name)) for item in levels]
-        names = [_column(head, item.tolist()) for head, item in zip(heads, levels, strict=True)]
+        heads = [_measured(str(c.name or ""), units.get(c.name)) for c in levels]
+        names = [_column(head, c.tolist()) for head, c in zip(heads, levels, strict=True)]
         labels_with_units = [_measured(n, units.get(n)) for n in names[-1].cells]
         names[-1] = names[-1]._replace(cells=labels_with_units)
     if of_rows:
         labels_with_units = list(map(_measured, names[-1].cells, of_rows))
         names[-1] = names[-1]._replace(cells=labels_with_units)
     if notes:
-        names = [_parted(item, "...") for item in names]
-        columns = [_parted(item, "") for item in columns]
+        names = [_parted(c, "...") for c in names]
+        columns = [_parted(c, "") for c in columns]
     return _move_texts_to_notes(_Cells(names, columns, notes))
 
 
 def _move_texts_to_notes(cells: _Cells) -> _Cells:
     """With texts that all rows have, and long ones where a line has no room, among the notes."""
-    constant = [column for column in cells.columns if column.is_constant]
-    columns = [column for column in cells.columns if not column.is_constant]
-    notes = [
-        *cells.notes,
-        *(f"{column.head}: {column.cells[0]}" for column in constant if column.long),
-    ]
-    empty = [column.head for column in constant if not column.long]
+    constant = [c for c in cells.columns if c.is_constant]
+    columns = [c for c in cells.columns if not c.is_constant]
+    notes = [*cells.notes, *(f"{c.head}: {c.cells[0]}" for c in constant if c.long)]
+    empty = [c.head for c in constant if not c.long]
     notes += [f"{', '.join(empty)}: none."] if empty else []
     taken = sum(_shares(cells._replace(columns=columns))) + sum(
-        column.narrowest + COLUMN_GAP for column in columns if not column.long
+        c.narrowest + GAP for c in columns if not c.long
     )
-    long = [column for column in columns if column.long]
-    if WIDTH - taken >= len(long) * (LONG + COLUMN_GAP):
+    long = [c for c in columns if c.long]
+    if WIDTH - taken >= len(long) * (LONG + GAP):
         return _Cells(cells.names, columns, notes)
     numbers: dict[str, int] = {}
     shown_columns = []
-    for column in columns:
-        if column.long:
-            marks = [
-                f"({numbers.setdefault(x, len(numbers) + 1)})" if x else "" for x in column.cells
-            ]
-            shown_columns.append(_Column(column.head, marks, False))
+    for c in columns:
+        if c.long:
+            marks = [f"({numbers.setdefault(x, len(numbers) + 1)})" if x else "" for x in c.cells]
+            shown_columns.append(_Column(c.head, marks, False))
         else:
-            shown_columns.append(column)
+            shown_columns.append(c)
     return _Cells(
         cells.names, shown_columns, notes + [f"({k}) {text}" for text, k in numbers.items()]
     )
@@ -290,9 +285,7 @@ def _digits(numbers: list[float], step: float = 0.0) -> int:
     size = max(map(abs, numbers))
     similar = [x for x in numbers if abs(x) >= SIMILAR_SHARE * size]
     spreads = {MOST_DIGITS: (max(similar) - min(similar)) / 10, MOST_OF_STEPS: step}
-    digit_counts = (
-        (most, math.log10(size / spread)) for most, spread in spreads.items() if spread > 0
-    )
+    digit_counts = ((most, math.log10(size / s)) for most, s in spreads.items() if s > 0)
     return max([DIGITS, *(min(math.ceil(power) + 1, most) for most, power in digit_counts)])
 
 
@@ -345,12 +338,12 @@ def _broken(text: str, width: int) -> list[str]:
 
 def _shares(cells: _Cells) -> list[int]:
     """What columns that name the rows take of a line: what others leave, or what may be."""
-    width = lambda column: min(column.narrowest, LONG) if column.is_text else column.narrowest
-    others = sum(width(column) + COLUMN_GAP for column in cells.columns)
+    width = lambda c: min(c.narrowest, LONG) if c.is_text else c.narrowest
+    others = sum(width(c) + GAP for c in cells.columns)
     free = WIDTH - others
     # Names that are broken are read better than rows that are.
     most = (free if free >= LONG else max(NAMES, free)) // len(cells.names)
-    return [min(column.narrowest, most - COLUMN_GAP) + COLUMN_GAP for column in cells.names]
+    return [min(c.narrowest, most - GAP) + GAP for c in cells.names]
 
 
 class _Fitted(NamedTuple):
@@ -359,14 +352,14 @@ class _Fitted(NamedTuple):
     head: list[str]
     cells: list[list[str]]
     width: int
-    is_left_aligned: bool
+    at_left: bool
 
 
-def _fitted(column: _Column, most: int, is_left_aligned: bool) -> _Fitted:
+def _fitted(column: _Column, most: int, at_left: bool) -> _Fitted:
     """A column of at most so many characters."""
     width = min(column.narrowest, most)
     cells = [_broken(cell, width) for cell in column.cells]
-    return _Fitted(_broken(column.head, max(width, 1)), cells, width, is_left_aligned)
+    return _Fitted(_broken(column.head, max(width, 1)), cells, width, at_left)
 
 
 def _best(cells: _Cells) -> _Cells:
@@ -387,20 +380,15 @@ def _in_lines(cells: _Cells) -> list[str]:
 def _in_blocks(cells: _Cells) -> list[str]:
     """As many columns side by side as a line holds, the others below, after an empty line."""
     shares = _shares(cells)
-    names = [_fitted(n, s - COLUMN_GAP, True) for n, s in zip(cells.names, shares, strict=True)]
+    names = [_fitted(n, s - GAP, True) for n, s in zip(cells.names, shares, strict=True)]
     free_width = WIDTH - sum(shares)
     long = [column for column in cells.columns if column.long]
-    free = free_width - sum(
-        column.narrowest + COLUMN_GAP for column in cells.columns if not column.long
-    )
-    share = max(free // max(len(long), 1) - COLUMN_GAP, LONG)
+    free = free_width - sum(column.narrowest + GAP for column in cells.columns if not column.long)
+    share = max(free // max(len(long), 1) - GAP, LONG)
     blocks: list[list[_Fitted]] = [[]]
     for column in cells.columns:
         fitted = _fitted(column, share if column.long else free_width, column.is_text)
-        if (
-            blocks[-1]
-            and sum(c.width + COLUMN_GAP for c in [*blocks[-1], fitted]) > free_width + COLUMN_GAP
-        ):
+        if blocks[-1] and sum(c.width + GAP for c in [*blocks[-1], fitted]) > free_width + GAP:
             blocks.append([])
         blocks[-1].append(fitted)
     lines: list[str] = []
@@ -418,8 +406,8 @@ def _drawn(columns: list[_Fitted]) -> list[str]:
     for row in lines:
         for parts in itertools.zip_longest(*row, fillvalue=""):
             pairs = zip(parts, columns, strict=True)
-            placed = [x.ljust(c.width) if c.is_left_aligned else x.rjust(c.width) for x, c in pairs]
-            drawn.append((" " * COLUMN_GAP).join(placed).rstrip())
+            placed = [x.ljust(c.width) if c.at_left else x.rjust(c.width) for x, c in pairs]
+            drawn.append((" " * GAP).join(placed).rstrip())
     return drawn
 
 
@@ -428,8 +416,8 @@ def _in_html(cells: _Cells) -> str:
     cells = _best(cells)
     columns = [*cells.names, *cells.columns]
     row = lambda kind, texts: "".join(f"<{kind}>{html.escape(x)}</{kind}>" for x in texts)
-    rows = zip(*(column.cells for column in columns), strict=True)
-    head = f"<thead><tr>{row('th', [column.head for column in columns])}</tr></thead>"
-    body = "".join(f"<tr>{row('td', column)}</tr>" for column in rows)
+    rows = zip(*(c.cells for c in columns), strict=True)
+    head = f"<thead><tr>{row('th', [c.head for c in columns])}</tr></thead>"
+    body = "".join(f"<tr>{row('td', c)}</tr>" for c in rows)
     notes = "".join(f"<p>{html.escape(note)}</p>" for note in cells.notes)
     return f'<table class="dataframe">{head}<tbody>{body}</tbody></table>{notes}'

@@ -12,10 +12,8 @@ from jax.custom_derivatives import SymbolicZero
 def pushed(function: Callable, numbers: Sequence[Any], tangents: Sequence[Any]) -> tuple[Any, Any]:
     """As `jax.jvp(function, numbers, tangents)`, where some of the tangents are `SymbolicZero`."""
     leaves, structure = jax.tree.flatten(tuple(numbers))
-    directions = jax.tree.leaves(tuple(tangents))
-    moving = [
-        i for i, direction in enumerate(directions) if not isinstance(direction, SymbolicZero)
-    ]
+    moves = jax.tree.leaves(tuple(tangents))
+    moving = [i for i, t in enumerate(moves) if not isinstance(t, SymbolicZero)]
 
     def of_moving(*some):
         arguments = list(leaves)
@@ -26,7 +24,7 @@ def pushed(function: Callable, numbers: Sequence[Any], tangents: Sequence[Any]) 
     if not moving:
         out = of_moving()
         return out, jax.tree.map(jnp.zeros_like, out)
-    return jax.jvp(of_moving, [leaves[i] for i in moving], [directions[i] for i in moving])
+    return jax.jvp(of_moving, [leaves[i] for i in moving], [moves[i] for i in moving])
 
 
 def derived(function: Callable, tangent: Callable) -> Callable:

@@ -71,9 +71,7 @@ IN_JAX = (
 )
 
 
-def call_user_function(
-    what: str, function: Callable, *arguments: Any, requirement: str = ""
-) -> Any:
+def call_user(what: str, function: Callable, *arguments: Any, requirement: str = "") -> Any:
     """What a function answers. Raises `ValueError`, with a sentence that begins with `what`, where
     it leaves JAX or fails; `wanted`: what is asked of it, a sentence."""
     try:

@@ -59,7 +59,7 @@ LOOSEST_IN_GAP = 4e-4
 # landing makes errors: at most a share of the narrowest gap, at least rounding beside all arms.
 LANDING, LANDING_IN_GAP = 0.1, 1e-4
 ROUNDING = 1e-12
-# Tolerances that could be only so much tighter are as tight as they can be.
+# Bounds that could be only so much tighter are as tight as they can be.
 ROUNDED_OFF = 0.5
 # Derivatives have grown too much where a place within the tolerance, grown as they have, is more
 # than this beside the narrowest gap: beyond, they were off by a tenth and more, within by less than
@@ -115,23 +115,10 @@ class Adaptive(AbstractIntegrator):
         default_factory=diffrax.Tsit5,
         metadata={"wanted": "a solver of diffrax, such as diffrax.Tsit5()"},
     )
-    rtol: Scalar = quantity(
-        1e-7,
-        "1",
-        "relative local error of coordinates and speeds",
-        at_least=0,
-        below=1,
-        kw_only=True,
-    )
-    atol: Scalar = quantity(
-        1e-9,
-        "1",
-        "absolute local error of coordinates [m, rad] and speeds [m/s, rad/s]",
-        above=0,
-        kw_only=True,
-    )
-    largest_step: Scalar | None = quantity(None, "s", "largest step", above=0, kw_only=True)
-    most_steps: int = count(200_000, "most steps between saves or wear updates", kw_only=True)
+    rtol: Scalar = quantity(1e-7, "1", at_least=0, below=1, kw_only=True)
+    atol: Scalar = quantity(1e-9, "1", above=0, kw_only=True)
+    largest_step: Scalar | None = quantity(None, "s", above=0, kw_only=True)
+    most_steps: int = count(200_000, kw_only=True)
     breaks: Any = eqx.field(default=None, kw_only=True, converter=_as_times)
 
     @property

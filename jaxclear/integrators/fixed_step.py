@@ -217,9 +217,9 @@ class FixedStep(AbstractIntegrator):
         steps_per_save: number of steps between two saving times, >= 1, in place of `step`:
             reverse-mode derivatives (`jax.grad`) then go backwards through the steps, which pays
             off for hundreds of numbers, but not through friction in ideal joints. None by default.
-        contact_steps: number of short steps into which a step is divided that starts in contact, or
-            would end there at the present closing speed and acceleration [1], >= 1; free flight
-            keeps the long step, so bounces are resolved at a fraction of the cost. None: no
+        contact_steps: number of short steps in contact for one long step in free flight [1], >= 1:
+            a step is divided that starts in contact, or would end there at the present closing
+            speed and acceleration, so bounces are resolved at a fraction of the cost. None: no
             division.
 
     Raises:
@@ -228,16 +228,10 @@ class FixedStep(AbstractIntegrator):
 
     pathwise: ClassVar = True
     projects: ClassVar = True
-    step: Scalar = quantity(USUAL_STEP, "s", "largest step", above=0)
+    step: Scalar = quantity(USUAL_STEP, "s", above=0)
     method: str = eqx.field(static=True, default="rk4")
-    steps_per_save: int | None = count(None, "steps between two saving times", kw_only=True)
-    contact_steps: Scalar | None = quantity(
-        None,
-        "1",
-        "short steps in contact to one long step in free flight",
-        at_least=1,
-        kw_only=True,
-    )
+    steps_per_save: int | None = count(None, kw_only=True)
+    contact_steps: Scalar | None = quantity(None, "1", at_least=1, kw_only=True)
 
     def __check_init__(self):
         if self.method not in CHAINS and self.method not in ON_GROUPS:

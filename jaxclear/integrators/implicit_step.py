@@ -63,8 +63,8 @@ class ImplicitStep(AbstractIntegrator):
             steps resolve ends with the restitution of its law. 1 dissipates nothing; 0 is backward
             Euler in the contacts: for gradients, and where single unresolved impacts do not matter.
             Choose the restitution itself where stiff impacts decide.
-        newton_iterations: number of iterations on the contact laws alone, in the contact
-            directions, >= 1; None: 2 (bristles may want more), or 8 where a law has a damper beside
+        newton_iterations: number of iterations on the contact laws, a count, >= 1, in the contact
+            directions alone; None: 2 (bristles may want more), or 8 where a law has a damper beside
             its spring (AdamsImpact, KelvinVoigt), which may be stiffer than the spring.
         steps_per_save: number of steps between two saving times, >= 1, in place of `step`:
             reverse-mode derivatives then go backwards through the steps, which pays off for
@@ -78,21 +78,10 @@ class ImplicitStep(AbstractIntegrator):
 
     pathwise: ClassVar = True
     projects: ClassVar = True
-    step: Scalar = quantity(1e-4, "s", "largest step", above=0)
-    rebound: Scalar = quantity(
-        0.95,
-        "1",
-        "share of its speed that an elastic impact keeps which the step does not resolve",
-        at_least=0,
-        at_most=1,
-        kw_only=True,
-    )
-    newton_iterations: int | None = count(
-        None,
-        "iterations on the contact laws (None: 2, or 8 where a damper of a law's own decides)",
-        kw_only=True,
-    )
-    steps_per_save: int | None = count(None, "steps between two saving times", kw_only=True)
+    step: Scalar = quantity(1e-4, "s", above=0)
+    rebound: Scalar = quantity(0.95, "1", at_least=0, at_most=1, kw_only=True)
+    newton_iterations: int | None = count(None, kw_only=True)
+    steps_per_save: int | None = count(None, kw_only=True)
 
     def with_finer_steps(self, share):
         if self.steps_per_save is not None:

@@ -311,27 +311,11 @@ class MoreauJean(AbstractIntegrator):
 
     pathwise: ClassVar = False
     projects: ClassVar = True
-    step: Scalar = quantity(1e-4, "s", "largest step", above=0)
-    theta: Scalar = quantity(
-        0.5, "1", "weight of a step's end in its mean speed", at_least=0, at_most=1, kw_only=True
-    )
-    gamma: Scalar = quantity(
-        0.5,
-        "1",
-        "share of a step within which a gap must close to count as closed",
-        at_least=0,
-        kw_only=True,
-    )
-    most_sweeps: Scalar = quantity(
-        200.0, "1", "most sweeps over the contacts in a step", at_least=1, kw_only=True
-    )
-    tolerance: Scalar = quantity(
-        1e-12,
-        "1",
-        "residual of the contact laws, relative to the largest velocity",
-        above=0,
-        kw_only=True,
-    )
+    step: Scalar = quantity(1e-4, "s", above=0)
+    theta: Scalar = quantity(0.5, "1", at_least=0, at_most=1, kw_only=True)
+    gamma: Scalar = quantity(0.5, "1", at_least=0, kw_only=True)
+    most_sweeps: Scalar = quantity(200.0, "1", at_least=1, kw_only=True)
+    tolerance: Scalar = quantity(1e-12, "1", above=0, kw_only=True)
     project: bool = eqx.field(static=True, default=True, kw_only=True)
 
     @property

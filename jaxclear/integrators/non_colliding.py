@@ -52,24 +52,10 @@ class NonColliding(AbstractIntegrator):
 
     pathwise: ClassVar = True
     projects: ClassVar = True
-    step: Scalar = quantity(1e-3, "s", "largest step", above=0)
-    most_sweeps: Scalar = quantity(
-        20_000.0, "1", "most sweeps over the joints in a step", at_least=1, kw_only=True
-    )
-    tolerance: Scalar = quantity(
-        1e-13,
-        "1",
-        "change of a joint's friction relative to its bound at which sweeps end",
-        above=0,
-        kw_only=True,
-    )
-    relaxation: Scalar | None = quantity(
-        None,
-        "1",
-        "share of the bound over which friction is rounded (None: exact)",
-        above=0,
-        kw_only=True,
-    )
+    step: Scalar = quantity(1e-3, "s", above=0)
+    most_sweeps: Scalar = quantity(20_000.0, "1", at_least=1, kw_only=True)
+    tolerance: Scalar = quantity(1e-13, "1", above=0, kw_only=True)
+    relaxation: Scalar | None = quantity(None, "1", above=0, kw_only=True)
     regularised: bool = eqx.field(static=True, default=False, kw_only=True)
 
     @property

@@ -25,10 +25,8 @@ class Material(AbstractQuantified):
         poisson_ratio: Poisson's ratio [1], > -1 and <= 0.5.
     """
 
-    young_modulus: Scalar = quantity(
-        unit="Pa", meaning="Young's modulus", above=0, usual=USUAL_MODULUS
-    )
-    poisson_ratio: Scalar = quantity(unit="1", meaning="Poisson's ratio", above=-1, at_most=0.5)
+    young_modulus: Scalar = quantity(unit="Pa", above=0, usual=USUAL_MODULUS)
+    poisson_ratio: Scalar = quantity(unit="1", above=-1, at_most=0.5)
 
     @property
     def plane_strain_modulus(self) -> Scalar:

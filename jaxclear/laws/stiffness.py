@@ -48,13 +48,9 @@ class Shape(AbstractQuantified):
         ValueError: if the inner radius is not below the outer one.
     """
 
-    inner_radius: Scalar = quantity(unit="m", meaning="radius of the journal or ball", above=0)
-    outer_radius: Scalar = quantity(
-        unit="m", meaning="radius of the bearing's hole or of the socket", above=0
-    )
-    length: Scalar | None = quantity(
-        None, "m", "length of the contact along the axis (None: a spherical pair)", above=0
-    )
+    inner_radius: Scalar = quantity(unit="m", above=0)
+    outer_radius: Scalar = quantity(unit="m", above=0)
+    length: Scalar | None = quantity(None, "m", above=0)
 
     def __check_init__(self):
         inner, outer = concrete(self.inner_radius), concrete(self.outer_radius)

@@ -50,12 +50,8 @@ class Archard(AbstractWearLaw):
     Hou, Deng & Zeng 2021, J. Cent. South Univ. 28, 712, eq. 25, doi:10.1007/s11771-021-4640-y.
     """
 
-    wear_coefficient: Scalar = quantity(
-        1e-5, "1", "share k of contact events that shed a particle", at_least=0
-    )
-    hardness: Scalar = quantity(
-        2e9, "Pa", "indentation hardness H of the softer body", above=0, usual=USUAL_HARDNESS
-    )
+    wear_coefficient: Scalar = quantity(1e-5, "1", at_least=0)
+    hardness: Scalar = quantity(2e9, "Pa", above=0, usual=USUAL_HARDNESS)
 
     def volume_rate(self, normal_force: Scalar, slip_speed: Scalar, traction: Scalar) -> Scalar:
         return self.wear_coefficient * normal_force * slip_speed / self.hardness
@@ -75,9 +71,7 @@ class Fouvry(AbstractWearLaw):
     doi:10.1016/S0043-1648(03)00117-0; the default is of the order reported for steels.
     """
 
-    energy_wear_coefficient: Scalar = quantity(
-        2e-14, "m^3/J", "worn volume alpha per dissipated energy", at_least=0
-    )
+    energy_wear_coefficient: Scalar = quantity(2e-14, "m^3/J", at_least=0)
 
     def volume_rate(self, normal_force: Scalar, slip_speed: Scalar, traction: Scalar) -> Scalar:
         return self.energy_wear_coefficient * traction * slip_speed

@@ -8,37 +8,27 @@ follows the angle by its rate, and only its whole turns are taken from there, so
 integration do not enter.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.pose import Pose
 from jaxclear.multibody import kinematics, transmissions
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.rows import CoordinateReading, Direction, OnClosure
 from jaxclear.multibody.state import Layout, unpack_followed, unpack_motion
-from jaxclear.multibody.system import ClosureCoordinate, System, coordinate_loads
+from jaxclear.multibody.system import System, coordinate_loads
 from jaxclear.multibody.topology import coordinate_joint
 from jaxclear.multibody.tree import Motion, Wrench
 
 TURN = 2 * jnp.pi
 
 
-class Reading(NamedTuple):
-    """A coordinate at an instant: its `position` [rad, m] and `speed`, the `pose` of the child's
-    marker in the parent's, and the `wrench` on the child about its marker, in the parent marker's
-    axes, that is a unit of generalised force."""
-
-    position: Any
-    speed: Any
-    pose: Pose
-    wrench: Wrench
-
-
-def read(coordinate: ClosureCoordinate, motions: tuple[Motion, ...], angle: Any) -> Reading:
-    """The coordinate as the motions of the links tell it; `angle`: one within half a turn of it,
-    None where whole turns do not matter."""
+def read(system: System, name: str, motions: tuple[Motion, ...], angle: Any) -> CoordinateReading:
+    """The coordinate of a joint outside the tree as the motions of the links tell it; `angle`: one
+    within half a turn of it, None where whole turns do not matter."""
+    coordinate = system.measured[name]
     pose, velocity, spin = kinematics.relative_motion(coordinate.closure, motions)[2]
     joint = coordinate.joint
     (position,), (speed,) = joint.coordinates_at(pose), joint.speeds_at(pose, velocity, spin)
@@ -46,7 +36,8 @@ def read(coordinate: ClosureCoordinate, motions: tuple[Motion, ...], angle: Any)
         position = nearest_turn(position, angle)
     force = tuple(joint.speeds_at(pose, axis, sp.ZERO)[0] for axis in sp.IDENTITY)
     torque = tuple(joint.speeds_at(pose, sp.ZERO, axis)[0] for axis in sp.IDENTITY)
-    return Reading(position, speed, pose, Wrench(force, torque))
+    place = OnClosure(coordinate.closure, pose, Wrench(force, torque), name)
+    return CoordinateReading(position, speed, Direction((place,)))
 
 
 def nearest_turn(angle: Any, near: Any) -> Any:
@@ -56,7 +47,7 @@ def nearest_turn(angle: Any, near: Any) -> Any:
 
 def angle_rates(system: System, layout: Layout, motions: tuple[Motion, ...]) -> list:
     """Rates [rad/s] of the angles that the state follows."""
-    return [read(system.measured[name], motions, None).speed for name in layout.angles]
+    return [read(system, name, motions, None).speed for name in layout.angles]
 
 
 def angles_at_start(
@@ -69,7 +60,7 @@ def angles_at_start(
     for name in names:
         joint = coordinate_joint(name, mechanism.bodies, mechanism.connections)
         near = joint.start(told[name])[0] if name in told else 0.0
-        angles[name] = read(system.measured[name], motions, near).position
+        angles[name] = read(system, name, motions, near).position
     return angles
 
 
@@ -110,7 +101,7 @@ def anchored(
     entries = _entries(state)
     motions = kinematics.link_motions(system, *unpack_motion(system, entries), time)
     followed = unpack_followed(layout, entries).angles
-    angles = {n: read(system.measured[n], motions, x).position for n, x in followed.items()}
+    angles = {n: read(system, n, motions, x).position for n, x in followed.items()}
     return _with_angles(layout, state, angles)
 
 

@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import STILL, Pose, Twist
 from jaxclear.multibody import kinematics, loops, pose_rows, tree
-from jaxclear.multibody.coordinate_sums import outer_wrenches, sum_equation
-from jaxclear.multibody.forces import add_action_and_reaction
+from jaxclear.multibody.coordinate_sums import sum_direction, sum_equation
 from jaxclear.multibody.kinematics import JacobianRow
-from jaxclear.multibody.loops import Baumgarte, Closure, CoordinateSum, Relative, SummedCoordinate
+from jaxclear.multibody.loops import Baumgarte, Closure, CoordinateSum, Relative
 from jaxclear.multibody.meshes import Mesh
+from jaxclear.multibody.rows import Row, add_action_and_reaction, add_wrenches
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
 
@@ -36,13 +36,6 @@ def sum_acceleration(motions: tuple[Motion, ...], row: CoordinateSum, second: An
             own = pose_rows.accelerations(term.reading, pose, slopes, *second(term.closure))[0]
         out = sp.add(out, sp.mul(term.factor, own))
     return out
-
-
-def driven_power(motions: tuple[Motion, ...], row: CoordinateSum, multiplier: Any) -> Any:
-    """Power [W] that a multiplier gives to coordinates that drives prescribe."""
-    driven = [t for t in row.terms if t.link is not None and motions[t.link].prescribed]
-    forces = [sp.mul(multiplier, sp.mul(t.factor, motions[t.link].speeds[0])) for t in driven]
-    return sp.total(forces)
 
 
 class ConstraintRows(NamedTuple):
@@ -245,14 +238,24 @@ def constraint_wrenches(
         yield closure, *wrench_of_rows(closure, pose, own), pose
 
 
-def coupled(
-    system: System, motions: tuple[Motion, ...], multipliers: tuple
-) -> list[tuple[Closure, dict[int, Any]]]:
-    """The closures that are couplings of coordinates, with the multiplier of each."""
+def coupling_rows(system: System, motions: tuple[Motion, ...], multipliers: tuple) -> list[Row]:
+    """What rigid couplings of coordinates do, from the multipliers of all closures."""
     if not system.topology.couplings:
         return []
-    every = by_closure(system, motions, multipliers)
-    return [(own, found) for own, found in every if isinstance(own.reading, CoordinateSum)]
+    return _sum_rows(system, motions, by_closure(system, motions, multipliers))
+
+
+def _sum_rows(
+    system: System,
+    motions: tuple[Motion, ...],
+    every: Iterable[tuple[Closure, dict[int, Any]]],
+) -> list[Row]:
+    """The same from each closure with the multipliers of its rows, by their places."""
+    return [
+        Row(name, sum_direction(motions, closure.reading), own[0])
+        for name, (closure, own) in zip(system.topology.loops, every, strict=True)
+        if isinstance(closure.reading, CoordinateSum) and own
+    ]
 
 
 def by_closure(
@@ -264,17 +267,6 @@ def by_closure(
         kept = constraint_rows(system, motions, closure).kept
         yield closure, dict(zip(kept, multipliers[position : position + len(kept)], strict=True))
         position += len(kept)
-
-
-def coupled_wrenches(
-    motions: tuple[Motion, ...], every: Iterable[tuple[Closure, dict[int, Any]]]
-) -> Iterator[tuple[SummedCoordinate, Pose, Wrench]]:
-    """What couplings of coordinates do to joints outside the tree, from the multipliers by closure:
-    (coordinate, pose of the joint, wrench on its child about its marker, in the parent marker's
-    axes)."""
-    for closure, own in every:
-        if isinstance(closure.reading, CoordinateSum) and own:
-            yield from outer_wrenches(motions, closure.reading, own[0])
 
 
 def wrench_of_rows(closure: Closure, pose: Pose, own: dict[int, Any]) -> tuple[sp.Vec, sp.Vec]:
@@ -314,8 +306,8 @@ def wrenches_of_rows(
         pose = kinematics.relative_motion(closure, motions)[1]
         closing.append(Wrench(*wrench_of_rows(closure, pose, multipliers)))
         add_action_and_reaction(acting, closure, pose, *closing[-1])
-    for term, pose, wrench in coupled_wrenches(motions, zip(system.closures, own, strict=True)):
-        add_action_and_reaction(acting, term.closure, pose, *wrench)
+    for row in _sum_rows(system, motions, zip(system.closures, own, strict=True)):
+        add_wrenches(acting, row)
     through = list(acting)
     held = tuple(motion._replace(twist=STILL) for motion in motions)
     for subtree in system.topology.subtrees:

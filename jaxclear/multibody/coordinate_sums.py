@@ -1,21 +1,20 @@
 r"""Rows of couplings between coordinates, $\sum_i r_i q_i = c$: residual, rate, Jacobian, second
-derivative, and what the multiplier does to joints outside the tree.
+derivative, and the direction of the multiplier.
 
 A coordinate that the tree carries is read, whole turns and all, and its entry of the Jacobian is
 its factor; one outside the tree is read between its two markers, as loads read it
 (`closure_coordinates`), its whole turns so that the sum is least.
 """
 
-from collections.abc import Iterator
 from typing import Any
 
 import jax.numpy as jnp
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.pose import Pose
 from jaxclear.multibody import kinematics, pose_rows
 from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.loops import CoordinateSum, SummedCoordinate
+from jaxclear.multibody.rows import Direction, OnClosure, OnLink
 from jaxclear.multibody.tree import Motion, Wrench
 
 
@@ -55,14 +54,15 @@ def _outside(
     return position, rates(pose, relative.velocity, relative.spin)[0], jacobian[0]
 
 
-def outer_wrenches(
-    motions: tuple[Motion, ...], row: CoordinateSum, multiplier: Any
-) -> Iterator[tuple[SummedCoordinate, Pose, Wrench]]:
-    """What a multiplier does to joints outside the tree: (coordinate, pose of the joint, wrench on
-    its child about its marker, in the parent marker's axes)."""
+def sum_direction(motions: tuple[Motion, ...], row: CoordinateSum) -> Direction:
+    """The direction of the row's multiplier."""
+    places: list[OnLink | OnClosure] = []
     for term in row.terms:
-        if term.closure is not None:
+        if term.link is not None:
+            places.append(OnLink(term.link, term.factor))
+        else:
             pose = kinematics.relative_motion(term.closure, motions)[1]
             (slope,) = pose_rows.gradients(term.reading, pose)[1]
-            force = sp.mul(multiplier, term.factor)
-            yield term, pose, Wrench(*(sp.scale(force, x) for x in slope.wrench(pose)))
+            unit = Wrench(*slope.wrench(pose))
+            places.append(OnClosure(term.closure, pose, unit, term.joint, term.factor))
+    return Direction(tuple(places))

@@ -12,11 +12,15 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxclear.components.acting import AbstractCoordinateLoad, AbstractStateLoad
-from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import Scalar
 from jaxclear.laws.rebound import damping_ratio_of
 from jaxclear.multibody import constraints, dynamics, kinematics, tree
-from jaxclear.multibody.forces import Forces, applied_forces
+from jaxclear.multibody.forces import (
+    NOTHING_FOLLOWED,
+    Forces,
+    applied_forces,
+    read_coordinate,
+)
 from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.system import System, coordinate_loads
@@ -61,7 +65,7 @@ def with_damped_stops(system: System, motions: tuple[Motion, ...]) -> System:
     stops = {name: x for name, x in coordinate_loads(system) if isinstance(x, StopOfRatio)}
     if not stops:
         return system
-    rows = [coordinate_row(system, motions, stop.connection) for stop in stops.values()]
+    rows = [_coordinate_row(system, motions, stop.connection) for stop in stops.values()]
     inertias = [1 / each for each in _lightness_along(system, motions, rows)]
     pairs = zip(stops.items(), inertias, strict=True)
     damped = {name: stop.damped(inertia) for (name, stop), inertia in pairs}
@@ -80,7 +84,7 @@ def with_settled_loads(
     coordinates, for a run that begins as the links stand and is saved at these times [s]."""
     names = loads_to_settle(mechanism)
     loads: dict[str, Any] = dict(mechanism.loads)
-    rows = [coordinate_row(system, motions, *loads[name].coordinates()) for name in names]
+    rows = [_coordinate_row(system, motions, *loads[name].coordinates()) for name in names]
     for name, lightness in zip(names, _lightness_along(system, motions, rows), strict=True):
         loads[name] = loads[name].for_inertia(1 / lightness, delay, times)
     return rebuilt(mechanism, loads=loads)
@@ -92,18 +96,10 @@ def loads_to_settle(mechanism: Mechanism) -> list[str]:
     return [n for n, x in every if isinstance(x, AbstractStateLoad) and x.needs_inertia()]
 
 
-def coordinate_row(system: System, motions: tuple[Motion, ...], name: str) -> JacobianRow:
-    """The row of the speed of a joint's or motor's coordinate by the speeds of the mechanism."""
-    if name in system.geared:
-        ratio = system.geared[name].ratio
-        joint = coordinate_row(system, motions, system.geared[name].joint)
-        return {j: sp.mul(ratio, entry) for j, entry in joint.items()}
-    branch = system.topology.branch_of(name)
-    if branch is not None:
-        return {branch.speeds.start: 1}
-    own = system.measured[name]
-    pose, rates = kinematics.relative_motion(own.closure, motions)[1], own.joint.speeds_at
-    return kinematics.relative_jacobian(system, motions, own.closure, pose, rates)[0]
+def _coordinate_row(system: System, motions: tuple[Motion, ...], name: str) -> JacobianRow:
+    """The rate of the coordinate of a joint or motor by the free speeds."""
+    reading = read_coordinate(system, motions, name, NOTHING_FOLLOWED)
+    return reading.direction.jacobian(system, motions)
 
 
 def _lightness_along(system: System, motions: tuple[Motion, ...], rows: list) -> list:

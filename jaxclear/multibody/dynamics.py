@@ -23,9 +23,10 @@ from jaxclear.ground.grouping import MANY
 from jaxclear.ground.quantity import constant
 from jaxclear.multibody import constraints, kinematics, transmissions, tree
 from jaxclear.multibody.constraints import ClosureEquations, Dependence
-from jaxclear.multibody.forces import Forces, add_action_and_reaction
+from jaxclear.multibody.forces import Forces
 from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.loops import Baumgarte
+from jaxclear.multibody.rows import add_action_and_reaction, add_wrenches, forces_on_drives
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import Wrench
 
@@ -170,9 +171,8 @@ def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[
         system, forces.motions, solution.multipliers
     ):
         add_action_and_reaction(wrenches, closure, pose, force, torque)
-    every = constraints.coupled(system, forces.motions, solution.multipliers)
-    for term, pose, wrench in constraints.coupled_wrenches(forces.motions, every):
-        add_action_and_reaction(wrenches, term.closure, pose, *wrench)
+    for row in constraints.coupling_rows(system, forces.motions, solution.multipliers):
+        add_wrenches(wrenches, row)
     meshes = [
         (own.closure, forces.pressing[name].torque / own.scale)
         for name, own in system.transmissions.items()
@@ -180,26 +180,14 @@ def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[
     if system.topology.couplings:
         rows = constraints.by_closure(system, forces.motions, solution.multipliers)
         meshes += [(closure, own.get(0, 0.0)) for closure, own in rows]
-    for closure, pose, wrench, _ in transmissions.pulls_of_centres(forces.motions, meshes):
-        add_action_and_reaction(wrenches, closure, pose, *wrench)
+    for pull in transmissions.pulls_of_centres(forces.motions, meshes):
+        add_action_and_reaction(wrenches, pull.closure, pull.pose, *pull.wrench)
     accelerations = kinematics.link_accelerations(system, forces.motions, solution.accelerations)
     out: list[Wrench] = []
     for subtree in system.topology.subtrees:
         parts: tuple = (system.links, forces.motions, accelerations, wrenches)
         out.extend(tree.joint_wrenches(*kinematics.by_subtree(subtree, *parts)))
     return tuple(out)
-
-
-def coupled_on_drives(system: System, forces: Forces, solution: Solution) -> list[tuple[int, Any]]:
-    """(link, force) of couplings on coordinates that drives prescribe."""
-    found = list(forces.on_drives.items())
-    for closure, own in constraints.coupled(system, forces.motions, solution.multipliers):
-        found += [
-            (term.link, sp.mul(own[0], term.factor))
-            for term in closure.reading.terms
-            if own and term.link is not None and forces.motions[term.link].prescribed
-        ]
-    return found
 
 
 def powers(system: System, forces: Forces, solution: Solution) -> list:
@@ -210,9 +198,9 @@ def powers(system: System, forces: Forces, solution: Solution) -> list:
         if drive_of(link.joint) is not None:
             twist = kinematics.joint_twist(system, forces.motions, index)
             driven = sp.add(driven, tree.power(twist, wrenches[index]))
-    for closure, own in constraints.coupled(system, forces.motions, solution.multipliers):
-        given = constraints.driven_power(forces.motions, closure.reading, own[0])
-        driven = sp.sub(driven, given)
+    coupled = constraints.coupling_rows(system, forces.motions, solution.multipliers)
+    for index, force in forces_on_drives(forces.motions, coupled).items():
+        driven = sp.sub(driven, sp.mul(force, forces.motions[index].speeds[0]))
     reports = forces.reports.values()
     return [
         sp.add(driven, forces.external_power),

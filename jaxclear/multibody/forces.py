@@ -6,7 +6,6 @@ the accelerations (`dynamics`).
 """
 
 import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -27,22 +26,33 @@ from jaxclear.ground.pose import Pose
 from jaxclear.laws.transmission import holding
 from jaxclear.multibody import closure_coordinates, contact_point, kinematics, transmissions, tree
 from jaxclear.multibody.contact_point import JointReport
-from jaxclear.multibody.loops import Closure, Relative
+from jaxclear.multibody.loops import Relative
+from jaxclear.multibody.rows import (
+    ActingForces,
+    CoordinateReading,
+    Direction,
+    OnClosure,
+    OnLink,
+    Row,
+    action_and_reaction,
+    forces_on_drives,
+    sum_wrenches,
+)
 from jaxclear.multibody.state import Followed
 from jaxclear.multibody.system import System, body_loads, coordinate_loads
-from jaxclear.multibody.transmissions import Pressing
+from jaxclear.multibody.transmissions import Pressing, twist_direction
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
 
 AXIS: sp.Vec = (0, 0, 1)
+PARTS = ("position", "speed")
 
 
 class Forces(NamedTuple):
     """Everything that acts, at one instant: wrenches by link, in its axes, and forces on its
     coordinates; `stored` energy [J] of the loads, their `damping_loss` and `external_power` [W].
-    `on_joints`: wrenches of loads on coordinates outside the tree, by joint, on its child about its
-    marker in the parent marker's axes; `followed`: what of the state such coordinates were read by;
-    `state_rates` of loads and flanks, by load or coupling; `pressing`: what couplings with play or
-    stiffness do; `on_drives`: forces of couplings on coordinates that drives prescribe, by link.
+    `rows`: loads and couplings on coordinates, in joints and between bodies that mesh;
+    `followed`: what of the state coordinates outside the tree were read by; `state_rates` of loads
+    and flanks, by load or coupling; `pressing`: what couplings with play or stiffness do.
     """
 
     motions: tuple[Motion, ...]
@@ -52,11 +62,10 @@ class Forces(NamedTuple):
     stored: Any
     damping_loss: Any
     external_power: Any
-    on_joints: dict[str, Wrench]
+    rows: tuple[Row, ...]
     followed: Followed
     state_rates: dict[str, tuple]
     pressing: dict[str, Pressing]
-    on_drives: dict[int, Any]
 
 
 def contact_reports(
@@ -104,54 +113,41 @@ def applied_forces(
             for order, action in enumerate(effect.actions):
                 link, marker = system.load_markers[name][action.place_among(markers, order)]
                 if link is not None:
-                    _add(wrenches, link, _in_link(action, motions[link], marker))
+                    wrench = _in_link(action, motions[link], marker)
+                    wrenches[link] = sum_wrenches(wrenches[link], wrench)
             stored, damping = sp.add(stored, effect.stored), sp.add(damping, effect.dissipated)
             external = sp.add(external, effect.external)
-    acting = Acting(wrenches, [(0,) * len(motion.columns) for motion in motions], {}, {})
+    acting = ActingForces(wrenches, [(0,) * len(motion.columns) for motion in motions], [])
     rates: dict[str, tuple] = {}
-    for label, held in coordinate_loads(system):
-        seen = [seen_at(system, motions, name, followed) for name in held.coordinates()]
-        states, now = (
-            states_of(label, held, followed),
-            as_pressed(system, motions, held, time, followed),
-        )
-        found = now.effect(
-            time, tuple(one.position for one in seen), tuple(one.speed for one in seen), states
-        )
-        for one, force in zip(seen, found.forces, strict=True):
-            one.push(acting, force)
-        rates |= {label: found.rates} if found.rates else {}
+    for name, held in coordinate_loads(system):
+        readings = [read_coordinate(system, motions, x, followed) for x in held.coordinates()]
+        found = _effect_at(system, motions, name, readings, time, followed)
+        for reading, force in zip(readings, found.forces, strict=True):
+            acting.add(name, reading.direction, force)
+        rates |= {name: found.rates} if found.rates else {}
         stored, damping = sp.add(stored, found.stored), sp.add(damping, found.dissipated)
         external = sp.add(external, found.external)
     pressed = pressing_of(system, motions, followed)
     for name, giving in system.transmissions.items():
         torque = pressed[name].torque
-        give(system, motions, giving, torque, acting)
+        acting.add(name, twist_direction(motions, giving), -torque / giving.scale)
         moved = (pressed[name].end_rate,) if giving.has_twist else ()
-        rubbed = _rubbed(system, motions, name, torque, followed, acting)
-        if moved or rubbed is not None:
-            rates[name] = moved if rubbed is None else (*moved, rubbed.rate)
-        damping = damping if rubbed is None else sp.add(damping, rubbed.lost)
+        rubbed = _friction_of_coupling(system, motions, name, torque, followed)
+        if rubbed is not None:
+            direction, friction, speed, rate = rubbed
+            acting.add(name, direction, friction)
+            moved, damping = (*moved, rate), sp.add(damping, -friction * speed)
+        rates |= {name: moved} if moved else {}
         stored, damping = (
             sp.add(stored, pressed[name].stored),
             sp.add(damping, pressed[name].dissipated),
         )
-    for link, force in acting.on_drives.items():
+    for link, force in forces_on_drives(motions, acting.rows).items():
         external = sp.sub(external, sp.mul(force, motions[link].speeds[0]))
-    links = (tuple(acting.wrenches), tuple(acting.forces))
-    return Forces(
-        motions,
-        reports,
-        *links,
-        stored,
-        damping,
-        external,
-        acting.on_joints,
-        followed,
-        rates,
-        pressed,
-        acting.on_drives,
-    )
+    links = (tuple(acting.wrenches), tuple(acting.coordinate_forces))
+    energies = (stored, damping, external)
+    rows = tuple(acting.rows)
+    return Forces(motions, reports, *links, *energies, rows, followed, rates, pressed)
 
 
 def _of_bearings(
@@ -171,33 +167,21 @@ def _of_bearings(
         for closure, seen, report in pairs
     ]
     for closure, (on_child, on_parent) in zip(
-        closures, map_many(_action_and_reaction, calls), strict=True
+        closures, map_many(action_and_reaction, calls), strict=True
     ):
         if closure.child_link is not None:
             own[closure.child_link].append(on_child)
         if closure.parent_link is not None:
             own[closure.parent_link].append(on_parent)
-    total = lambda *each: functools.reduce(_sum, each, NOTHING)
+    total = lambda *each: functools.reduce(sum_wrenches, each, NOTHING)
     return map_many(total, [tuple(each) for each in own])
 
 
-class _Rubbed(NamedTuple):
-    """Rate of a deflection that holds, and what is lost [W]."""
-
-    rate: Any
-    lost: Any
-
-
-def _rubbed(
-    system: System,
-    motions: tuple[Motion, ...],
-    name: str,
-    torque: Any,
-    followed: Followed,
-    acting: "Acting",
-) -> _Rubbed | None:
-    """Adds the friction of a coupling that transmits a torque against its twist; None of one
-    without."""
+def _friction_of_coupling(
+    system: System, motions: tuple[Motion, ...], name: str, torque: Any, followed: Followed
+) -> tuple[Direction, Any, Any, Any] | None:
+    """Of a coupling that transmits a torque against its twist: direction of its friction, force
+    along it, speed there, and the rate of the deflection that holds; None without friction."""
     own = system.transmissions[name]
     end, thread = own.driving, own.coupling.thread
     if end is None and thread is None:
@@ -205,11 +189,10 @@ def _rubbed(
     known = followed.states.get(name)
     deflection = jnp.zeros(()) if known is None else known[-1]
     if end is not None:
-        seen = seen_at(system, motions, end.coordinate, followed)
-        held = holding(deflection, seen.speed, end.loses.presliding, end.loses.settling_time)
-        friction = end.loses.loss(torque * end.slope, held.share)
-        seen.push(acting, -friction)
-        return _Rubbed(held.rate, friction * seen.speed)
+        reading = read_coordinate(system, motions, end.coordinate, followed)
+        held = holding(deflection, reading.speed, end.loses.presliding, end.loses.settling_time)
+        friction = -end.loses.loss(torque * end.slope, held.share)
+        return reading.direction, friction, reading.speed, held.rate
     assert thread is not None
     _, pose, relative = kinematics.relative_motion(own.closure, motions)
     helix = thread.helix
@@ -217,9 +200,8 @@ def _rubbed(
     slip = jnp.asarray(slip, float)
     held = holding(deflection, slip, thread.presliding, thread.settling_time)
     friction = -thread.coefficient * helix.normal * jnp.abs(torque) * held.share
-    force, turned = sp.scale(friction * helix.axial, AXIS), sp.scale(friction * helix.lever, AXIS)
-    add_action_and_reaction(acting.wrenches, own.closure, pose, force, turned)
-    return _Rubbed(held.rate, -friction * slip)
+    along = Wrench(sp.scale(helix.axial, AXIS), sp.scale(helix.lever, AXIS))
+    return Direction((OnClosure(own.closure, pose, along),)), friction, slip, held.rate
 
 
 def pressing_of(
@@ -243,73 +225,23 @@ def states_of(name: str, load: AbstractStateLoad, followed: Followed) -> tuple:
     return tuple(jnp.asarray(x.start, float) for x in load.states()) if known is None else known
 
 
-class Acting(NamedTuple):
-    """What acts so far: wrenches on links, forces on their coordinates, wrenches of loads on
-    coordinates outside the tree, by joint, and forces on coordinates that drives prescribe, by
-    link."""
-
-    wrenches: list[Wrench]
-    forces: list[tuple]
-    on_joints: dict[str, Wrench]
-    on_drives: dict[int, Any]
-
-    def along(self, link: int, force: Any) -> None:
-        """Adds a force on the single coordinate of a link."""
-        if self.forces[link]:
-            self.forces[link] = (sp.add(self.forces[link][0], force),)
-        else:
-            self.on_drives[link] = sp.add(self.on_drives.get(link, 0), force)
-
-
-class _Seen(NamedTuple):
-    """A coordinate as a load reads it, and what `push`es it: (what acts so far, force)."""
-
-    position: Any
-    speed: Any
-    push: Callable[[Acting, Any], None]
-
-
-def seen_coordinates(
-    system: System, motions: tuple[Motion, ...], load: AbstractStateLoad, followed: Followed
-) -> tuple[tuple, tuple]:
-    """Positions and speeds of the coordinates that a load reads."""
-    seen = [seen_at(system, motions, name, followed) for name in load.coordinates()]
-    return tuple(own.position for own in seen), tuple(own.speed for own in seen)
-
-
-def seen_at(system: System, motions: tuple[Motion, ...], name: str, followed: Followed) -> _Seen:
+def read_coordinate(
+    system: System, motions: tuple[Motion, ...], name: str, followed: Followed
+) -> CoordinateReading:
     """The coordinate of a joint, or of a motor."""
     if name in system.geared:
-        own = system.geared[name]
-        joint = seen_at(system, motions, own.joint, followed)
-        position = sp.mul(own.ratio, joint.position)
-        position = position if own.offset is None else position + own.offset
-        turned = lambda acting, force: joint.push(acting, sp.mul(own.ratio, force))
-        return _Seen(position, sp.mul(own.ratio, joint.speed), turned)
+        geared = system.geared[name]
+        joint = read_coordinate(system, motions, geared.joint, followed)
+        position = sp.mul(geared.ratio, joint.position)
+        position = position if geared.offset is None else position + geared.offset
+        direction = joint.direction.times(geared.ratio)
+        return CoordinateReading(position, sp.mul(geared.ratio, joint.speed), direction)
     branch = system.topology.branch_of(name)
-    if branch is not None:
-        index = system.topology.branches.index(branch)
-        along = lambda acting, force: acting.along(index, force)
-        return _Seen(motions[index].coordinates[0], motions[index].speeds[0], along)
-    coordinate = system.measured[name]
-    now = closure_coordinates.read(coordinate, motions, followed.angles.get(name))
-
-    def between(acting, force):
-        own = Wrench(*(sp.scale(force, part) for part in now.wrench))
-        add_action_and_reaction(acting.wrenches, coordinate.closure, now.pose, *own)
-        acting.on_joints[name] = _sum(acting.on_joints.get(name, NOTHING), own)
-
-    return _Seen(now.position, now.speed, between)
-
-
-def give(system, motions, own, torque, acting) -> None:
-    """Adds the torque of a coupling."""
-    for link, force in transmissions.on_coordinates(motions, own, torque):
-        acting.along(link, force)
-    for closure, pose, wrench, joint in transmissions.on_closures(motions, own, torque):
-        add_action_and_reaction(acting.wrenches, closure, pose, *wrench)
-        if joint is not None:
-            acting.on_joints[joint] = _sum(acting.on_joints.get(joint, NOTHING), wrench)
+    if branch is None:
+        return closure_coordinates.read(system, name, motions, followed.angles.get(name))
+    link = system.topology.branches.index(branch)
+    place = Direction((OnLink(link),))
+    return CoordinateReading(motions[link].coordinates[0], motions[link].speeds[0], place)
 
 
 def as_pressed(
@@ -330,10 +262,25 @@ def coordinate_effect(
     system: System, motions: tuple[Motion, ...], name: str, time: Any, followed: Followed
 ) -> CoordinateEffect:
     """What a load on coordinates, or a coupling that is a force, does at an instant."""
-    load: Any = system.loads[name]
-    seen = seen_coordinates(system, motions, load, followed)
+    names = system.loads[name].coordinates()
+    readings = [read_coordinate(system, motions, each, followed) for each in names]
+    return _effect_at(system, motions, name, readings, time, followed)
+
+
+def _effect_at(
+    system: System,
+    motions: tuple[Motion, ...],
+    name: str,
+    readings: list[CoordinateReading],
+    time: Any,
+    followed: Followed,
+) -> CoordinateEffect:
+    """The same where its coordinates are read."""
+    load = system.loads[name]
+    states = states_of(name, load, followed)
     pressed = as_pressed(system, motions, load, time, followed)
-    return pressed.effect(time, *seen, states_of(name, load, followed))
+    positions, speeds = (tuple(getattr(x, part) for x in readings) for part in PARTS)
+    return pressed.effect(time, positions, speeds, states)
 
 
 def force_of(
@@ -356,48 +303,6 @@ def effect_of(
     places = system.load_markers[name]
     seen = tuple(_marker_motion(link, marker, motions) for link, marker in places)
     return load.effect(time, seen)
-
-
-def add_action_and_reaction(
-    wrenches: list[Wrench], closure: Closure, pose: Pose, force: sp.Vec, torque: sp.Vec
-) -> None:
-    """Add a wrench on the closure's child about its marker, in the parent marker's axes, and its
-    opposite on the parent.
-    """
-    parent = None if closure.parent_link is None else closure.parent
-    child = None if closure.child_link is None else closure.child
-    on_child, on_parent = _action_and_reaction(parent, child, pose, force, torque)
-    if closure.child_link is not None:
-        _add(wrenches, closure.child_link, on_child)
-    if closure.parent_link is not None:
-        _add(wrenches, closure.parent_link, on_parent)
-
-
-def _action_and_reaction(
-    parent: Pose | None, child: Pose | None, pose: Pose, force: sp.Vec, torque: sp.Vec
-) -> tuple[Any, Any]:
-    """Wrenches on the links of the child's marker and of the parent's, in their axes; None where
-    that is the ground."""
-    on_child = on_parent = None
-    if child is not None:
-        turned = (
-            sp.apply_transposed(pose.rotation, force),
-            sp.apply_transposed(pose.rotation, torque),
-        )
-        on_child = tree.transform_wrench(child, Wrench(*turned))
-    if parent is not None:
-        moment = sp.plus(torque, sp.cross(pose.translation, force))
-        back = Wrench(tuple(sp.neg(x) for x in force), tuple(sp.neg(x) for x in moment))
-        on_parent = tree.transform_wrench(parent, back)
-    return on_child, on_parent
-
-
-def _add(wrenches: list[Wrench], link: int, wrench: Wrench) -> None:
-    wrenches[link] = _sum(wrenches[link], wrench)
-
-
-def _sum(a: Wrench, b: Wrench) -> Wrench:
-    return Wrench(sp.plus(a.force, b.force), sp.plus(a.torque, b.torque))
 
 
 def _marker_motion(link: int | None, marker: Pose, motions: tuple[Motion, ...]) -> MarkerMotion:

@@ -33,8 +33,8 @@ class Baumgarte(AbstractQuantified):
     doi:10.1016/0045-7825(72)90018-7.
     """
 
-    alpha: Scalar = quantity(50.0, "1/s", "damping of the drift", at_least=0)
-    beta: Scalar = quantity(50.0, "1/s", "stiffness of the drift", at_least=0)
+    alpha: Scalar = quantity(50.0, "1/s", at_least=0)
+    beta: Scalar = quantity(50.0, "1/s", at_least=0)
 
 
 class Projection(AbstractQuantified):

@@ -124,7 +124,7 @@ def least(asked: Ask, blocks: list[Block], near: Near | None = None) -> Change:
     rows = jnp.concatenate([jnp.concatenate([rows, close / scales]), own], axis=1)
     sizes = jnp.concatenate([scales, jnp.ones(count)])
     found = least_change(rows, jnp.concatenate([left, missed]), sizes)
-    return Change(found.change[:free], found.satisfied[: len(left)])
+    return Change(found.change[:free], found.exact[: len(left)])
 
 
 def independent(asked: Ask, q: Array) -> dict[str, Bool[Array, ""]]:
@@ -133,7 +133,7 @@ def independent(asked: Ask, q: Array) -> dict[str, Bool[Array, ""]]:
     blocks = position_blocks(asked, q, 0.0)
     given_last = [b for kinds in ((LOOP,), (JOURNAL,), (GIVEN,)) for b in blocks if b.kind in kinds]
     told = [block for block in blocks if block.kind == GIVEN]
-    met = least(asked, given_last).satisfied
+    met = least(asked, given_last).exact
     ends = len(met) - sum(len(b.left) for b in told) + np.cumsum([len(b.left) for b in told])
     return {
         block.name: jnp.all(met[end - len(block.left) : end])

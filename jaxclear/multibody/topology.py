@@ -10,7 +10,6 @@ Every number of a mechanism, in the unit of the joint it is of: a coordinate is 
 its joint turns or slides.
 """
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -312,10 +311,6 @@ def _geared(couplings: Mapping[str, AbstractCoupling], free: set[str]) -> Iterat
             yield motor, joints[0]
 
 
-# What the meaning of a number says of its unit where the joint slides that it is of, or acts on.
-SLIDING = re.compile(r"\(([^()]+) for a sliding joint\)")
-
-
 def own_numbers(mechanism: Any) -> Iterator[tuple[str, Any, Mapping[str, Any], str]]:
     """(name, value, metadata of its field, unit) of every number of a mechanism but those of its
     start, in definition order."""
@@ -370,5 +365,5 @@ def slides(mechanism: Any, name: str) -> bool:
 
 def unit_along(metadata: Mapping[str, Any], along: bool) -> str:
     """The unit of a number by its field; `along`: whether it is of a coordinate that slides."""
-    found = SLIDING.search(metadata.get("meaning", "")) if along else None
-    return metadata.get("unit", "1") if found is None else found[1]
+    unit = metadata.get("unit", "1")
+    return metadata.get("sliding", unit) if along else unit

@@ -21,14 +21,14 @@ from jaxclear.components.clearance.backlash import middle_of
 from jaxclear.components.function_of_angle import value_and_slope
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
-from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import constant
 from jaxclear.laws.transmission import bounded, one_sided
 from jaxclear.multibody import kinematics, pose_rows
-from jaxclear.multibody.coordinate_sums import outer_wrenches, sum_equation
+from jaxclear.multibody.coordinate_sums import sum_direction, sum_equation
 from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.loops import Closure, CoordinateSum
 from jaxclear.multibody.meshes import Mesh
+from jaxclear.multibody.rows import Direction, OnClosure, OnLink
 from jaxclear.multibody.state import Layout
 from jaxclear.multibody.system import TWIST, System, Transmission
 from jaxclear.multibody.tree import Motion, Wrench
@@ -94,16 +94,23 @@ def _wobble(motions: tuple[Motion, ...], own: Transmission) -> Wobble | None:
     return Wobble(share * value, share * slope, moving.speeds[0])
 
 
+def twist_direction(motions: tuple[Motion, ...], own: Transmission) -> Direction:
+    """The direction of a force along the twist of a transmission, times its `scale`."""
+    closure, wobble = own.closure, _wobble(motions, own)
+    if isinstance(closure.reading, CoordinateSum):
+        found = sum_direction(motions, closure.reading)
+        if wobble is None:
+            return found
+        first = closure.reading.terms[0].link
+        return Direction((*found.places, OnLink(first, own.scale * wobble.slope)))
+    pose = kinematics.relative_motion(closure, motions)[1]
+    (slope,) = pose_rows.gradients(closure.reading, pose)[1]
+    return Direction((OnClosure(closure, pose, Wrench(*slope.wrench(pose))),))
+
+
 def row_of(system: System, motions: tuple[Motion, ...], own: Transmission) -> JacobianRow:
     """How fast it twists by unit speeds, by their index."""
-    closure = own.closure
-    if isinstance(closure.reading, CoordinateSum):
-        row = sum_equation(system, motions, closure.reading)[2]
-    else:
-        pose = kinematics.relative_motion(closure, motions)[1]
-        (slope,) = pose_rows.gradients(closure.reading, pose)[1]
-        rates = lambda *moving: (pose_rows.rate(slope, *moving),)
-        (row,) = kinematics.relative_jacobian(system, motions, closure, pose, rates)
+    row = twist_direction(motions, own).jacobian(system, motions)
     return {j: entry / own.scale for j, entry in row.items()}
 
 
@@ -297,48 +304,9 @@ def within_gaps(system: System, layout: Layout, entries: list) -> list:
     return found
 
 
-class ActingWrench(NamedTuple):
-    """A wrench on the child of a closure about its marker, in the parent marker's axes."""
-
-    closure: Closure
-    pose: Pose
-    wrench: Wrench
-    joint: str | None
-
-
-def on_coordinates(
-    motions: tuple[Motion, ...], own: Transmission, torque: Any
-) -> list[tuple[int, Any]]:
-    """(link, generalised force) of a torque against the twist on coordinates that the tree
-    carries."""
-    reading = own.closure.reading
-    if not isinstance(reading, CoordinateSum):
-        return []
-    along = -torque / own.scale
-    found = [(t.link, t.factor * along) for t in reading.terms if t.link is not None]
-    wobble = _wobble(motions, own)
-    if wobble is not None:
-        found.append((reading.terms[0].link, -torque * wobble.slope))
-    return found
-
-
-def on_closures(motions: tuple[Motion, ...], own: Transmission, torque: Any) -> list[ActingWrench]:
-    """What such a torque does between bodies that mesh, and in joints outside the tree."""
-    along, closure = -torque / own.scale, own.closure
-    if isinstance(closure.reading, CoordinateSum):
-        found = outer_wrenches(motions, closure.reading, along)
-        return [
-            ActingWrench(term.closure, pose, wrench, term.joint) for term, pose, wrench in found
-        ]
-    pose = kinematics.relative_motion(closure, motions)[1]
-    (slope,) = pose_rows.gradients(closure.reading, pose)[1]
-    parts = (sp.scale(along, part) for part in slope.wrench(pose))
-    return [ActingWrench(closure, pose, Wrench(*parts), None)]
-
-
 def pulls_of_centres(
     motions: tuple[Motion, ...], meshes: Iterable[tuple[Closure, Any]]
-) -> Iterator[ActingWrench]:
+) -> Iterator[OnClosure]:
     """What draws the axes of couplings of bodies together, from their closures and the forces [N]
     along their residuals."""
     for closure, force in meshes:
@@ -350,4 +318,4 @@ def pulls_of_centres(
             x, y, _ = pose.translation
             share = -pull / safe_sqrt(jnp.asarray(sp.add(sp.mul(x, x), sp.mul(y, y)), float))
             wrench = Wrench((sp.mul(share, x), sp.mul(share, y), 0), sp.ZERO)
-            yield ActingWrench(closure, pose, wrench, None)
+            yield OnClosure(closure, pose, wrench)

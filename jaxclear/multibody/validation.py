@@ -41,7 +41,7 @@ from jaxclear.components.load import (
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import check_kinds, check_range, is_one_number, is_traced, numbers
-from jaxclear.ground.warning import call_user_function, shape_of, warn
+from jaxclear.ground.warning import call_user, shape_of, warn
 from jaxclear.ground.wording import listed, meant
 from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.contact_point import check_followed
@@ -63,10 +63,7 @@ def check_own_drive(name: str, drive: AbstractDrive | None) -> None:
     its motion."""
     if drive is not None and is_own(drive):
         what = f'the drive of joint "{name}", its motion(time),'
-        shape_of(
-            lambda time: _numbers(what, call_user_function(what, drive.motion, time), MOTION),
-            NUMBER,
-        )
+        shape_of(lambda time: _numbers(what, call_user(what, drive.motion, time), MOTION), NUMBER)
         if not is_traced(drive):
             _check_rates(name, drive)
 
@@ -96,15 +93,15 @@ def check_own_load(name: str, load: Any) -> None:
         what = f'{kind} "{name}", its effect(time, positions, speeds, states),'
         count, states = len(load.coordinates()), (NUMBER,) * len(load.states())
         seen = (NUMBER,) * count
-        told = lambda *at: _on_coordinates(what, call_user_function(what, load.effect, *at), load)
+        told = lambda *at: _on_coordinates(what, call_user(what, load.effect, *at), load)
         shape_of(told, NUMBER, seen, seen, states)
     if isinstance(load, AbstractCoordinateLoad):
         what = f'load "{name}", its force(time, position, speed),'
-        told = lambda *at: _numbers(what, call_user_function(what, load.force, *at), ON_COORDINATE)
+        told = lambda *at: _numbers(what, call_user(what, load.force, *at), ON_COORDINATE)
         shape_of(told, NUMBER, NUMBER, NUMBER)
     if isinstance(load, AbstractBodyLoad):
         what, markers = f'load "{name}", its effect(time, motions),', load.markers()
-        told = lambda *at: _effect(what, call_user_function(what, load.effect, *at), markers)
+        told = lambda *at: _effect(what, call_user(what, load.effect, *at), markers)
         shape_of(told, NUMBER, (SEEN,) * len(markers))
 
 

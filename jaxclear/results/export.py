@@ -58,19 +58,19 @@ def of_run(history: StateHistory, worn: dict, attributes: dict, flat: bool) -> A
         "axis": ("axis", XYZ),
         "component": ("component", np.array(["w", *XYZ], object)),
     }
-    said = attributes | {"jax": jax.__version__, "mechanism": str(history.mechanism)}
-    said = {"what": "run"} | said | provenance()
+    attrs = attributes | {"jax": jax.__version__, "mechanism": str(history.mechanism)}
+    attrs = {"what": "run"} | attrs | provenance()
     if not flat:
-        root = {"/": xarray.Dataset(coords=coordinates, attrs=said)}
-        below = {"/".join(path): xarray.Dataset(own) for path, own in nodes.items()}
+        root = {"/": xarray.Dataset(coords=coordinates, attrs=attrs)}
+        below = {"/".join(path): xarray.Dataset(variables) for path, variables in nodes.items()}
         return xarray.DataTree.from_dict(root | below)
     columns = {}
-    for path, own in nodes.items():
+    for path, variables in nodes.items():
         above = ".".join(path)
-        for field, (dims, *rest) in own.items():
+        for field, (dims, *rest) in variables.items():
             every = tuple(dim if dim in coordinates else f"{above}.{dim}" for dim in dims)
             columns[f"{above}.{field}"] = (every, *rest)
-    return xarray.Dataset(columns, coordinates, said)
+    return xarray.Dataset(columns, coordinates, attrs)
 
 
 def _nodes(history: StateHistory, worn: dict) -> dict[tuple[str, ...], dict[str, tuple]]:
@@ -78,14 +78,14 @@ def _nodes(history: StateHistory, worn: dict) -> dict[tuple[str, ...], dict[str,
     nodes: dict[tuple[str, ...], dict[str, tuple]] = {}
 
     def put(path, field, dims, values, unit, meaning):
-        told = {"units": unit, "long_name": meaning}
-        nodes.setdefault(path, {})[field] = (dims, np.asarray(values), told)
+        attrs = {"units": unit, "long_name": meaning}
+        nodes.setdefault(path, {})[field] = (dims, np.asarray(values), attrs)
 
     def put_all(names, read, fields):
         for name in names:
-            found = read(history, name)
+            part = read(history, name)
             for field, (dim, unit, meaning) in fields.items():
-                values = getattr(found, field)
+                values = getattr(part, field)
                 put((name,), field, ("time", dim), values, unit, meaning.format(name))
 
     mechanism = history.mechanism
@@ -97,7 +97,7 @@ def _nodes(history: StateHistory, worn: dict) -> dict[tuple[str, ...], dict[str,
     put_all(mechanism.connections, histories.reaction, REACTION)
     for name, unit in _single_coordinates(history).items():
         what = "slides" if unit == "m" else "turns"
-        place, speed = (history.coordinate(name, speeds=own) for own in (False, True))
+        place, speed = (history.coordinate(name, speeds=is_speed) for is_speed in (False, True))
         put((name,), "coordinate", ("time",), place, unit, f"how far {name} {what}")
         put((name,), "speed", ("time",), speed, f"{unit}/s", f"how fast {name} {what}")
     for name, coupling in mechanism.couplings.items():
@@ -105,9 +105,9 @@ def _nodes(history: StateHistory, worn: dict) -> dict[tuple[str, ...], dict[str,
         sent = transmissions.transmitted(history, name)
         put((name,), "transmitted", ("time",), sent, unit, "what the coupling transmits")
         if coupling.gives:
-            found, length = transmissions.coupling(history, name), unit == "N"
-            put((name,), "twist", ("time",), found.twist, "m" if length else "rad", "its twist")
-            put((name,), "flank", ("time",), found.flank, "1", "the flank that presses, 1 or -1")
+            c, length = transmissions.coupling(history, name), unit == "N"
+            put((name,), "twist", ("time",), c.twist, "m" if length else "rad", "its twist")
+            put((name,), "flank", ("time",), c.flank, "1", "the flank that presses, 1 or -1")
     for joint, surfaces in worn.items():
         for surface, depth in surfaces.items():
             where = joint, surface
@@ -125,12 +125,12 @@ def _nodes(history: StateHistory, worn: dict) -> dict[tuple[str, ...], dict[str,
 def _single_coordinates(history: StateHistory) -> dict[str, str]:
     """Joints with one coordinate, of the tree or driven, with its unit."""
     mechanism = history.mechanism
-    known = {own.name for own in mechanism.topology.branches if own.speed_count}
-    known |= {n for n, own in mechanism.connections.items() if drive_of(own.joint) is not None}
+    names = {x.name for x in mechanism.topology.branches if x.speed_count}
+    names |= {n for n, x in mechanism.connections.items() if drive_of(x.joint) is not None}
     moving = [*mechanism.connections, *mechanism.topology.motors]
-    known |= {*mechanism.topology.motors}
+    names |= {*mechanism.topology.motors}
     units = {name: coordinate_units(mechanism, name) for name in moving}
-    return {name: own[0] for name, own in units.items() if len(own) == 1 and name in known}
+    return {name: x[0] for name, x in units.items() if len(x) == 1 and name in names}
 
 
 class _Solid(NamedTuple):
@@ -158,17 +158,17 @@ def write_vtk(run: Any, folder: Any, frames: int, meshes: Any) -> Path:
     chosen = np.unique(np.linspace(0, last - 1, min(frames, last)).round().astype(int))
     numbers = {name: i for i, name in enumerate([GROUND, *run.mechanism.bodies])}
     motions = {name: run.body(name) for name in run.mechanism.bodies}
-    cells, body, depth, begun = [], [], [], 0
+    cells, body, depth, offset = [], [], [], 0
     for one in solids:
-        cells.append((one.kind, one.cells + begun))
+        cells.append((one.kind, one.cells + offset))
         body.append(np.full(len(one.cells), numbers[one.body]))
         depth.append(one.depth)
-        begun += len(one.points)
+        offset += len(one.points)
     root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
     series = ElementTree.SubElement(root, "Collection")
     for count, at in enumerate(chosen):
         placed = [_placed(one, motions.get(one.body), at) for one in solids]
-        points, velocity = (np.concatenate(own) for own in zip(*placed, strict=True))
+        points, velocity = (np.concatenate(x) for x in zip(*placed, strict=True))
         name = f"run_{count:05d}.vtu"
         meshio.Mesh(
             points,
@@ -185,16 +185,16 @@ def write_vtk(run: Any, folder: Any, frames: int, meshes: Any) -> Path:
 def _bodies(run: Any, meshes: Any) -> list[_Solid]:
     solids = parts(run, checked_meshes(run, meshes), size_of(run))
     return [
-        _Solid(name, own.points, "triangle", own.corners, np.zeros(len(own.corners)))
-        for name, own in ((name, part.whole) for name, part in solids.items())
-        if len(own.points)
+        _Solid(name, x.points, "triangle", x.corners, np.zeros(len(x.corners)))
+        for name, x in ((name, part.triangles) for name, part in solids.items())
+        if len(x.points)
     ]
 
 
 def _walls(run: Any) -> list[_Solid]:
     """Every worn wall: of a bearing, socket or guide on the parent, of a journal, ball or slider on
     the child."""
-    found = []
+    solids = []
     for name, surfaces in run.worn.items():
         if name not in run.mechanism.connections:
             continue
@@ -202,15 +202,15 @@ def _walls(run: Any) -> list[_Solid]:
         joint = getattr(connection.joint, "gap", connection.joint)
         maps = joint.maps()
         for surface, depth in surfaces.items():
-            own = wall(maps[surface][0], surface, np.asarray(depth)) if surface in maps else None
-            if own is None:
+            shape = wall(maps[surface][0], surface, np.asarray(depth)) if surface in maps else None
+            if shape is None:
                 continue
             inner = surface in joint.inner_surfaces()
             marker = connection.child if inner else connection.parent
             rotation, place = marker_frame(marker)
-            points = own.points @ rotation.T + place
-            found.append(_Solid(marker.body, points, "quad", own.corners, own.depth))
-    return found
+            points = shape.points @ rotation.T + place
+            solids.append(_Solid(marker.body, points, "quad", shape.corners, shape.depth))
+    return solids
 
 
 def _placed(solid: _Solid, motion: Any, at: int) -> tuple[np.ndarray, np.ndarray]:

@@ -31,8 +31,8 @@ from jaxclear.ground.wording import public_name
 from jaxclear.multibody import constraints, dynamics, kinematics, transmissions, tree
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.rows import forces_on_drives, wrench_in_joint
 from jaxclear.multibody.system import System
-from jaxclear.multibody.tree import NOTHING
 from jaxclear.results.state_history import StateHistory, check_name, columns, over_time
 
 # Vectors of a clearance joint and numbers of each of its contacts.
@@ -57,9 +57,9 @@ class AbstractHistory(AbstractShown):
 
 def units_of(kind: Any) -> dict[str, str]:
     """Unit of each field that has one."""
-    own = dataclasses.fields(kind)
+    fields = dataclasses.fields(kind)
     key = "measured in"
-    return {field.name: field.metadata[key] for field in own if key in field.metadata}
+    return {field.name: field.metadata[key] for field in fields if key in field.metadata}
 
 
 def _range(name: str, values: np.ndarray, unit: str) -> dict[str, Any]:
@@ -297,20 +297,20 @@ def _accelerations(history):
 
     def one(now):
         system, _, solution = solved(history, now)
-        found = {}
+        results = {}
         every = kinematics.link_accelerations(system, now.motions, solution.accelerations)
-        for name, own in history.mechanism.bodies.items():
+        for name, body in history.mechanism.bodies.items():
             index = system.topology.index(name)
             motion, change = now.motions[index], every[index]
-            arm, turned = system.links[index].frame.point(sp.vec3(own.com)), motion.twist.angular
-            velocity = sp.plus(motion.twist.linear, sp.cross(turned, arm))
-            felt = (change.linear, sp.cross(change.angular, arm), sp.cross(turned, velocity))
+            arm, spin = system.links[index].frame.point(sp.vec3(body.com)), motion.twist.angular
+            velocity = sp.plus(motion.twist.linear, sp.cross(spin, arm))
+            felt = (change.linear, sp.cross(change.angular, arm), sp.cross(spin, velocity))
             fallen = sp.apply(motion.pose.rotation, sp.plus(*felt))
             angular = sp.apply(motion.pose.rotation, change.angular)
-            found[name] = sp.minus(fallen, kinematics.upward(system)), angular
-        return found
+            results[name] = sp.minus(fallen, kinematics.upward(system)), angular
+        return results
 
-    return {name: tuple(map(columns, own)) for name, own in over_time(history, one).items()}
+    return {name: tuple(map(columns, pair)) for name, pair in over_time(history, one).items()}
 
 
 def contact(history: StateHistory, name: str) -> ContactHistory:
@@ -354,8 +354,8 @@ def reaction(history: StateHistory, name: str) -> ReactionHistory:
     couplings = history.mechanism.couplings
     meshing = [
         n
-        for n, own in couplings.items()
-        if isinstance(own, AbstractBodyCoupling) and own.motor is None
+        for n, coupling in couplings.items()
+        if isinstance(coupling, AbstractBodyCoupling) and coupling.motor is None
     ]
     check_name(name, [*history.mechanism.connections, *meshing], "joint")
     kind = "coupling" if name in couplings else "joint"
@@ -413,18 +413,16 @@ def _closure_reaction(now, forces, solution, name):
         force, torque = report.force, report.torque
     elif name in system.transmissions:
         own = system.transmissions[name]
-        (acting,) = transmissions.on_closures(now.motions, own, forces.pressing[name].torque)
-        closure, (force, torque) = acting.closure, acting.wrench
+        (mesh,) = transmissions.twist_direction(now.motions, own).places
+        size = -forces.pressing[name].torque / own.scale
+        closure, (force, torque) = mesh.closure, (sp.scale(size, x) for x in mesh.wrench)
     else:
         wanted = system.closures[topology.loops.index(name)]
         found = constraints.constraint_wrenches(system, now.motions, solution.multipliers)
         closure, force, torque, _ = next(entry for entry in found if entry[0] is wanted)
-    loads = forces.on_joints.get(name, NOTHING)
-    force, torque = sp.plus(force, loads.force), sp.plus(torque, loads.torque)
-    every = constraints.coupled(system, now.motions, solution.multipliers)
-    for term, _, wrench in constraints.coupled_wrenches(now.motions, every):
-        if term.joint == name:
-            force, torque = sp.plus(force, wrench.force), sp.plus(torque, wrench.torque)
+    rows = (*forces.rows, *constraints.coupling_rows(system, now.motions, solution.multipliers))
+    acting = wrench_in_joint(rows, name)
+    force, torque = sp.plus(force, acting.force), sp.plus(torque, acting.torque)
     rotation = kinematics.relative_motion(closure, now.motions)[0].parent_pose.rotation
     return sp.apply(rotation, force), sp.apply(rotation, torque)
 
@@ -439,11 +437,12 @@ def driving(history: StateHistory, name: str) -> Float[Array, " time"]:
         wrench = dynamics.joint_wrenches(system, forces, solution)[index]
         joint = system.links[index].joint
         (column,) = joint.columns((joint.drive.motion(now.time)[0],))
-        given = tree.power(column, wrench)
+        along = tree.power(column, wrench)
         # What couplings do along its coordinate comes through no body.
-        for link, force in dynamics.coupled_on_drives(system, forces, solution):
-            given = sp.sub(given, force) if link == index else given
-        return jnp.asarray(given, float)
+        rows = constraints.coupling_rows(system, now.motions, solution.multipliers)
+        on_drives = forces_on_drives(now.motions, (*forces.rows, *rows))
+        along = sp.sub(along, on_drives.get(index, 0))
+        return jnp.asarray(along, float)
 
     return over_time(history, one)
 
@@ -548,8 +547,8 @@ def switchings(history: StateHistory, name: str) -> Any:
     middles = np.concatenate([time[:1], 0.5 * (time[1:] + time[:-1])])
     rows = []
     for i in range(2, len(codes)):
-        turned = sums[i] @ sums[i - 1]
-        if codes[i] == codes[i - 1] and (codes[i] != LINE or turned >= 0):
+        product = sums[i] @ sums[i - 1]
+        if codes[i] == codes[i - 1] and (codes[i] != LINE or product >= 0):
             continue
         instant = 0.5 * (middles[i] + middles[i - 1])
         if products[i] * products[i - 1] < 0:
@@ -558,7 +557,7 @@ def switchings(history: StateHistory, name: str) -> Any:
             )
         elif codes[i] == codes[i - 1]:
             before = sums[i - 1] @ sums[i - 1]
-            instant = middles[i - 1] + (middles[i] - middles[i - 1]) * before / (before - turned)
+            instant = middles[i - 1] + (middles[i] - middles[i - 1]) * before / (before - product)
         other = ", on the other side" if codes[i] == codes[i - 1] else ""
         rows.append((instant, SITUATIONS[codes[i - 1]], SITUATIONS[codes[i]] + other))
     return as_table(rows, columns=["time [s]", "from", "to"])

@@ -48,25 +48,25 @@ def events(history: StateHistory, noted: Events | None, names: tuple[str, ...]) 
     for name in names:
         if name not in history.layout().plays:
             check_contact_joint(history, name)
-    mechanism, rows, lost = history.mechanism, [], 0
-    for own in of_contacts(history, noted):
-        if names and own.joint not in names:
+    mechanism, rows, missing = history.mechanism, [], 0
+    for c in of_contacts(history, noted):
+        if names and c.joint not in names:
             continue
-        lost += own.lost
-        for time, rate in zip(own.times[own.kept], own.rates[own.kept], strict=True):
+        missing += c.missing
+        for time, rate in zip(c.times[c.is_saved], c.rates[c.is_saved], strict=True):
             event = "touch" if rate > 0 else "release"
-            rows.append((time, own.joint, own.contact, event, abs(rate)))
-    warn_of_lost(lost, noted)
+            rows.append((time, c.joint, c.contact, event, abs(rate)))
+    warn_of_missing(missing, noted)
     unit = {name: _unit_of_rate(mechanism, name) for name in {row[1] for row in rows}}
     units = sorted({*unit.values()}) or ["m/s"]
-    found = as_table(sorted(rows), columns=[*COLUMNS, f"speed [{' or '.join(units)}]"])
-    return found if len(units) == 1 else found.assign(unit=[unit[row[1]] for row in sorted(rows)])
+    table = as_table(sorted(rows), columns=[*COLUMNS, f"speed [{' or '.join(units)}]"])
+    return table if len(units) == 1 else table.assign(unit=[unit[row[1]] for row in sorted(rows)])
 
 
 def _unit_of_rate(mechanism: Any, name: str) -> str:
     """Of the indentation of a joint's contacts, or of the twist of a coupling."""
-    own = mechanism.couplings.get(name)
-    return "m/s" if own is None or moves_along(mechanism, own) else "rad/s"
+    coupling = mechanism.couplings.get(name)
+    return "m/s" if coupling is None or moves_along(mechanism, coupling) else "rad/s"
 
 
 class ContactEvents(NamedTuple):
@@ -80,14 +80,14 @@ class ContactEvents(NamedTuple):
     counts: np.ndarray
 
     @property
-    def kept(self) -> np.ndarray:
+    def is_saved(self) -> np.ndarray:
         """Which places of `times` hold an event."""
         return np.arange(self.times.shape[1]) < self.counts[:, None]
 
     @property
-    def lost(self) -> int:
+    def missing(self) -> int:
         """How many were not kept."""
-        return int(self.counts.sum()) - int(self.kept.sum())
+        return int(self.counts.sum()) - int(self.is_saved.sum())
 
 
 # The flanks of play: where the twist is largest, and least.
@@ -98,17 +98,17 @@ def of_contacts(history: StateHistory, noted: Events) -> Iterator[ContactEvents]
     """The events of every contact of a run, in the order of its joints."""
     times, rates, counts = (np.asarray(part) for part in noted)
     bearings = history.model().system.bearings.items()
-    places = [(name, each) for name, own in bearings for each in own.joint.contact_names()]
+    places = [(name, each) for name, bearing in bearings for each in bearing.joint.contact_names()]
     places += [(name, each) for name in history.layout().plays for each in FLANKS]
     for k, (joint, name) in enumerate(places):
         yield ContactEvents(joint, name, times[:, k], rates[:, k], counts[:, k])
 
 
-def warn_of_lost(lost: int, noted: Events) -> None:
+def warn_of_missing(missing: int, noted: Events) -> None:
     """Warns where some events were not kept."""
-    if lost:
+    if missing:
         warn(
-            f"{lost} touches and releases were not kept: more than {noted.times.shape[2]} of a "
+            f"{missing} touches and releases were not kept: more than {noted.times.shape[2]} of a "
             "contact fell between two saving times. Give Saving more events, or save more often.",
         )
 
@@ -123,7 +123,7 @@ class Spell(NamedTuple):
     start: float
     stop: float
     touching: bool
-    known_by: str
+    source: str
 
 
 class Change(NamedTuple):
@@ -131,7 +131,7 @@ class Change(NamedTuple):
 
     time: float
     closes: bool
-    known_by: str
+    source: str
 
 
 def contact_path(history: StateHistory, name: str, noted: Events | None) -> tuple[Any, list[Spell]]:
@@ -143,16 +143,16 @@ def contact_path(history: StateHistory, name: str, noted: Events | None) -> tupl
         changes = _changes_between(path, time[0], time[-1])
         first = changes[0].time if changes else time[-1]
         return path, _spells_of(time, changes, bool(path(0.5 * (time[0] + first)) > 0))
-    own = [each for each in of_contacts(history, noted) if each.joint == name]
-    warn_of_lost(sum(each.lost for each in own), noted)
-    paths = [_with_events(time, depths[:, k], rates[:, k], each) for k, each in enumerate(own)]
+    contacts = [each for each in of_contacts(history, noted) if each.joint == name]
+    warn_of_missing(sum(each.missing for each in contacts), noted)
+    paths = [_with_events(time, depths[:, k], rates[:, k], each) for k, each in enumerate(contacts)]
     knots = np.unique(np.concatenate([path.x for path in paths]))
     at = lambda order: np.stack([path(knots, order) for path in paths], axis=1)
-    found = [
+    changes_of = [
         _contact(path, time, depths[:, k], each)
-        for k, (path, each) in enumerate(zip(paths, own, strict=True))
+        for k, (path, each) in enumerate(zip(paths, contacts, strict=True))
     ]
-    return _deepest(knots, at(0), at(1)), _joined(time, found)
+    return _deepest(knots, at(0), at(1)), _joined(time, changes_of)
 
 
 @eqx.filter_jit
@@ -163,8 +163,8 @@ def _indentations(history, name):
         bearing = now.model.system.bearings[name]
         relative = kinematics.relative_motion(bearing.closure, now.motions)[2]
         worn = now.model.worn.get(name, {})
-        found = contact_point.indentation_rates(bearing.joint, relative, worn)
-        return tuple(sp.stack([point[i] for point in found]) for i in (0, 1))
+        points = contact_point.indentation_rates(bearing.joint, relative, worn)
+        return tuple(sp.stack([point[i] for point in points]) for i in (0, 1))
 
     return over_time(history, one)
 
@@ -172,15 +172,15 @@ def _indentations(history, name):
 def _deepest(time: np.ndarray, depths: np.ndarray, rates: np.ndarray) -> Any:
     """Through the deepest of all contacts at each time."""
     which = np.argmax(depths, axis=1)[:, None]
-    own = (np.take_along_axis(each, which, axis=1)[:, 0] for each in (depths, rates))
-    return scipy.interpolate.CubicHermiteSpline(time, *own)
+    along = (np.take_along_axis(each, which, axis=1)[:, 0] for each in (depths, rates))
+    return scipy.interpolate.CubicHermiteSpline(time, *along)
 
 
-def _with_events(time: Any, depth: Any, rate: Any, own: ContactEvents) -> Any:
+def _with_events(time: Any, depth: Any, rate: Any, events_of: ContactEvents) -> Any:
     """The indentation of a contact through its saving times and its events."""
-    times = np.concatenate([time, own.times[own.kept]])
+    times = np.concatenate([time, events_of.times[events_of.is_saved]])
     depth = np.concatenate([depth, np.zeros(len(times) - len(time))])
-    rate = np.concatenate([rate, own.rates[own.kept]])
+    rate = np.concatenate([rate, events_of.rates[events_of.is_saved]])
     # Of an event at a saving time the saved numbers are taken.
     times, first = np.unique(times, return_index=True)
     return scipy.interpolate.CubicHermiteSpline(times, depth[first], rate[first])
@@ -198,39 +198,39 @@ def _changes_between(path: Any, start: float, stop: float) -> list[Change]:
 
 
 def _contact(
-    path: Any, time: np.ndarray, depth: np.ndarray, own: ContactEvents
+    path: Any, time: np.ndarray, depth: np.ndarray, events_of: ContactEvents
 ) -> tuple[bool, list[Change]]:
     """(whether a contact is closed at first, when it closes and opens)."""
     ends = depth[1:] >= 0
     # A surface that loses depth at a saving time may part there: an interval begins as its end
     # and the number of its events say.
-    begins = ends ^ (own.counts.astype(int) % 2 == 1)
-    closed, found = bool(begins[0]), []
+    is_closed_at_start = ends ^ (events_of.counts.astype(int) % 2 == 1)
+    closed, changes = bool(is_closed_at_start[0]), []
     for i, (start, stop) in enumerate(itertools.pairwise(time)):
-        if begins[i] != closed:
-            closed = bool(begins[i])
-            found.append(Change(start, closed, SAVES))
-        for at in own.times[i][own.kept[i]]:
+        if is_closed_at_start[i] != closed:
+            closed = bool(is_closed_at_start[i])
+            changes.append(Change(start, closed, SAVES))
+        for at in events_of.times[i][events_of.is_saved[i]]:
             closed = not closed
-            found.append(Change(float(at), closed, EVENT))
+            changes.append(Change(float(at), closed, EVENT))
             start = float(at)
-        if own.counts[i] > own.kept[i].sum():
-            found += _changes_between(path, start, stop)
+        if events_of.counts[i] > events_of.is_saved[i].sum():
+            changes += _changes_between(path, start, stop)
             closed = bool(ends[i])
-    return bool(begins[0]), found
+    return bool(is_closed_at_start[0]), changes
 
 
 def _joined(time: np.ndarray, contacts: list[tuple[bool, list[Change]]]) -> list[Spell]:
     """When any of a joint's contacts is closed."""
     closed = [first for first, _ in contacts]
-    touching, found = any(closed), []
-    all_changes = [(change, k) for k, (_, own) in enumerate(contacts) for change in own]
+    touching, changes = any(closed), []
+    all_changes = [(change, k) for k, (_, its) in enumerate(contacts) for change in its]
     for change, k in sorted(all_changes, key=lambda each: each[0].time):
         closed[k] = change.closes
         if any(closed) != touching:
             touching = any(closed)
-            found.append(Change(change.time, touching, change.known_by))
-    return _spells_of(time, found, any(first for first, _ in contacts))
+            changes.append(Change(change.time, touching, change.source))
+    return _spells_of(time, changes, any(first for first, _ in contacts))
 
 
 def _spells_of(time: np.ndarray, changes: list[Change], touching: bool) -> list[Spell]:
@@ -238,7 +238,7 @@ def _spells_of(time: np.ndarray, changes: list[Change], touching: bool) -> list[
     marks = [Change(float(time[0]), touching, START), *changes]
     stops = [*(change.time for change in changes), float(time[-1])]
     pairs = zip(marks, stops, strict=True)
-    return [Spell(m.time, stop, bool(m.closes), m.known_by) for m, stop in pairs if stop > m.time]
+    return [Spell(m.time, stop, bool(m.closes), m.source) for m, stop in pairs if stop > m.time]
 
 
 # Share of the approach speed below which a journal counts as stopped.
@@ -275,7 +275,7 @@ class Phase(NamedTuple):
     stop: float
     mode: Mode
     approach: float
-    known_by: str
+    source: str
 
     def __str__(self) -> str:
         speed = f" at {self.approach:.4g} m/s" if self.mode == Mode.IMPACT else ""
@@ -301,51 +301,51 @@ def phases(history: StateHistory, name: str, noted: Events | None = None) -> lis
         # An ideal joint that rubs.
         return [Phase(time[0], time[-1], Mode.CONTACT, np.nan, START)]
     path, spells = contact_path(history, name, noted)
-    found: list[Phase] = []
-    for start, stop, touching, known_by in spells:
+    result: list[Phase] = []
+    for start, stop, touching, source in spells:
         if not touching:
-            found.append(Phase(start, stop, Mode.FREE_FLIGHT, np.nan, known_by))
-        elif known_by == START:
-            found.append(Phase(start, stop, Mode.CONTACT, np.nan, known_by))
+            result.append(Phase(start, stop, Mode.FREE_FLIGHT, np.nan, source))
+        elif source == START:
+            result.append(Phase(start, stop, Mode.CONTACT, np.nan, source))
         else:
-            found += _touching(path, start, stop, known_by)
-    return _merged(found)
+            result += _touching(path, start, stop, source)
+    return _merged(result)
 
 
 def table(history: StateHistory, name: str, noted: Events | None = None) -> Any:
     """The phases as a pandas table."""
-    found = phases(history, name, noted)
-    rows = [(p.start, p.stop, p.mode.label, p.approach, p.known_by) for p in found]
+    listed = phases(history, name, noted)
+    rows = [(p.start, p.stop, p.mode.label, p.approach, p.source) for p in listed]
     labels = ["from [s]", "to [s]", "mode", "approach speed [m/s]", "start known by"]
-    return _told(as_table(rows, columns=labels), noted)
+    return _with_source(as_table(rows, columns=labels), noted)
 
 
 def combined(history: StateHistory, names: tuple[str, ...], noted: Events | None = None) -> Any:
     """The modes of several joints side by side, as a pandas table: a row whenever one changes."""
-    own = {name: phases(history, name, noted) for name in names}
-    starts = np.unique([phase.start for each in own.values() for phase in each])
+    by_joint = {name: phases(history, name, noted) for name in names}
+    starts = np.unique([phase.start for each in by_joint.values() for phase in each])
     columns: dict[str, Any] = {
         "from [s]": starts,
         "to [s]": np.append(starts[1:], np.asarray(history.time)[-1]),
     }
-    for name, each in own.items():
+    for name, each in by_joint.items():
         place = np.searchsorted([phase.start for phase in each], starts, side="right") - 1
         columns[name] = [each[i].mode.label for i in place]
-    return _told(as_table(columns), noted)
+    return _with_source(as_table(columns), noted)
 
 
-def _told(found: Any, noted: Events | None) -> Any:
+def _with_source(frame: Any, noted: Events | None) -> Any:
     """A table that says where its instants come from."""
-    found.attrs["instants"] = INSTANTS[noted is not None]
-    return found
+    frame.attrs["instants"] = INSTANTS[noted is not None]
+    return frame
 
 
-def _touching(path: Any, start: float, stop: float, known_by: str) -> list[Phase]:
+def _touching(path: Any, start: float, stop: float, source: str) -> list[Phase]:
     """An impact, and the contact that it may end in."""
     approach = float(path.derivative()(start))
     end = _end_of_impact(path.derivative(), start, stop, SHARE * approach)
-    found = [Phase(start, end, Mode.IMPACT, approach, known_by)]
-    return [*found, Phase(end, stop, Mode.CONTACT, np.nan, SAVES)] if end < stop else found
+    result = [Phase(start, end, Mode.IMPACT, approach, source)]
+    return [*result, Phase(end, stop, Mode.CONTACT, np.nan, SAVES)] if end < stop else result
 
 
 def _end_of_impact(rate: Any, start: float, stop: float, least: float) -> float:
@@ -373,19 +373,19 @@ def _first(rate: Any, level: float, start: float, stop: float) -> float | None:
 
 def _of_forces(time: np.ndarray, force: np.ndarray) -> list[Phase]:
     """Phases of forces that are means over the saving intervals: known to an interval."""
-    found: list[Phase] = []
+    result: list[Phase] = []
     for i, (start, stop) in enumerate(itertools.pairwise(time)):
         mode = Mode.CONTACT if force[i + 1] > 0 else Mode.FREE_FLIGHT
-        if mode == Mode.CONTACT and found and found[-1].mode == Mode.FREE_FLIGHT:
+        if mode == Mode.CONTACT and result and result[-1].mode == Mode.FREE_FLIGHT:
             mode = Mode.IMPACT
-        found.append(Phase(start, stop, mode, np.nan, SAVES if i else START))
-    return _merged(found)
+        result.append(Phase(start, stop, mode, np.nan, SAVES if i else START))
+    return _merged(result)
 
 
-def _merged(found: list[Phase]) -> list[Phase]:
+def _merged(separate: list[Phase]) -> list[Phase]:
     """Neighbours of one mode as one, but for impacts."""
     out: list[Phase] = []
-    for phase in found:
+    for phase in separate:
         if out and out[-1].mode == phase.mode != Mode.IMPACT:
             out[-1] = out[-1]._replace(stop=phase.stop)
         else:

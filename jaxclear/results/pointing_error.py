@@ -70,14 +70,14 @@ def configurations(trajectory: Trajectory, links: Chain) -> ChainConfiguration:
             links, {name: transform(*pose) for name, pose in bodies.items()}
         )
 
-    found = jax.vmap(one)(
+    measured = jax.vmap(one)(
         {name: (history.rotation, history.origin) for name, history in histories.items()}
     )
     away = [
-        _lean(trajectory, joint.name) if joint.permanent else own
-        for joint, own in zip(links.joints, found.deviations, strict=True)
+        _lean(trajectory, joint.name) if joint.permanent else deviation
+        for joint, deviation in zip(links.joints, measured.deviations, strict=True)
     ]
-    return ChainConfiguration(found.motions, tuple(away))
+    return ChainConfiguration(measured.motions, tuple(away))
 
 
 def _lean(trajectory: Trajectory, name: str) -> Any:
@@ -104,27 +104,27 @@ def tip_errors(
     `nominal=None`: against ideal joints at the coordinates that the run itself shows; else against
     another run.
     """
-    own = chain(trajectory.mechanism, base, tip, through)
-    actual = configurations(trajectory, own)
+    ours = chain(trajectory.mechanism, base, tip, through)
+    actual = configurations(trajectory, ours)
     if nominal is None:
-        return own, actual, _errors(own, actual, None, None)
-    other = chain(nominal.mechanism, base, tip, through)
-    ways, other_ways = (
-        [(joint.name, joint.forward) for joint in links.joints] for links in (own, other)
+        return ours, actual, _errors(ours, actual, None, None)
+    theirs = chain(nominal.mechanism, base, tip, through)
+    steps, other_steps = (
+        [(joint.name, joint.forward) for joint in links.joints] for links in (ours, theirs)
     )
-    if ways != other_ways:
+    if steps != other_steps:
         raise ValueError(
-            f"the chain of the run goes by {', '.join(own.names)}, that of the nominal run by "
-            f"{', '.join(other.names)}; "
+            f"the chain of the run goes by {', '.join(ours.names)}, that of the nominal run by "
+            f"{', '.join(theirs.names)}; "
             "they must be the same connections, from the same side."
         )
     _check_times(trajectory, nominal)
-    return own, actual, _errors(own, actual, other, configurations(nominal, other))
+    return ours, actual, _errors(ours, actual, theirs, configurations(nominal, theirs))
 
 
 @eqx.filter_jit
-def _errors(own, actual, other, nominal):
-    return jax.vmap(lambda now, then: tip_error(own, now, other, then))(actual, nominal)
+def _errors(links, actual, other, nominal):
+    return jax.vmap(lambda now, then: tip_error(links, now, other, then))(actual, nominal)
 
 
 def _check_times(run: Trajectory, nominal: Trajectory) -> None:
@@ -234,8 +234,8 @@ class PointingError(AbstractShown):
             "joint": Column(("joint",), list(self.names)),
             "component": Column(("component",), ["x", "y", "z", "about x", "about y", "about z"]),
         }
-        said: dict[str, Any] = {"tip": self.tip, "base": self.base, "warnings": self.warnings}
-        return dataset(columns, coordinates, what="pointing error", **said)
+        about: dict[str, Any] = {"tip": self.tip, "base": self.base, "warnings": self.warnings}
+        return dataset(columns, coordinates, what="pointing error", **about)
 
     def _parts(self, by_play):
         if not by_play:
@@ -248,10 +248,10 @@ class PointingError(AbstractShown):
 
     def _shares(self, twist):
         def share(part):
-            whole = np.mean(np.sum(self.model[:, part] ** 2, axis=1))
+            total = np.mean(np.sum(self.model[:, part] ** 2, axis=1))
             return (
-                np.mean(np.sum(twist[:, part] * self.model[:, part], axis=1)) / whole
-                if whole > ROUNDING**2
+                np.mean(np.sum(twist[:, part] * self.model[:, part], axis=1)) / total
+                if total > ROUNDING**2
                 else 0.0
             )
 
@@ -384,8 +384,8 @@ def pointing_error(
 
 def _check(trajectory: Trajectory, nominal: Trajectory | None) -> None:
     for run in (trajectory, *([] if nominal is None else [nominal])):
-        wanted = "a run, as jaxclear.simulate returns it"
-        expect(run, Trajectory, "what pointing_error is given", wanted)
+        required = "a run, as jaxclear.simulate returns it"
+        expect(run, Trajectory, "what pointing_error is given", required)
     if nominal is not None and MOTION in trajectory.mechanism.connections:
         raise ValueError(
             f'joint "{MOTION}" bears the name of the contribution of differing coordinates; '
@@ -405,14 +405,14 @@ def _plays(links: Chain, errors: TipError) -> dict[str, np.ndarray]:
 
 def _contributions(links: Chain, errors: TipError, with_motion: bool) -> dict[str, np.ndarray]:
     """Twists of the tip by joint, and what the joints' motions give beside them."""
-    found, missing = {}, []
+    twists, missing = {}, []
     for joint, twist in zip(links.joints, errors.deviations, strict=True):
         if not joint.ideal:
-            found[joint.name] = np.asarray(twist)
+            twists[joint.name] = np.asarray(twist)
         elif twist is not None:
             # A nominal joint with clearance where this run has an ideal one: its deviation is
             # missing here and counts as motion.
             missing.append(np.asarray(twist))
     if with_motion:
-        found[MOTION] = np.sum(np.asarray([*errors.motions, *missing]), axis=0)
-    return found
+        twists[MOTION] = np.sum(np.asarray([*errors.motions, *missing]), axis=0)
+    return twists

@@ -23,7 +23,7 @@ class RelativeMotion(NamedTuple):
     spin: np.ndarray
 
 
-class Seen(NamedTuple):
+class MarkerMotion(NamedTuple):
     """A marker in the ground frame over time."""
 
     rotation: np.ndarray
@@ -38,14 +38,14 @@ def marker_frame(marker: Marker) -> tuple[np.ndarray, np.ndarray]:
     return np.array(rotation), np.array(place)
 
 
-def seen(run: Any, marker: Marker) -> Seen:
+def marker_motion(run: Any, marker: Marker) -> MarkerMotion:
     """A marker in the ground frame over a run."""
     if marker.body == GROUND:
         turn, at = marker_frame(marker)
         rest = np.zeros((len(run.time), 3))
-        return Seen(np.broadcast_to(turn, (len(rest), 3, 3)), rest + at, rest, rest)
-    own = run.marker(marker)
-    return Seen(*map(np.asarray, (own.rotation, own.position, own.velocity, own.body.spin)))
+        return MarkerMotion(np.broadcast_to(turn, (len(rest), 3, 3)), rest + at, rest, rest)
+    m = run.marker(marker)
+    return MarkerMotion(*map(np.asarray, (m.rotation, m.position, m.velocity, m.body.spin)))
 
 
 def relative_motion(run: Any, name: str) -> RelativeMotion:
@@ -53,15 +53,15 @@ def relative_motion(run: Any, name: str) -> RelativeMotion:
     that there is not."""
     check_name("joint", name, run.mechanism.connections, " in this mechanism")
     connection = run.mechanism.connections[name]
-    parent, child = seen(run, connection.parent), seen(run, connection.child)
+    parent, child = marker_motion(run, connection.parent), marker_motion(run, connection.child)
     away = child.place - parent.place
     velocity = child.velocity - parent.velocity - np.cross(parent.spin, away)
     inwards = parent.rotation.transpose(0, 2, 1)
-    turned = inwards @ child.rotation
+    relative = inwards @ child.rotation
     spin = np.einsum("tij,tj->ti", inwards, child.spin - parent.spin)
     return RelativeMotion(
         np.einsum("tij,tj->ti", inwards, away),
         np.einsum("tij,tj->ti", inwards, velocity),
-        np.unwrap(np.arctan2(turned[:, 1, 0], turned[:, 0, 0])),
+        np.unwrap(np.arctan2(relative[:, 1, 0], relative[:, 0, 0])),
         spin[:, 2],
     )

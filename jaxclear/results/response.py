@@ -247,8 +247,8 @@ class PositionError(AbstractResponse):
                 f"response.PositionError has reference = {described(self.reference)}; it must be a "
                 "path: an array (saving times, 3) [m], such as run.body(name).com."
             )
-        known = not isinstance(self.reference, jax.core.Tracer)
-        if known and not np.all(np.isfinite(self.reference)):
+        is_concrete = not isinstance(self.reference, jax.core.Tracer)
+        if is_concrete and not np.all(np.isfinite(self.reference)):
             raise ValueError(
                 "response.PositionError has a reference that is not finite; every place [m] of the "
                 "path must be."
@@ -407,8 +407,8 @@ class PeakTransmitted(AbstractResponse):
     unit: str = eqx.field(static=True, default="", kw_only=True)
 
     def unit_in(self, mechanism):
-        own = mechanism.couplings.get(self.coupling)
-        return self.unit or ("N m" if own is not None and turns(mechanism, own) else "N")
+        coupling = mechanism.couplings.get(self.coupling)
+        return self.unit or ("N m" if coupling is not None and turns(mechanism, coupling) else "N")
 
     def drawn_from(self):
         return "peak forces"
@@ -430,12 +430,12 @@ def peak_of_steps(run: Trajectory, name: str, saved: Scalar) -> Scalar:
     Returns:
         The larger of `saved` and the peak of the steps [N, N m], shape ().
     """
-    met = _largest_met(run, name)
+    peak = _peak_of_any_step(run, name)
     # A saving time is the end of a step too; as large, the peak beside it is the larger.
-    return jnp.where(met >= (1 - SAME_FORCE) * saved, met, saved)
+    return jnp.where(peak >= (1 - SAME_FORCE) * saved, peak, saved)
 
 
-def _largest_met(run: Trajectory, joint: str) -> Scalar:
+def _peak_of_any_step(run: Trajectory, joint: str) -> Scalar:
     """Largest force [N] of any step, and elastic force at the deepest indentation; 0 where none was
     kept, and of contacts whose law changes with the radius as worn."""
     extremes = run.extremes
@@ -479,8 +479,8 @@ class FinalCoordinate(AbstractResponse):
         return "motion"
 
     def __call__(self, run):
-        found = run.coordinate(self.connection)
-        coordinates = found[:, None] if found.ndim == 1 else found
+        values = run.coordinate(self.connection)
+        coordinates = values[:, None] if values.ndim == 1 else values
         if self.index >= coordinates.shape[1]:
             raise ValueError(
                 f'"{self.connection}" has {coordinates.shape[1]} coordinates; the index of '

@@ -66,11 +66,11 @@ class Signal(NamedTuple):
         It is that of all samples without turns, and where the mean cycle has hardly any amplitude
         (below 1e-6 of it); it is 1 for a constant signal.
         """
-        whole = self.values.std(axis=1, keepdims=True)
-        own = whole if self.turns is None else self.turns.mean(1).std(axis=1, keepdims=True)
+        overall = self.values.std(axis=1, keepdims=True)
+        cycle = overall if self.turns is None else self.turns.mean(1).std(axis=1, keepdims=True)
         # Of a cycle that is all noise, the whole.
-        own = np.where(own > LEAST * whole, own, whole)
-        return np.where(own > 0, own, 1.0)
+        cycle = np.where(cycle > LEAST * overall, cycle, overall)
+        return np.where(cycle > 0, cycle, 1.0)
 
 
 def by_turns(
@@ -96,9 +96,9 @@ def by_turns(
 
     Source: Fyfe & Munck 1997, Mech. Syst. Signal Process. 11, 187, doi:10.1006/mssp.1996.0056.
     """
-    found = np.empty((len(values), turns, samples))
-    for i, (own, at) in enumerate(zip(values, np.broadcast_to(angle, values.shape), strict=True)):
-        begin, end = whole_turns(at)
+    resampled = np.empty((len(values), turns, samples))
+    for i, (row, at) in enumerate(zip(values, np.broadcast_to(angle, values.shape), strict=True)):
+        begin, end = full_turns(at)
         if end - begin < turns:
             raise ValueError(
                 f"{turns} turns were asked for; the angle goes through {max(end - begin, 0)} whole "
@@ -106,11 +106,11 @@ def by_turns(
             )
         forwards = at if at[-1] > at[0] else -at
         grid = 2 * math.pi * (end - turns + np.arange(turns * samples) / samples)
-        found[i] = np.interp(grid, np.maximum.accumulate(forwards), own).reshape(turns, samples)
-    return Signal(values, rate, found)
+        resampled[i] = np.interp(grid, np.maximum.accumulate(forwards), row).reshape(turns, samples)
+    return Signal(values, rate, resampled)
 
 
-def whole_turns(angle: np.ndarray) -> tuple[int, int]:
+def full_turns(angle: np.ndarray) -> tuple[int, int]:
     """The first and the last boundary between turns that an angle passes.
 
     Args:
@@ -214,8 +214,8 @@ def jerk_quantiles(signal: Signal, shares: tuple[float, ...] = JERKS) -> np.ndar
     Returns:
         Natural logarithms, shape (signals, shares).
     """
-    found = np.quantile(_jerks(signal), shares, axis=1).T
-    return np.log(found + LEAST)
+    quantiles = np.quantile(_jerks(signal), shares, axis=1).T
+    return np.log(quantiles + LEAST)
 
 
 def peaks(signal: Signal, shares: tuple[float, ...] = SIZES) -> np.ndarray:
@@ -235,8 +235,8 @@ def peaks(signal: Signal, shares: tuple[float, ...] = SIZES) -> np.ndarray:
     parts = signal.turns
     if parts is None:
         length = max(signal.values.shape[1] // 16, 1)
-        whole = signal.values[:, : signal.values.shape[1] // length * length]
-        parts = whole.reshape(len(whole), -1, length)
+        values = signal.values[:, : signal.values.shape[1] // length * length]
+        parts = values.reshape(len(values), -1, length)
     largest = np.log(np.abs(parts).max(2) / signal.size + LEAST)
     quantiles = np.log(np.quantile(sizes, shares, axis=1).T + LEAST)
     return np.column_stack([quantiles, largest.mean(1), largest.std(1)])
@@ -285,8 +285,8 @@ def usual_statistics(turns: bool) -> dict[str, Callable[[Signal], np.ndarray]]:
         Functions of a `Signal` by name.
     """
     over_angle = (synchronous_average, spread_by_phase, order_spectrum)
-    own = over_angle if turns else (band_energies,)
-    every = (*own, jerk_quantiles, peaks, impact_rate, levels)
+    specific = over_angle if turns else (band_energies,)
+    every = (*specific, jerk_quantiles, peaks, impact_rate, levels)
     return {one.__name__.replace("_", " "): one for one in every}
 
 
@@ -315,7 +315,7 @@ def _powers(values: np.ndarray, bands: int, first: float) -> np.ndarray:
     centred = values - values.mean(1, keepdims=True)
     power = np.abs(np.fft.rfft(centred * np.hanning(count), axis=1)) ** 2
     edges = np.unique(np.geomspace(first, power.shape[1] - 1, bands + 1).astype(int))
-    whole = power[:, 1:].mean(1)
-    whole = np.where(whole > 0, whole, 1.0)
-    found = [power[:, a:b].mean(1) / whole for a, b in itertools.pairwise(edges)]
-    return np.log(np.stack(found, axis=1) + LEAST * LEAST)
+    mean = power[:, 1:].mean(1)
+    mean = np.where(mean > 0, mean, 1.0)
+    powers = [power[:, a:b].mean(1) / mean for a, b in itertools.pairwise(edges)]
+    return np.log(np.stack(powers, axis=1) + LEAST * LEAST)

@@ -19,7 +19,7 @@ from jaxclear.components.beam import hinge_names
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.wording import described
-from jaxclear.results.relative_motion import marker_frame, relative_motion, seen
+from jaxclear.results.relative_motion import marker_frame, marker_motion, relative_motion
 
 AROUND = 24
 # A flat body is drawn at least so thick, and a rod so thin, as shares of the mechanism's size.
@@ -42,11 +42,11 @@ class Triangles(NamedTuple):
 
 def joined(parts: Iterable[Triangles]) -> Triangles:
     """All parts as one; none at all are no triangles."""
-    found, points, corners = 0, [np.zeros((0, 3))], [np.zeros((0, 3), int)]
+    count, points, corners = 0, [np.zeros((0, 3))], [np.zeros((0, 3), int)]
     for part in parts:
         points.append(part.points)
-        corners.append(part.corners + found)
-        found += len(part.points)
+        corners.append(part.corners + count)
+        count += len(part.points)
     return Triangles(np.concatenate(points), np.concatenate(corners))
 
 
@@ -61,11 +61,11 @@ def box(sides: Any) -> Triangles:
             points[:, first] = [-side, side, side, -side]
             points[:, second] = [-1, -1, 1, 1]
             parts.append(Triangles(points, np.array([[0, 1, 2], [0, 2, 3]])))
-    whole = joined(parts)
-    return Triangles(0.5 * whole.points * np.asarray(sides, float), whole.corners)
+    cube = joined(parts)
+    return Triangles(0.5 * cube.points * np.asarray(sides, float), cube.corners)
 
 
-def _turned(profile: np.ndarray) -> Triangles:
+def _revolve(profile: np.ndarray) -> Triangles:
     """A closed outline of points (radius, z) turned about z; edges are sharp."""
     angle = np.linspace(0, 2 * np.pi, AROUND + 1)
     across = np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -84,39 +84,39 @@ def _turned(profile: np.ndarray) -> Triangles:
 def rod(radius: float, length: float) -> Triangles:
     """A cylinder along z about the origin."""
     half = 0.5 * length
-    return _turned(np.array([[0.0, -half], [radius, -half], [radius, half], [0.0, half]]))
+    return _revolve(np.array([[0.0, -half], [radius, -half], [radius, half], [0.0, half]]))
 
 
 def tube(inner: float, outer: float, length: float) -> Triangles:
     """A hollow cylinder along z about the origin."""
     half = 0.5 * length
-    return _turned(np.array([[inner, -half], [outer, -half], [outer, half], [inner, half]]))
+    return _revolve(np.array([[inner, -half], [outer, -half], [outer, half], [inner, half]]))
 
 
 def ball(radius: float) -> Triangles:
     """A sphere about the origin."""
     angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, AROUND // 2 + 1)
-    return _turned(radius * np.stack([np.cos(angle), np.sin(angle)], -1))
+    return _revolve(radius * np.stack([np.cos(angle), np.sin(angle)], -1))
 
 
 def capsule(radius: float, length: float) -> Triangles:
     """A cylinder along z about the origin, of this length between the half spheres at its ends."""
     angle = np.linspace(0, 0.5 * np.pi, AROUND // 4 + 1)
     upper = np.stack([radius * np.cos(angle), 0.5 * length + radius * np.sin(angle)], -1)
-    return _turned(np.concatenate([upper[::-1] * [1, -1], upper]))
+    return _revolve(np.concatenate([upper[::-1] * [1, -1], upper]))
 
 
 def between(start: np.ndarray, end: np.ndarray, radius: float) -> Triangles:
     """A cylinder from one place to another."""
-    way = np.asarray(end) - start
-    length = float(np.linalg.norm(way))
-    return rod(radius, length).moved(_along(way / length), 0.5 * (np.asarray(start) + end))
+    axis = np.asarray(end) - start
+    length = float(np.linalg.norm(axis))
+    return rod(radius, length).moved(_along(axis / length), 0.5 * (np.asarray(start) + end))
 
 
 def _along(direction: np.ndarray) -> np.ndarray:
     """A rotation that brings z into a direction."""
-    beside = np.eye(3)[np.argmin(np.abs(direction))]
-    first = np.cross(beside, direction)
+    across = np.eye(3)[np.argmin(np.abs(direction))]
+    first = np.cross(across, direction)
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(direction, first), direction], 1)
 
@@ -127,8 +127,8 @@ def of_body(body: Body, joints: np.ndarray, size: float) -> Triangles:
     if body.com is not None:
         com[: len(body.com)] = [float(x) for x in body.com]
     turn, sides = _cuboid(body, joints, size)
-    apart = np.ptp(joints @ turn, axis=0) if len(joints) else np.zeros(3)
-    sides = np.minimum(sides, np.maximum(apart, BLOCK * size))
+    extent = np.ptp(joints @ turn, axis=0) if len(joints) else np.zeros(3)
+    sides = np.minimum(sides, np.maximum(extent, BLOCK * size))
     solid = box(np.maximum(sides, THINNEST * size)).moved(turn, com)
     ends = [end for end in joints if np.linalg.norm(end - com) > 1e-6 * size]
     return joined([solid, *(between(com, end, ROD * size) for end in ends)])
@@ -138,14 +138,14 @@ def _cuboid(body: Body, joints: np.ndarray, size: float) -> tuple[np.ndarray, np
     """Axes (3, 3) and sides (3,) [m] of the cuboid with a body's mass and moments of inertia."""
     moments = np.array(jax.tree.map(float, body.inertia_matrix())) / float(body.mass)
     if len(body.inertia) > 1:
-        own, axes = np.linalg.eigh(moments)
-        return axes, np.sqrt(np.maximum(6.0 * (own.sum() - 2.0 * own), 0.0))
+        values, axes = np.linalg.eigh(moments)
+        return axes, np.sqrt(np.maximum(6.0 * (values.sum() - 2.0 * values), 0.0))
     square = 12.0 * moments[2, 2]
-    way = np.zeros(3) if not len(joints) else joints[np.linalg.norm(joints, axis=1).argmax()]
+    farthest = np.zeros(3) if not len(joints) else joints[np.linalg.norm(joints, axis=1).argmax()]
     spread = np.ptp(joints, axis=0) if len(joints) else np.zeros(3)
     if np.linalg.norm(spread[:2]) < 0.1 * np.sqrt(square):
         return np.eye(3), np.sqrt(0.5 * square) * np.array([1.0, 1.0, 0.4])
-    x, y = way[:2] / np.linalg.norm(way[:2])
+    x, y = farthest[:2] / np.linalg.norm(farthest[:2])
     length = np.sqrt(square)
     width = min(length / SLENDER, WIDEST * size)
     turn = np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
@@ -167,7 +167,7 @@ class Part(NamedTuple):
     joints: dict[str, Triangles]
 
     @property
-    def whole(self) -> Triangles:
+    def triangles(self) -> Triangles:
         """All of them."""
         return joined([*self.joints.values(), self.solid])
 
@@ -175,7 +175,7 @@ class Part(NamedTuple):
 def size_of(run: Any) -> float:
     """The longest side [m] of the box in which all joints and centres of mass move."""
     places = [np.asarray(run.body(name).com) for name in run.mechanism.bodies]
-    places += [seen(run, own.parent).place for own in run.mechanism.connections.values()]
+    places += [marker_motion(run, c.parent).place for c in run.mechanism.connections.values()]
     every = np.concatenate(places)
     every = every[np.isfinite(every).all(axis=1)]
     return float(np.ptp(every, axis=0).max()) or 1.0
@@ -254,38 +254,38 @@ def checked_meshes(run: Any, meshes: Any) -> dict[str, Triangles]:
     expect(meshes, Mapping, "meshes", "a dictionary from names of bodies")
     for name in meshes:
         check_name("body", name, [*run.mechanism.bodies, GROUND], " in this mechanism")
-    found = {}
-    for name, given in meshes.items():
-        own = given if isinstance(given, Mapping) else {"": given}
-        parts = (_mesh(f"{name}, {part}" if part else name, one) for part, one in own.items())
-        found[name] = joined(parts)
-    return found
+    checked = {}
+    for name, mesh in meshes.items():
+        by_name = mesh if isinstance(mesh, Mapping) else {"": mesh}
+        parts = (_mesh(f"{name}, {part}" if part else name, one) for part, one in by_name.items())
+        checked[name] = joined(parts)
+    return checked
 
 
-def _mesh(name: str, given: Any) -> Triangles:
+def _mesh(name: str, mesh: Any) -> Triangles:
     what = f'the mesh of "{name}"'
-    wanted = "the path of a file, or (points (n, 3) [m], triangles (m, 3))"
-    if isinstance(given, (str, Path)):
+    required = "the path of a file, or (points (n, 3) [m], triangles (m, 3))"
+    if isinstance(mesh, (str, Path)):
         import meshio
 
-        if not Path(given).is_file():
-            raise ValueError(f"{what} is {str(given)!r}, and there is no such file.")
+        if not Path(mesh).is_file():
+            raise ValueError(f"{what} is {str(mesh)!r}, and there is no such file.")
         # meshio guesses whether an STL file is a text by a number that may overflow.
         with np.errstate(over="ignore"):
-            read = meshio.read(given)
-        cells = [own.data for own in read.cells if own.type == "triangle"]
+            read = meshio.read(mesh)
+        cells = [c.data for c in read.cells if c.type == "triangle"]
         if not cells:
-            raise ValueError(f"{what}, {given}, holds no triangles.")
-        given = read.points, np.concatenate(cells)
-    if not isinstance(given, (tuple, list)) or len(given) != 2:
-        raise ValueError(f"{what} is {described(given)}; it must be {wanted}.")
-    points, corners = np.asarray(given[0], float), np.asarray(given[1])
+            raise ValueError(f"{what}, {mesh}, holds no triangles.")
+        mesh = read.points, np.concatenate(cells)
+    if not isinstance(mesh, (tuple, list)) or len(mesh) != 2:
+        raise ValueError(f"{what} is {described(mesh)}; it must be {required}.")
+    points, corners = np.asarray(mesh[0], float), np.asarray(mesh[1])
     shaped = points.ndim == 2 and points.shape[1] == 3 and corners.ndim == 2
     inside = shaped and corners.shape[1] == 3 and corners.size and corners.min() >= 0
     if not inside or corners.max() >= len(points) or not np.isfinite(points).all():
         raise ValueError(
             f"{what} has points of shape {points.shape} and triangles of shape {corners.shape}; "
-            f"it must be {wanted}, the triangles indices of the points."
+            f"it must be {required}, the triangles indices of the points."
         )
     return Triangles(points, corners.astype(int))
 

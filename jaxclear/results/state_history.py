@@ -83,32 +83,32 @@ class StateHistory(eqx.Module):
         self.check_single()
         topology = self.mechanism.topology
         floating = [b.body for b in topology.branches if b.connection is None]
-        known = [*self.mechanism.connections, *floating, *topology.motors]
-        check_name(name, known, "joint or floating body")
+        names = [*self.mechanism.connections, *floating, *topology.motors]
+        check_name(name, names, "joint or floating body")
         if name in dict(topology.geared):
-            own = geared_motors(self.mechanism)[name]
-            found = own.ratio * self.coordinate(own.joint, speeds)
-            return found if speeds or own.offset is None else found + own.offset
+            x = geared_motors(self.mechanism)[name]
+            values = x.ratio * self.coordinate(x.joint, speeds)
+            return values if speeds or x.offset is None else values + x.offset
         connection = self.mechanism.connections.get(name)
         drive = None if connection is None else drive_of(connection.joint)
         if drive is not None:
             motion = lambda time: jnp.asarray(drive.motion(time)[speeds], float)
             return jax.vmap(motion)(self.time)
         start = topology.coordinate_count
-        branch = next((own for own in topology.branches if own.name == name), None)
+        branch = next((x for x in topology.branches if x.name == name), None)
         if branch is None or not branch.speed_count:
             raise ValueError(
                 f'"{name}" carries no coordinates: it has clearance, closes a loop, or is welded.'
             )
         last = start + branch.speeds.stop
-        found = (
+        values = (
             self.states[:, branch.coordinates],
             self.states[:, start + branch.speeds.start : last],
         )
         joint = joint_of(branch, self.mechanism.bodies, self.mechanism.connections)
         if goes_backwards(branch, joint):
-            found = rows_turned_round(joint, *found)
-        return single(found[speeds])
+            values = rows_turned_round(joint, *values)
+        return single(values[speeds])
 
     def mean_forces(self, layout: Layout) -> Float[Array, "time components"]:
         """Mean forces over the saving intervals, at the end of each [N, N m].
@@ -165,7 +165,7 @@ def one_of(batch: Any, along: Array, index: int) -> Any:
     check_count("index of a run", index, at_least=-count)
     if index >= count:
         raise IndexError(f"run {index} was asked for; the batch has {count}.")
-    return jax.tree.map(lambda own: own[index] if eqx.is_array(own) else own, batch)
+    return jax.tree.map(lambda leaf: leaf[index] if eqx.is_array(leaf) else leaf, batch)
 
 
 def single(values: Float[Array, "time k"]) -> Float[Array, "time ..."]:
@@ -212,8 +212,8 @@ def over_time(history: StateHistory, function: Callable[[Instant], Any]) -> Any:
 
     def one(time, entries, read, means):
         q, v = state.unpack_motion(system, entries)
-        own = Model(system, read, model.stabilisation, layout, model.projects)
-        now = own.seeing(read)
+        fresh = Model(system, read, model.stabilisation, layout, model.projects)
+        now = fresh.seeing(read)
         motions = kinematics.link_motions(system, q, v, time)
         parts = [means[i] for i in range(len(means))]
         return sp.dense(function(Instant(now, motions, q, v, time, entries, parts)))
@@ -294,7 +294,7 @@ class State(AbstractQuantified):
         check_flags("State", concentric=concentric)
         if worn is not None:
             expect(worn, Mapping, "worn of a State", "a dictionary by joint, such as run.worn")
-            worn = {joint: dict(_surfaces(joint, own)) for joint, own in worn.items()}
+            worn = {joint: dict(_surfaces(joint, depths)) for joint, depths in worn.items()}
         if motion is not None:
             expect(motion, SavedMotion, "motion of a State", "that of a run, run.state().motion")
         self.worn, self.concentric, self.motion = worn, concentric, motion
@@ -313,8 +313,8 @@ class State(AbstractQuantified):
             where += "journals in the middle" if self.concentric else "only ideal loops closed"
         deepest = [
             f"{surface} of {joint} worn by {float(jnp.max(depths)):.6g} m at the most"
-            for joint, own in (self.worn or {}).items()
-            for surface, depths in own.items()
+            for joint, depths_of in (self.worn or {}).items()
+            for surface, depths in depths_of.items()
         ]
         return f"{'; '.join([where, *deepest])}."
 

@@ -83,12 +83,12 @@ class SingularPosition(eqx.Module):
         if self.turned is None:
             return f"{first} Saved states do not tell which way it went: save more often."
         if self.turned:
-            turned = f"The run turned it round, its speed from {before} to {after}"
-            return f"{first} {turned}; nothing pushed it."
+            sentence = f"The run turned it round, its speed from {before} to {after}"
+            return f"{first} {sentence}; nothing pushed it."
         return f"{first} It went on as its inertia has it."
 
 
-def in_sentences(found: tuple[SingularPosition, ...]) -> tuple[str, ...]:
+def in_sentences(positions: tuple[SingularPosition, ...]) -> tuple[str, ...]:
     """A sentence for the first singular position of each loop and kind, with the number of others.
 
     Args:
@@ -98,14 +98,14 @@ def in_sentences(found: tuple[SingularPosition, ...]) -> tuple[str, ...]:
         The sentences.
     """
     kinds: dict[tuple, list[SingularPosition]] = {}
-    for one in found:
+    for one in positions:
         kinds.setdefault((one.joint, one.free, one.turned), []).append(one)
-    told = []
-    for alike in kinds.values():
-        more = len(alike) - 1
+    sentences = []
+    for group in kinds.values():
+        more = len(group) - 1
         again = f" So it did {more} more {'time' if more == 1 else 'times'}." if more else ""
-        told.append(f"{alike[0]}{again}")
-    return tuple(told)
+        sentences.append(f"{group[0]}{again}")
+    return tuple(sentences)
 
 
 class RunStats(AbstractShown):
@@ -252,11 +252,11 @@ class Trajectory(AbstractShown):
         run = constant(self)
         sentence = Outcome(int(run.outcome)).sentence
         if not run.succeeded:
-            told = f"The run ended early, after {float(run.ended):.6g} s. {sentence}"
+            ending = f"The run ended early, after {float(run.ended):.6g} s. {sentence}"
             if run.outcome == Outcome.SINGULAR_POSITION:
-                return " ".join([told, *in_sentences(run.singular_positions)])
+                return " ".join([ending, *in_sentences(run.singular_positions)])
             why = run.invariants.before_the_end if run.outcome == Outcome.NOT_FINITE else ()
-            return " ".join([told, *why])
+            return " ".join([ending, *why])
         if not run.warnings:
             return sentence
         return f"{sentence.removesuffix('.')}, with warnings: {' '.join(run.warnings)}"
@@ -273,8 +273,8 @@ class Trajectory(AbstractShown):
         """
         self.history.check_single()
         if self.succeeded:
-            turned = in_sentences(tuple(one for one in self.singular_positions if not one.passed))
-            return self.doubts + self.invariants.warnings + turned + self.verification.warnings
+            odd = in_sentences(tuple(one for one in self.singular_positions if not one.passed))
+            return self.doubts + self.invariants.warnings + odd + self.verification.warnings
         return self.doubts + (self.invariants.before_the_end or self.invariants.warnings)
 
     def estimate(self, response: Callable[["Trajectory"], Any]) -> Estimate:
@@ -306,10 +306,10 @@ class Trajectory(AbstractShown):
         steps = f"{int(self.accepted_steps)} steps, {len(self.time)} saved instants"
         lines = [self.result, f"{float(constant(self.ended)):.6g} s in {steps}."]
         topology = self.mechanism.topology
-        known = [f"The loops are {topology.redundancy}"] if topology.overconstrained else []
+        remarks = [f"The loops are {topology.redundancy}"] if topology.overconstrained else []
         if self.succeeded:
-            known += in_sentences(tuple(one for one in self.singular_positions if one.passed))
-        return *lines, *self.verification._parts(), *known
+            remarks += in_sentences(tuple(one for one in self.singular_positions if one.passed))
+        return *lines, *self.verification._parts(), *remarks
 
     def state_names(self) -> list[str]:
         """Names of the columns of `states`.
@@ -351,10 +351,10 @@ class Trajectory(AbstractShown):
                 f"{float(self.time[index]):.6g} s."
             )
         layout, names, row = self.history.layout(), self.state_names(), self.states[index]
-        first, middle, beside = layout.coordinates, layout.memory_start, layout.remembered
-        parts = row[:first], row[first:middle], row[beside]
-        known = tuple(names[:middle]), tuple(names[beside]), self.mechanism.topology.redundancy
-        motion = SavedMotion(self.time[index], *parts, *known)
+        first, middle, memory = layout.coordinates, layout.memory_start, layout.remembered
+        parts = row[:first], row[first:middle], row[memory]
+        labels = tuple(names[:middle]), tuple(names[memory]), self.mechanism.topology.redundancy
+        motion = SavedMotion(self.time[index], *parts, *labels)
         return State(self.worn or None, motion=motion)
 
     def body(self, name: str) -> BodyHistory:
@@ -512,8 +512,8 @@ class Trajectory(AbstractShown):
         Raises:
             ValueError: if there is no such clearance joint, or numbers are being traced.
         """
-        known = self.formulation.contact_joints(self.mechanism)
-        return modes.combined(self.history, names or known, self.noted)
+        joints = self.formulation.contact_joints(self.mechanism)
+        return modes.combined(self.history, names or joints, self.noted)
 
     def situations(self, name: str) -> Int[Array, " time"]:
         """Number and arrangement of the contacts of a joint that always touches.
@@ -667,8 +667,8 @@ class Trajectory(AbstractShown):
 
     def _check_wears(self, joint, surface):
         self.history.check_single()
-        known = [*self.mechanism.connections, *self.mechanism.couplings]
-        check_name("joint or coupling", joint, known, " in this mechanism")
+        parts = [*self.mechanism.connections, *self.mechanism.couplings]
+        check_name("joint or coupling", joint, parts, " in this mechanism")
         if not isinstance(surface, str) or surface not in self.worn.get(joint, {}):
             wearing = ", ".join(f'"{j}" {s}' for j, surfaces in self.worn.items() for s in surfaces)
             raise ValueError(
@@ -712,8 +712,8 @@ class Trajectory(AbstractShown):
             ValueError: if numbers are being traced.
         """
         check_flags("to_dataset", flat=flat)
-        said = {"result": self.result, "warnings": " ".join(self.warnings)}
-        attributes = {**said, "accepted_steps": int(self.accepted_steps)}
+        texts = {"result": self.result, "warnings": " ".join(self.warnings)}
+        attributes = {**texts, "accepted_steps": int(self.accepted_steps)}
         attributes.update(self.invariants.attributes() | self.verification.attributes())
         return export.of_run(self.history, self.worn, attributes, flat)
 

@@ -65,14 +65,14 @@ def coupling(history: StateHistory, name: str) -> CouplingHistory:
 def _seated(history: StateHistory, name: str) -> CouplingHistory:
     """A coupling whose flanks always press: its twist is half the play to the side that what it
     transmits asks for, and what its stiffness winds up."""
-    own: Any = history.mechanism.couplings[name]
+    coupling: Any = history.mechanism.couplings[name]
     torque = -transmitted(history, name)
     if name in history.mechanism.topology.couplings:
-        torque = torque * scale_of(history.mechanism, own)
-    play, none = own.play, jnp.zeros_like(torque)
+        torque = torque * scale_of(history.mechanism, coupling)
+    play, none = coupling.play, jnp.zeros_like(torque)
     flank = jnp.sign(torque)
     twist = middle_of(play) + 0.5 * play.play * flank
-    twist = twist if own.stiffness is None else twist + torque / own.stiffness
+    twist = twist if coupling.stiffness is None else twist + torque / coupling.stiffness
     return CouplingHistory(twist, none, torque, none, flank.astype(int))
 
 

@@ -59,8 +59,8 @@ class Estimate(AbstractShown):
                 return f"{with_error(value, most)}{unit}"
             return f"{in_few(value, 6)}{unit} ({self.why})"
         count = sum(np.size(each) for each in values)
-        told = f"each ± {most:.2g}{unit} at the most" if math.isfinite(most) else self.why
-        return f"{count} numbers ({told})"
+        text = f"each ± {most:.2g}{unit} at the most" if math.isfinite(most) else self.why
+        return f"{count} numbers ({text})"
 
 
 def checked(response: Any) -> Any:

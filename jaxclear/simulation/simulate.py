@@ -10,10 +10,10 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxclear.errors.accuracy import Asked, of_run
-from jaxclear.errors.choice import Again, Chosen, Question, chosen, rungs_of
+from jaxclear.errors.accuracy import Bounds, bounds_of_run
+from jaxclear.errors.choice import Again, Chosen, Question, choose_setting, rungs_of
 from jaxclear.errors.estimates import HALF
-from jaxclear.errors.verification import Replica, verified
+from jaxclear.errors.verification import Replica, verify_run
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.latest import Key, Latest, Value
@@ -221,8 +221,8 @@ def simulate(
     asked = None
     if accuracy is not None:
         check_one_of_two("simulate", integrator)
-        asked = of_run(accuracy)
-        found = chosen_for(mechanism, duration, asked.seen, asked.beside, how)
+        asked = bounds_of_run(accuracy)
+        found = chosen_for(mechanism, duration, asked.observe, asked.compare, how)
         integrator, asked = found.integrator, asked._replace(why=found.why)
         how = how._replace(verify=True if verify is None else verify)
     integrator = Adaptive() if integrator is None else integrator
@@ -273,7 +273,7 @@ def _simulated(
     duration: float,
     integrator: AbstractIntegrator,
     how: How,
-    asked: Asked | None = None,
+    asked: Bounds | None = None,
 ) -> Trajectory:
     """A run, however it ended. `asked`: its accuracy (None: what the integrator promises)."""
     mechanism, integrator = with_quantities((mechanism, integrator))
@@ -322,7 +322,7 @@ def _simulated(
                     break
                 integrator, found = refined, again(Replica(refined, saved))
             found = judged_by(passed, until_the_end(diagnosed(guarded(found, integrator))))
-        found = verified(found, integrator, again, how.verify, asked)
+        found = verify_run(found, integrator, again, how.verify, asked)
     return dataclasses.replace(found, doubts=(doubt,)) if doubt else found
 
 
@@ -352,7 +352,7 @@ def chosen_for(
         )
     times = np.asarray(saving_times(duration, as_saving(how.save).at))
     rungs = rungs_of(mechanism, times, lambda integrator: check_run(mechanism, integrator))
-    return chosen(rungs, repeated(mechanism, duration, how), Question(seen, beside, times))
+    return choose_setting(rungs, repeated(mechanism, duration, how), Question(seen, beside, times))
 
 
 def repeated(mechanism: Mechanism, duration: float, how: How) -> Again:

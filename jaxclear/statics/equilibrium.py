@@ -25,12 +25,12 @@ from jaxclear.components.clearance import AbstractClearance
 from jaxclear.formulations.permanent_reactions import Reaction
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import closure_coordinates, constraints, contact_point, kinematics
-from jaxclear.multibody.forces import add_action_and_reaction
 from jaxclear.multibody.given import speed_scales
+from jaxclear.multibody.rows import add_action_and_reaction
 from jaxclear.multibody.start_equations import retract
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, prepare
-from jaxclear.multibody.tree import Motion
+from jaxclear.multibody.tree import Motion, Wrench
 from jaxclear.statics.quasi_static import Posed, acting, loop_rows, open_loops, reactions_of, unheld
 
 # Of the slope [1] of a gap at the middle, beside 1: rounding.
@@ -208,7 +208,7 @@ def angles_near(case: Case, q: Array) -> dict[str, Any]:
     """Angles [rad] of joints outside the tree on which loads act, near those of the case."""
     motions = _motions(case.system, q)[2]
     return {
-        name: closure_coordinates.read(case.system.measured[name], motions, near).position
+        name: closure_coordinates.read(case.system, name, motions, near).position
         for name, near in case.angles.items()
     }
 
@@ -218,23 +218,22 @@ def resting(case: Case, q: Array, multipliers: Array, pushes: Array) -> Resting:
     marker, in the axes of the parent's marker."""
     places, rates, motions = _motions(case.system, q)
     system, forces = acting(case.system, motions, places, rates, case.side, case.angles)
-    wrenches, found, first = list(forces.wrenches), {}, 0
+    wrenches, contacts, first = list(forces.wrenches), {}, 0
     for name, bearing in system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]
-        contacts = contact_point.gap_function(bearing.joint, pose, {})
+        gaps = contact_point.gap_function(bearing.joint, pose, {})
         axes = tuple(sp.transpose(pose.rotation)[k] for k in bearing.joint.axes)
         force, torque = sp.ZERO, sp.ZERO
-        for contact, push in zip(contacts, pushes[first : first + len(contacts)], strict=True):
+        for contact, push in zip(gaps, pushes[first : first + len(gaps)], strict=True):
             force = sp.plus(force, sp.scale(-push, contact.slope))
             turns = zip(axes, contact.axis_slopes, strict=True)
             torque = sp.plus(torque, *(sp.scale(-push, sp.cross(a, turn)) for a, turn in turns))
-        first += len(contacts)
+        first += len(gaps)
         add_action_and_reaction(wrenches, bearing.closure, pose, force, torque)
-        found[name] = Reaction(force, torque)
+        contacts[name] = Wrench(force, torque)
     forces = forces._replace(wrenches=tuple(wrenches))
-    return Resting(
-        system, motions, found | reactions_of(system, forces, tuple(multipliers), places)
-    )
+    reactions = reactions_of(system, forces, tuple(multipliers), places, contacts)
+    return Resting(system, motions, reactions)
 
 
 def offsets(case: Case, q: Array) -> dict[str, Array]:

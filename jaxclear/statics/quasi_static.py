@@ -42,11 +42,12 @@ from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.given import speed_scales
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.newton import shortened
+from jaxclear.multibody.rows import sum_wrenches, wrench_in_joint
 from jaxclear.multibody.start_equations import retract
 from jaxclear.multibody.state import Followed, unpack_motion
 from jaxclear.multibody.system import System, acting_in, longest_arm, prepare
 from jaxclear.multibody.topology import motor_name
-from jaxclear.multibody.tree import NOTHING, Motion
+from jaxclear.multibody.tree import Motion, Wrench
 from jaxclear.native import while_loop
 
 # Numbers of a seat: offset (x, y, z) [m] and slope (dx/dz, dy/dz) of the axis [1].
@@ -265,7 +266,7 @@ def standing(scene: Posed, q: Any, seats: dict[str, tuple], side: float = 1.0) -
     loaded, forces = acting(system, motions, places, rates, side)
     transposed = [[row.get(j, 0) for row in jacobian] for j in range(count)]
     multipliers = scene.among(len(every), solved(transposed, unheld(loaded, forces)))
-    reactions = reactions_of(loaded, forces, multipliers, places)
+    reactions = reactions_of(loaded, forces, multipliers, places, {})
     pressed = {}
     for name, gap in scene.gaps.items():
         offset, slope = gap.seat(*reactions[name])
@@ -326,11 +327,9 @@ def acting(
     add = lambda a, b: sp.add(a, sp.mul(side, b))
     wrenches = jax.tree.map(add, kept.wrenches, turned.wrenches)
     forces = jax.tree.map(add, kept.coordinate_forces, turned.coordinate_forces)
-    on_joints = dict(kept.on_joints)
-    for name, own in turned.on_joints.items():
-        on_joints[name] = jax.tree.map(add, on_joints.get(name, NOTHING), own)
+    rows = *kept.rows, *(row._replace(force=sp.mul(side, row.force)) for row in turned.rows)
     gravity = dataclasses.replace(system, gravity=sp.scale(side, system.gravity))
-    found = kept._replace(wrenches=wrenches, coordinate_forces=forces, on_joints=on_joints)
+    found = kept._replace(wrenches=wrenches, coordinate_forces=forces, rows=rows)
     return gravity, found
 
 
@@ -357,12 +356,18 @@ def unheld(system: System, forces: Forces) -> list:
 
 
 def reactions_of(
-    system: System, forces: Forces, multipliers: tuple, places: tuple
+    system: System, forces: Forces, multipliers: tuple, places: tuple, contacts: dict[str, Wrench]
 ) -> dict[str, Reaction]:
-    """Reaction of every connection."""
+    """Reaction of every connection; `contacts`: sums of the contact forces of each joint with
+    clearance, on its child about its marker, in the parent marker's axes."""
     found = constraints.constraint_wrenches(system, forces.motions, multipliers)
-    closed = [Reaction(force, torque) for _, force, torque, _ in found]
-    reactions = dict(zip(system.topology.loops, closed, strict=True))
+    closed = [Wrench(force, torque) for _, force, torque, _ in found]
+    outside = dict(zip(system.topology.loops, closed, strict=True)) | contacts
+    rows = (*forces.rows, *constraints.coupling_rows(system, forces.motions, multipliers))
+    reactions = {
+        name: Reaction(*sum_wrenches(wrench, wrench_in_joint(rows, name)))
+        for name, wrench in outside.items()
+    }
     still = Solution(tuple((0,) * len(own.columns) for own in forces.motions), multipliers)
     through = dynamics.joint_wrenches(system, forces, still)
     for index, branch in enumerate(system.topology.branches):

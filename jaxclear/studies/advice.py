@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from jaxclear.errors.accuracy import beside
+from jaxclear.errors.accuracy import ratio_to_allowed
 from jaxclear.errors.choice import Question, Rung, Search, Tried, budget_of, others_of, rungs_of
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
@@ -146,7 +146,7 @@ class Asked(NamedTuple):
         found = {}
         for name, own in one.items():
             allowed = float(np.sqrt(np.mean(own**2))) * self.limit(len(own))
-            found[name] = beside(float(np.max(np.abs(own - other[name]))), allowed)
+            found[name] = ratio_to_allowed(float(np.max(np.abs(own - other[name]))), allowed)
         return found
 
 
@@ -388,20 +388,20 @@ def _advised(copies: Copies, asked: Asked, rungs: _Rungs, progress_bar: bool = F
     found = search.best or search.nearest
     if found is None:
         raise ValueError(_why_nothing(copies, rungs))
-    for name, answers in found.seen.items():
+    for name, answers in found.observed.items():
         if not np.any(answers):
             raise ValueError(
                 f'response "{name}" is 0 in every copy, which gives an error no measure; add its '
                 "size to it, or leave it out."
             )
-    seen, limit = (search.reference or found).seen, asked.limit(len(copies.values))
+    seen, limit = (search.reference or found).observed, asked.limit(len(copies.values))
     shares = lambda errors: {name: limit * error for name, error in errors.items()}
     off = lambda answers: shares(asked.beside(answers, seen))
     kept = lambda errors: all(error <= limit for error in errors.values())
 
     def trial(name: str, one: Tried) -> Trial:
-        left_out = off(one.seen) if name in rungs.other and one.errors else {}
-        meets = one.told <= 1 and kept(left_out)
+        left_out = off(one.observed) if name in rungs.other and one.errors else {}
+        meets = one.error_ratio <= 1 and kept(left_out)
         why = copies.run(one.integrator).failure or ("" if one.errors else "in finer steps.")
         return Trial(name, one.integrator, one.work, shares(one.errors), left_out, meets, why)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.errors.accuracy import beside, checked_accuracy
+from jaxclear.errors.accuracy import checked_accuracy, ratio_to_allowed
 from jaxclear.errors.choice import Chosen
 from jaxclear.ground.arguments import check_name
 from jaxclear.integrators import AbstractIntegrator
@@ -38,7 +38,7 @@ def chosen_integrator(
     def apart(run: Trajectory, one: dict, other: dict) -> dict[str, float]:
         wanted = {name: allowed(asked, name, abs(one[name])) for name in response}
         return {
-            name: beside(abs(one[name] - other[name]), most)
+            name: ratio_to_allowed(abs(one[name] - other[name]), most)
             for name, most in wanted.items()
             if most is not None
         }

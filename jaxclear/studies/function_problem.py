@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, is_one_number, quantity
-from jaxclear.ground.warning import call_user_function, shape_of
+from jaxclear.ground.warning import call_user, shape_of
 from jaxclear.ground.wording import described, listed
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import (
@@ -224,9 +224,7 @@ def _traced(function: Callable[..., Any], at: dict[str, Any]) -> dict[str, Any]:
     order: list[str] = []
 
     def in_order(at):
-        found = _by_name(
-            call_user_function("the function of a FunctionProblem", lambda: function(**at))
-        )
+        found = _by_name(call_user("the function of a FunctionProblem", lambda: function(**at)))
         order.extend(found)
         return found
 

@@ -12,10 +12,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.errors.verification import thinned
+from jaxclear.errors.verification import thin_run
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import inside, is_one_number, numbers
-from jaxclear.ground.warning import call_user_function, shape_of
+from jaxclear.ground.warning import call_user, shape_of
 from jaxclear.ground.wording import described
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.response import AbstractSignal, unit_of
@@ -98,7 +98,7 @@ class Thinned(eqx.Module):
 
     def __call__(self, run: Any) -> Any:
         """The response of such a run."""
-        return self.function(thinned(run, self.parts))
+        return self.function(thin_run(run, self.parts))
 
 
 def by_name(what: str, given: Any) -> dict[str, Any]:
@@ -116,7 +116,7 @@ def by_name(what: str, given: Any) -> dict[str, Any]:
 def answer(name: str, response: Callable, run: Any) -> Array:
     """A response of a run (of positions, a life) as one number. Raises `ValueError` with a sentence
     that names it where it fails, leaves JAX, or gives something else. A sensor's are several."""
-    value = call_user_function(f'response "{name}"', response, run)
+    value = call_user(f'response "{name}"', response, run)
     if not is_one_number(value) and not isinstance(response, AbstractSignal):
         hint = " It returns nothing: is a `return` missing?" if value is None else ""
         raise ValueError(

@@ -3,6 +3,7 @@ every statistic, and which sample failed and why.
 """
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -56,6 +57,7 @@ from jaxclear.studies.statistics.summary import (
     warnings_of,
 )
 from jaxclear.studies.store.batch import chunk_size, evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import any_warning, counted, in_words, warned_of
 
 # What responses of replicas are, which are those of the first samples.
@@ -297,6 +299,7 @@ class MonteCarlo(AbstractAnswer):
 
 
 @answering
+@stored("a Monte Carlo study")
 def monte_carlo(
     problem: AbstractProblem,
     samples: int = 1024,
@@ -307,6 +310,7 @@ def monte_carlo(
     accuracy: float | Mapping[str, float] | None = None,
     chunk: int | None = None,
     verify: bool = True,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> MonteCarlo:
     """Responses over a random sample of the variables.

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.errors.observables import GAPS
-from jaxclear.errors.verification import between, replica
+from jaxclear.errors.verification import refine_times, replica
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import part_in_words
 from jaxclear.ground.quantity import on_device, with_quantities
@@ -324,7 +324,7 @@ class Problem(AbstractMechanismProblem):
         if how.every == 1:
             return found
         responses = {name: Thinned(own, how.every) for name, own in self.response.items()}
-        shares = jnp.asarray(between(self.shares, how.every))
+        shares = jnp.asarray(refine_times(self.shares, how.every))
         return eqx.tree_at(lambda own: (own.response, own.shares), found, (responses, shares))
 
     def promised(self, response, size):

@@ -13,6 +13,8 @@ of different lengths: Campolongo, Saltelli & Cariboni 2011, Comput. Phys. Commun
 doi:10.1016/j.cpc.2010.12.039.
 """
 
+from pathlib import Path
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -27,6 +29,7 @@ from jaxclear.studies.sampling import all_values, check_sampled
 from jaxclear.studies.scrambling import normal_scores
 from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed
 from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import told
 
 # Shares of the population [1] that a move goes through: their mean is that of Morris' steps.
@@ -72,8 +75,14 @@ class Screening(AbstractAnswer):
 
 
 @answering
+@stored("a screening")
 def screening(
-    problem: AbstractProblem, trajectories: int = 16, *, seed: int = 0, progress_bar: bool = False
+    problem: AbstractProblem,
+    trajectories: int = 16,
+    *,
+    seed: int = 0,
+    store: str | Path | None = None,
+    progress_bar: bool = False,
 ) -> Screening:
     """Which variables of a problem matter, by the method of Morris: `trajectories` times one run
     more than there are variables.

@@ -5,6 +5,7 @@ their nominal values.
 """
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -19,6 +20,7 @@ from jaxclear.studies.answer import AbstractAnswer, Column, Stated
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import answered, why_unanswered
 from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import told
 
 
@@ -74,8 +76,13 @@ class Sweep(AbstractAnswer):
 
 
 @answering
+@stored("a sweep")
 def sweep(
-    problem: AbstractProblem, over: Mapping[str, Sequence[float]], *, progress_bar: bool = False
+    problem: AbstractProblem,
+    over: Mapping[str, Sequence[float]],
+    *,
+    store: str | Path | None = None,
+    progress_bar: bool = False,
 ) -> Sweep:
     """Responses at every point of a grid, in one compiled program.
 

@@ -13,6 +13,7 @@ search: Kolda, Lewis & Torczon 2003, SIAM Rev. 45, 385, doi:10.1137/S00361445024
 
 import itertools
 import math
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -32,6 +33,7 @@ from jaxclear.studies.endless import answered, finite_beside, why_unanswered
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import by_kind, codes_of, concerning
 
 # Points from which each extreme is climbed to, the corner of the slopes apart.
@@ -117,12 +119,14 @@ class WorstCase(AbstractAnswer):
 
 
 @answering
+@stored("a worst case")
 def worst_case(
     problem: AbstractProblem,
     *,
     samples: int = 256,
     sigmas: float = 3.0,
     seed: int = 0,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> WorstCase:
     """The least and largest value of every response over the box of the variables: to the ends of

@@ -12,9 +12,7 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxclear as jc
-from jaxclear.components import sphere_map as sphere_contact
-from jaxclear.components import wear_map as cylinder_contact
-from jaxclear.components.contact_patch import depth_lost, ways
+from jaxclear.components.contact_patch import depth_lost
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wear_map import CylinderMap
 from tests.mesh.test_worn_parts import mechanism as worn_parts
@@ -156,19 +154,11 @@ SINGLE = pytest.mark.parametrize(
 CASES = 24
 
 
-def parts(wear_map):
-    """(loss of a volume at a place, its patch on walls worn so deep), as `deposit` takes them."""
-    if isinstance(wear_map, SphereMap):
-        loss = lambda volume, event: sphere_contact.loss_of(wear_map.wall, volume, event)
-        return loss, lambda own, depth: own.patch(wear_map.directions(), depth, wear_map.areas()[0])
-    loss = lambda volume, event: cylinder_contact.loss_of(wear_map.wall, volume, event)
-    rows = jnp.arange(wear_map.cells[1])
-
-    def patch(own, depth):
-        columns = jax.tree.map(lambda each: each[:, None], own.columns(ways(wear_map.cells[0])))
-        return own.cell(columns, rows, depth)._replace(area=wear_map.areas()[0])
-
-    return loss, patch
+def patch_of(wear_map, contact, depth):
+    """The cells of a map, worn so deep, under a contact."""
+    around, along = wear_map.cells
+    shared = jax.tree.map(lambda each: each[:, None], contact.in_columns(jnp.arange(around)))
+    return contact.patch(shared, jnp.arange(along), depth)
 
 
 def cases(wear_map):
@@ -193,25 +183,25 @@ def cases(wear_map):
 @SINGLE
 def test_a_part_sinks_to_the_one_level_that_its_overlap_asks_for(wear_map):
     """As Brent's method finds it, which brackets it; from 0.1 mm above as from its own start."""
-    loss_of, patch_of = parts(wear_map)
 
     def sought(depth, volume, event):
-        own = loss_of(volume, event)
-        patch, start = patch_of(own, depth), own.start(depth)
-        found = [depth_lost(volume, patch._replace(start=start + up)) for up in (0.0, PLAY)]
+        contact = wear_map.contact(volume, event)
+        patch, start = patch_of(wear_map, contact, depth), contact.start(depth)
+        found = [depth_lost(contact, patch, start + up) for up in (0.0, PLAY)]
         begun = depth, wear_map.reading(depth), (jnp.zeros_like(depth),)
         after = wear_map.deposit_in_turn(*begun, volume[None], event[None])[0]
-        return found, after - depth, patch, own.load.overlap
+        return found, after - depth, patch, contact.load.overlap
 
     depths, volumes, places = cases(wear_map)
     found, in_turn, patches, loads = jax.jit(jax.vmap(sought))(depths, volumes, places)
     removed = volumes * (volumes / (volumes + loads)) ** 2
+    areas = np.asarray(wear_map.areas())
     for i in range(CASES):
         patch = jax.tree.map(lambda each, i=i: np.asarray(each)[i], patches)
 
         def missing(level, patch=patch, i=i):
             overlap = np.asarray(patch.outline.at(level)[0])
-            return float(np.sum(overlap * patch.area) - removed[i] - loads[i])
+            return float(np.sum(overlap * areas) - removed[i] - loads[i])
 
         wanted = brentq(missing, 0.9 * PLAY, 5 * PLAY, xtol=1e-18, rtol=1e-15)
         own = found[0][0][i]

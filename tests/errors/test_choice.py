@@ -8,7 +8,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.errors import choice as choosing
-from jaxclear.errors.choice import Question, chosen
+from jaxclear.errors.choice import Question, choose_setting
 
 RIG = jc.scenes.slider_crank()
 TIMES = np.linspace(0.0, 1.0, 11)
@@ -41,14 +41,14 @@ def by_order(order, constant=1.0):
 def choice(rungs, again, allowed, budget=None):
     seen = lambda run: run.error
     beside = lambda run, one, other: {"answer": abs(one - other) / allowed}
-    return chosen(rungs, again, Question(seen, beside, TIMES), budget)
+    return choose_setting(rungs, again, Question(seen, beside, TIMES), budget)
 
 
 def test_the_coarsest_setting_is_taken_whose_error_is_within():
     """An error of half the step, first order; 2 |h - h/2| is told as exactly that."""
     found = choice([ladder(0.1)], by_order(1, 0.5), 0.0126)
     assert float(found.integrator.step) == 0.025
-    assert found.told == pytest.approx(0.0125 / 0.0126) and found.reached
+    assert found.error_ratio == pytest.approx(0.0125 / 0.0126) and found.reached
     assert found.work == 40
     # 0.1 to 0.00625: what stood beyond half of what is allowed wanted a second replica.
     assert found.spent == 10 + 20 + 40 + 80 + 160
@@ -56,7 +56,7 @@ def test_the_coarsest_setting_is_taken_whose_error_is_within():
 
 def test_a_higher_order_is_told_on_the_safe_side():
     found = choice([ladder(0.1)], by_order(2), 0.01)
-    assert found.told * 0.01 == pytest.approx(1.5 * float(found.integrator.step) ** 2)
+    assert found.error_ratio * 0.01 == pytest.approx(1.5 * float(found.integrator.step) ** 2)
 
 
 def test_the_cheaper_rung_is_taken_and_no_dearer_one_is_run():

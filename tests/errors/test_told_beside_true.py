@@ -114,7 +114,7 @@ def test_a_chain_of_bounces_tells_how_far_off_it_is(law, rung):
     found = run.estimate(lambda own: own.body("journal").com[:, 1])
     true = float(np.max(np.abs(found.value + wanted)))
     assert within(float(np.max(found.error)), true)
-    (gap,) = (each for each in run.verification.told if each.part == "gaps")
+    (gap,) = (each for each in run.verification.entries if each.part == "gaps")
     assert gap.error == pytest.approx(float(np.max(found.error)), rel=1e-3)
 
 
@@ -166,7 +166,7 @@ def test_places_in_a_gap_are_told_as_far_off_as_they_are(seed):
     run = jc.simulate(rig, 0.15, save=301)
     tight = jc.simulate(rig, 0.15, save=301, integrator=REFERENCE, verify=False)
     off = np.abs(np.asarray(run.contact("B").offset) - np.asarray(tight.contact("B").offset))
-    (gap,) = (each for each in run.verification.told if each.part == "gaps")
+    (gap,) = (each for each in run.verification.entries if each.part == "gaps")
     assert within(gap.share, float(off.max()) / clearance)
     said = any('Places in the gap, "B": error about' in each for each in run.warnings)
     assert said == (seed == 11) == (len(run.verification.replicas) == 2)

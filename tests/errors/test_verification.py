@@ -13,7 +13,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.errors.estimates import Verified
-from jaxclear.errors.verification import MOST_STEPS, between, step_taken, thinned
+from jaxclear.errors.verification import MOST_STEPS, refine_times, step_taken, thin_run
 from jaxclear.integrators.base import REFERENCE
 from jaxclear.integrators.checks import Outcome
 from jaxclear.native import stop
@@ -125,7 +125,7 @@ def test_responses_see_a_replica_at_the_saving_times_of_the_run(worn):
     touches = worn.estimate(lambda run: run.events()["time [s]"].iloc[0])
     assert 0 < touches.value < 0.03 and touches.error < 1e-5
     assert half.noted.counts.sum() == worn.noted.counts.sum()
-    (rarer, own) = thinned(worn, 2), worn.noted
+    (rarer, own) = thin_run(worn, 2), worn.noted
     np.testing.assert_array_equal(rarer.noted.counts, own.counts[::2] + own.counts[1::2])
     assert rarer.events().equals(worn.events()) and len(rarer.time) == 6
     wear = worn.estimate(jc.response.WornVolume("B"))
@@ -139,7 +139,7 @@ def test_saving_times_side_by_side_do_not_decide_how_long_steps_are():
     np.testing.assert_array_equal(half.time, run.time)
     assert 1.9 * run.accepted_steps < half.accepted_steps < 2.1 * run.accepted_steps
     assert step_taken(np.array([0.0, 1.0, 1.0 + 1e-9]), 0.3) == pytest.approx(0.25)
-    np.testing.assert_array_equal(between(np.array([0.0, 1.0, 3.0]), 2), [0, 0.5, 1, 2, 3])
+    np.testing.assert_array_equal(refine_times(np.array([0.0, 1.0, 3.0]), 2), [0, 0.5, 1, 2, 3])
 
 
 def test_steps_that_saving_shortens_are_halved_as_they_were_taken():
@@ -294,4 +294,4 @@ def odd():
 def test_runs_of_which_there_is_little_to_tell_say_nothing(name):
     run = jc.simulate(odd()[name], 0.01, save=2)
     assert run.warnings == () and not run.verification.beyond
-    assert all(told.error == told.share == 0 for told in run.verification.told)
+    assert all(told.error == told.share == 0 for told in run.verification.entries)

@@ -87,9 +87,9 @@ def coupled():
 def answers(mechanism):
     """The names of the standard answers of a short run, each with an error."""
     run = jc.simulate(mechanism, 1e-4, save=3)
-    assert run.succeeded and all(np.isfinite(told.error) for told in run.verification.told)
+    assert run.succeeded and all(np.isfinite(told.error) for told in run.verification.entries)
     assert str(run)
-    return {told.name for told in run.verification.told}
+    return {told.name for told in run.verification.entries}
 
 
 def test_joints_of_a_plane_beside_each_other():

@@ -557,7 +557,7 @@ def test_the_peak_of_a_flank_is_that_of_all_steps_in_its_unit():
     assert abs(run.transmitted("hold")).max() < 0.5 * largest
     assert float(peak(run)) == pytest.approx(largest, rel=1e-4)
     assert peak.unit_in(rig) == "N m" and run.estimate(peak).error < 1e-3 * largest
-    (told,) = [told for told in run.verification.told if told.name == 'peak transmitted, "hold"']
+    (told,) = [told for told in run.verification.entries if told.name == 'peak transmitted, "hold"']
     assert told.value == pytest.approx(largest, rel=1e-4) and told.unit == "N m"
     assert "rad, N m" in str(run.extremes)
     events = run.events()
@@ -578,7 +578,7 @@ def test_what_couplings_transmit_is_a_standard_answer():
         couplings={"shaft": jc.coupling.Ratio("B", "A", 1.0, **shaft)},
     )
     run = jc.simulate(rig(), 0.1, save=5)
-    told = {told.name: told for told in run.verification.told}
+    told = {told.name: told for told in run.verification.entries}
     for kind in ("mean", "peak"):
         row = told[f'{kind} transmitted, "shaft"']
         assert row.value == pytest.approx(1.5, rel=1e-6) and row.unit == "N m"

@@ -1,7 +1,7 @@
 """Motion without contact against closed forms: pendulum, free rigid body, and the derivative of a
 pendulum's place.
 
-Tolerances are a few times the integrator's rtol of 1e-11 over the run.
+Bounds are a few times the integrator's rtol of 1e-11 over the run.
 """
 
 import jax

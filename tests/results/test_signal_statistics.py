@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.results.signal import whole_turns
+from jaxclear.results.signal import full_turns
 
 RATE, TURNS, SAMPLES = 1000.0, 8, 128
 
@@ -73,7 +73,7 @@ def test_impacts_are_counted():
 
 @pytest.mark.parametrize("angle", [[0.0, 13.0], [0.0, -13.0], [6.2, 6.4]])
 def test_whole_turns_are_counted_either_way(angle):
-    begin, end = whole_turns(np.array(angle))
+    begin, end = full_turns(np.array(angle))
     assert end - begin == {13.0: 2, -13.0: 2, 6.4: 0}[angle[1]]
 
 

@@ -4,7 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 import jaxclear as jc
-from jaxclear.errors.accuracy import of_run
+from jaxclear.errors.accuracy import bounds_of_run
 from tests.rigs.loaded_bearing import loaded_bearing
 
 
@@ -38,7 +38,7 @@ CASES = {
     "ideal chain": Case(ideal_chain, 0.5, 51),
     "planar four-bar": Case(lambda: jc.scenes.four_bar("planar"), 0.1, 161),
 }
-# Tolerances of the run that is taken for the truth: coordinates right to nine digits.
+# Bounds of the run that is taken for the truth: coordinates right to nine digits.
 TIGHT = jc.integrator.Adaptive(rtol=1e-11, atol=1e-13)
 
 
@@ -50,6 +50,6 @@ def truth(case: Case) -> Any:
 
 def share_off(run: Any, exact: Any) -> float:
     """How far the places, mean forces and losses of a run are off: the largest share."""
-    asked = of_run(0.5)
-    one, other = asked.seen(run), asked.seen(exact)
-    return 0.5 * max(asked.beside(run, one, other).values())
+    asked = bounds_of_run(0.5)
+    one, other = asked.observe(run), asked.observe(exact)
+    return 0.5 * max(asked.compare(run, one, other).values())

@@ -36,7 +36,7 @@ SPREAD = 1 / 3
 
 
 class Optimum(NamedTuple):
-    """Tolerances [m] in the order of `NAMES`, cost, and what a radian more of the limit saves."""
+    """Bounds [m] in the order of `NAMES`, cost, and what a radian more of the limit saves."""
 
     tolerances: np.ndarray
     cost: float

@@ -275,3 +275,19 @@ def test_what_a_run_starts_with_holds_no_position():
 def test_positions_are_shown_in_words():
     found = jc.positions(four_bar(), {"O": ANGLES}, both_ways=True)
     assert str(found) == "5 positions, also under reversed loads: O from 0.2 to 5.4 rad."
+
+
+@pytest.mark.parametrize("closing", ["A", "D"])
+def test_a_reaction_holds_the_loads_on_its_coordinate_wherever_the_loop_is_cut(closing):
+    """A torsion spring in a joint that closes the loop, or that the tree carries."""
+    rig, stiffness = four_bar(slack=""), 2.0
+    order = [name for name in "OABD" if name != closing] + [closing]
+    sprung = jc.Mechanism(
+        rig.bodies,
+        {name: rig.connections[name] for name in order},
+        rig.loads | {"spring": jc.load.JointSpring("A", stiffness)},
+        guess={"A": 0.81, "D": 1.32},
+    )
+    found = jc.positions(sprung, {"O": ANGLES[:1]})
+    torque = -stiffness * (ideal_angles(ANGLES[0])[0] - ANGLES[0])
+    np.testing.assert_allclose(found.reaction("A")[0, 5], torque, rtol=1e-9)

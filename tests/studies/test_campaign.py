@@ -14,9 +14,8 @@ import pytest
 import jaxclear as jc
 from jaxclear.native import stop
 from jaxclear.studies.store import batch
-from jaxclear.studies.store.files import PIECES
 from jaxclear.studies.store.samples import Samples
-from jaxclear.studies.store.store import Ledger
+from jaxclear.studies.store.store import CHUNKS, Store
 
 LIMITS = {"fit": (0.2, 0.9)}
 
@@ -184,9 +183,9 @@ def test_claims_that_another_takes_away_are_nobodys(monkeypatch, folder):
     def away(self, **_):
         raise FileExistsError(17, "File exists", str(self))
 
-    samples = Samples.opened(folder)
+    samples = Samples.open(folder)
     monkeypatch.setattr(pathlib.Path, "mkdir", away)
-    with samples.claimed(0) as mine:
+    with samples.store.claim(samples.address(0)) as mine:
         assert not mine
 
 
@@ -224,7 +223,7 @@ def test_any_study_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
     )
     plain = jc.sensitivity(asked, sample=64, difference_samples=32)
     computed = []
-    run, add = batch.Program.run, Ledger.add
+    run, write = batch.Program.run, Store.write
 
     def counted(*arguments, **options):
         computed.append(1)
@@ -233,19 +232,19 @@ def test_any_study_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
     def ends(self, *own):
         if len(computed) == 2:
             raise SystemExit
-        add(self, *own)
+        write(self, *own)
 
     monkeypatch.setattr(batch.Program, "run", counted)
     monkeypatch.setattr(batch, "threads_of", lambda: 1)
     ask = {"folder": tmp_path / "kept", "study": jc.sensitivity, "difference_samples": 32}
     with monkeypatch.context() as patched:
-        patched.setattr(Ledger, "add", ends)
+        patched.setattr(Store, "write", ends)
         with pytest.raises(SystemExit):
             jc.campaign(asked, 64, **ask)
     found = jc.campaign(asked, 64, **ask)
     assert str(found.table()) == str(plain.table())
     # The second set of samples was lost.
-    whole = len(list((tmp_path / "kept" / PIECES).iterdir()))
+    whole = len(list((tmp_path / "kept" / CHUNKS).iterdir()))
     assert whole >= 3
     assert len(computed) == whole + 1
     jc.campaign(asked, 64, **ask)
@@ -254,6 +253,6 @@ def test_any_study_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="of another problem: function is"):
         jc.campaign(other, 64, **ask)
     with pytest.raises(ValueError, match="must be one of"):
-        jc.campaign(asked, 64, folder=tmp_path / "kept", study=jc.monte_carlo)
+        jc.campaign(asked, 64, folder=tmp_path / "kept", study=jc.advise)
     with pytest.raises(ValueError, match="sensitivity has no client"):
         jc.campaign(asked, 64, client=1, **ask)

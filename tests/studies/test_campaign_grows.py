@@ -10,9 +10,9 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.studies.store.batch import Program
-from jaxclear.studies.store.files import PIECES
 from jaxclear.studies.store.samples import Samples
-from jaxclear.studies.store.threads import Evaluation, done
+from jaxclear.studies.store.store import CHUNKS
+from jaxclear.studies.store.workers import Evaluation, done
 from tests.studies.test_campaign import LIMITS, assert_same_study, contents, problem
 
 ASKED = {"seed": 3, "chunk": 4096, "scramblings": 8}
@@ -84,10 +84,10 @@ def test_who_is_at_a_chunk_that_is_to_have_more_samples_harms_nobody(
 ):
     """A process that began before another one asked for more is at the last chunk."""
     campaign(5000, tmp_path)
-    late = Samples.opened(tmp_path)
-    late.pieces.path(late.address(1)).unlink()
+    late = Samples.open(tmp_path)
+    late.store.path(late.address(1)).unlink()
     late._whole.clear()
-    late.extended(10_000, 4096)
+    late.extend(10_000, 4096)
     if not late_is_first:
         campaign(10_000, tmp_path)
     assert done(late, Evaluation(Program(problem()), late.plan), 1) is not None
@@ -100,10 +100,10 @@ def test_who_has_finished_leaves_alone_what_others_write_for_more_samples(
 ):
     """A process at the earlier plan tidies up while another one is about to rename a file."""
     campaign(4096, tmp_path)
-    early, replace, tidied = Samples.opened(tmp_path), Path.replace, []
+    early, replace, tidied = Samples.open(tmp_path), Path.replace, []
 
     def slow(self, target):
-        if PIECES in str(target) and not tidied:
+        if CHUNKS in str(target) and not tidied:
             tidied.append(1)
             early.conclude()
         return replace(self, target)
@@ -116,7 +116,7 @@ def test_who_has_finished_leaves_alone_what_others_write_for_more_samples(
 
 def test_what_no_chunk_is_finished_of_says_so(tmp_path):
     campaign(5000, tmp_path)
-    for path in (tmp_path / PIECES).iterdir():
+    for path in (tmp_path / CHUNKS).iterdir():
         path.unlink()
     unfinished = jc.open_campaign(tmp_path)
     for ask in (
@@ -136,15 +136,15 @@ def test_an_accuracy_decides_how_many_samples_there_are(tmp_path, written, monke
     plain = jc.monte_carlo(problem(), 65_536, **asked)
     assert 512 < plain.count < 65_536
     place = tmp_path / "kept"
-    extended = Samples.extended
+    extend = Samples.extend
 
     def ends(self, samples, usual):
         if samples == plain.count:
             raise SystemExit
-        return extended(self, samples, usual)
+        return extend(self, samples, usual)
 
     with monkeypatch.context() as patched:
-        patched.setattr(Samples, "extended", ends)
+        patched.setattr(Samples, "extend", ends)
         with pytest.raises(SystemExit):
             jc.campaign(problem(), 65_536, folder=place, **asked)
     assert jc.open_campaign(place).count == plain.count // 2
@@ -171,7 +171,7 @@ def test_who_asked_for_fewer_gets_these_where_another_asks_for_more_meanwhile(
 
     def late(self, number, *own):
         if number == 1 and not come:
-            come.append(Samples.opened(tmp_path).extended(10_000, 4096))
+            come.append(Samples.open(tmp_path).extend(10_000, 4096))
         write(self, number, *own)
 
     with monkeypatch.context() as patched:
@@ -203,7 +203,7 @@ def test_what_was_to_be_smaller_than_a_batch_grows_in_whole_ones(tmp_path):
 
 def test_what_a_chunk_held_that_is_to_have_more_samples_is_not_shown(tmp_path):
     found = campaign(5000, tmp_path)
-    found._samples.extended(10_000, 4096)
+    found._samples.extend(10_000, 4096)
     dataset = jc.open_campaign(tmp_path).to_dataset()
     assert dataset["outcome"].dtype == np.int8
     assert np.all(dataset["outcome"][4096:] == -1)

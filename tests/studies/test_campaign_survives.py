@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.store import files as pieces
 from jaxclear.studies.store import workers as dask_workers
+from jaxclear.studies.store.store import CHUNKS, Store
 from tests.studies.test_campaign import contents, problem
 
 pytestmark = pytest.mark.slow
 
-CHUNK, CHUNKS = 4096, 300
-SAMPLES_ASKED = CHUNK * CHUNKS - 1000
+CHUNK, COUNT = 4096, 300
+SAMPLES_ASKED = CHUNK * COUNT - 1000
 
 
 def run(folder, samples=SAMPLES_ASKED):
@@ -31,19 +31,19 @@ def run(folder, samples=SAMPLES_ASKED):
 
 def run_slowly(folder):
     """As `run`, with a pause before every file: the end comes between any two of them."""
-    put = pieces.put
+    put = Store._put
 
     def slowly(*own):
         time.sleep(4e-2)
         put(*own)
 
-    pieces.put = slowly
+    Store._put = slowly
     run(folder)
 
 
 def marks(folder):
     """Chunks that are finished."""
-    place = folder / pieces.PIECES
+    place = folder / CHUNKS
     return len(list(place.iterdir())) if place.exists() else 0
 
 
@@ -74,7 +74,7 @@ def test_killed_twenty_times_and_resumed_is_the_same_bit_for_bit(whole, tmp_path
         one.join()
         assert marks(place) >= before
     assert alive == 20
-    assert 20 < marks(place) < CHUNKS
+    assert 20 < marks(place) < COUNT
     run(place)
     assert contents(place) == contents(whole)
 

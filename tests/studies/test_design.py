@@ -45,7 +45,7 @@ def reciprocal():
 
 
 def optimum(deviations, spread=SPREAD):
-    """Tolerances, cost and its slope with the room where the gap's `deviations` may take ROOM:
+    """Bounds, cost and its slope with the room where the gap's `deviations` may take ROOM:
     t ~ (b / c^2)^(1/3)."""
     shape = (PRICED / SLOPES**2) ** (1 / 3)
     best = shape * ROOM / (deviations * spread * np.linalg.norm(SLOPES * shape))

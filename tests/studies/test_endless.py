@@ -23,7 +23,7 @@ from jaxclear.studies.function_problem import FunctionProblem
 from jaxclear.studies.reliability.models import RunModel
 from jaxclear.studies.reliability.subset import subset
 from jaxclear.studies.statistics.scrambled import ordinary_quantile
-from jaxclear.studies.store.threads import failures
+from jaxclear.studies.store.workers import failures
 
 # ln(life / 1e6) is normal about half the hardness; a quarter of the lives are not followed.
 SLOPES = {"hardness": 0.5, "load": -0.3}

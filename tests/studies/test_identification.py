@@ -227,11 +227,11 @@ def test_a_hidden_clearance_is_found_and_restitution_is_not(tmp_path):
     drawn = posterior.inputs.values(np.random.default_rng(0).standard_normal((500, 2)))[:, 0]
     assert np.mean((np.asarray(drawn) > gap.low) & (np.asarray(drawn) < gap.high)) > 0.9
     # The same sample, which need not run again, with another noise.
-    pieces = sorted(tmp_path.rglob("*.npz"))
+    pieces = sorted(tmp_path.rglob("*.chunk"))
     noisier = {"a": jc.sensor.Accelerometer("slider", "x", noise=40.0), "angle": sensors()["angle"]}
     again = jc.Measurement(data.time, data.signals, noisier, turn="angle")
     assert jc.identify(problem, again, runs=128, store=tmp_path)["clearance B"].verdict
-    assert sorted(tmp_path.rglob("*.npz")) == pieces
+    assert sorted(tmp_path.rglob("*.chunk")) == pieces
     # What no law of the sample explains identifies nothing, however narrow an interval is.
     louder = {"a": 3 * data.signals["a"], "angle": data.signals["angle"]}
     strange = jc.identify(

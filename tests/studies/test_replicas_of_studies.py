@@ -14,9 +14,9 @@ from jaxclear.ground.printing import with_error
 from jaxclear.plot.studies import _warned_samples
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.replicas import MOST_REPLICAS
-from jaxclear.studies.store import threads
+from jaxclear.studies.store import workers
 from jaxclear.studies.store.batch import evaluate_chunk
-from jaxclear.studies.store.files import PIECES
+from jaxclear.studies.store.store import CHUNKS
 
 GRAVITY, DURATION, STEP = 9.81, 0.5, 5e-3
 # One program serves all that are run in chunks of this size.
@@ -332,12 +332,12 @@ def test_a_replica_that_fails_of_a_strangers_problem_is_named():
 
 def test_a_campaign_keeps_its_replicas_and_adds_what_it_lacks(tmp_path, monkeypatch):
     """A larger one has those of the smaller, and eight more; nothing is run twice."""
-    asked, counts, finer = long_steps(), [], threads.finer_runs
+    asked, counts, finer = long_steps(), [], workers.finer_runs
     counted = lambda asked, values, chunk: (
         counts.append(len(values)),
         finer(asked, values, chunk),
     )[1]
-    monkeypatch.setattr(threads, "finer_runs", counted)
+    monkeypatch.setattr(workers, "finer_runs", counted)
     how = {"folder": tmp_path, "scramblings": 4}
     first = jc.campaign(asked, 8, **how)
     assert first.sample.replicas.count == 8
@@ -371,10 +371,10 @@ def test_a_kept_study_of_derivatives_keeps_replicas_beside_what_it_asked_before(
     how = {"sample": 8, "difference_samples": 8, "variables": "gravity"}
     plain = jc.sensitivity(asked, **how)
     found = jc.campaign(asked, folder=tmp_path, study=jc.sensitivity, **how)
-    files = len(list((tmp_path / PIECES).iterdir()))
+    files = len(list((tmp_path / CHUNKS).iterdir()))
     without = tmp_path / "without"
     jc.campaign(asked, folder=without, study=jc.sensitivity, verify=False, **how)
-    assert 0 < len(list((without / PIECES).iterdir())) < files
+    assert 0 < len(list((without / CHUNKS).iterdir())) < files
     for name, told in plain.sample.replicas.responses.items():
         np.testing.assert_array_equal(found.sample.replicas.responses[name], told)
     with pytest.raises(ValueError, match="sobol_indices has no verify"):

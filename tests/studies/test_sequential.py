@@ -10,7 +10,7 @@ from jaxclear.studies.sampling import Drawing, groups
 from jaxclear.studies.sequential import Grown
 from jaxclear.studies.statistics.accuracy import told
 from jaxclear.studies.statistics.scrambled import jackknifed
-from jaxclear.studies.store import run
+from jaxclear.studies.store import campaign
 from jaxclear.studies.store.samples import Samples
 from tests.studies.test_campaign import problem
 
@@ -52,7 +52,7 @@ def test_an_accuracy_is_judged_alike_whatever_the_pieces():
 def test_an_accuracy_is_judged_with_some_chunks_in_memory(tmp_path, monkeypatch):
     """However many there are in the folder."""
     sizes, read = [], Samples.read
-    monkeypatch.setattr(run, "READ", 4096)
+    monkeypatch.setattr(campaign, "READ", 4096)
     monkeypatch.setattr(
         Samples,
         "read",

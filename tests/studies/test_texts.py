@@ -3,6 +3,7 @@
 import functools
 import subprocess
 import sys
+from types import ModuleType
 from typing import NamedTuple
 
 import equinox as eqx
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.store.digest import difference, first_difference, in_texts, tell
+from jaxclear.studies.store.digest import describe, difference, first_difference, in_texts
 
 MODULE = """
 import functools
@@ -62,9 +63,7 @@ def written(factor=2.0, nested=2.0):
 
 
 def texts_of(thing):
-    found = {}
-    tell(thing, "", found)
-    return found
+    return describe([("", thing)])
 
 
 def asked(function):
@@ -197,15 +196,31 @@ IMPORTS = "import functools\nimport equinox as eqx\nimport jax\nimport jax.numpy
 
 @pytest.mark.parametrize("module", ["__main__", "a_users_module"])
 @pytest.mark.parametrize("name", OBJECTS)
-def test_edits_are_noticed_and_moves_are_not(name, module):
-    def told(edit, before=""):
+def test_edits_are_noticed_and_moves_are_not(name, module, monkeypatch):
+    """Nor is whether the file is a script, or a module of a package that is imported."""
+    script = ModuleType("__main__")
+    script.__file__ = "/somewhere/a_users_module.py"
+    monkeypatch.setitem(sys.modules, "__main__", script)
+
+    def told(edit, before="", module=module):
         held = {"__name__": module}
         exec(before + IMPORTS + OBJECTS[name].replace("EDIT", edit), held)
         return texts_of(held["f"])
 
     one = told("2.0")
     assert one == told("2.0", "# a comment\n\n")
+    assert one == told("2.0", module="a_users_package.a_users_module")
     assert one != told("3.0")
+
+
+def test_things_of_one_name_in_two_modules_are_two():
+    def told(second):
+        one, other = ({"__name__": f"{name}.settings"} for name in "ab")
+        exec("K = 1.0\ndef f(x): return K * x", one)
+        exec(f"K = {second}\ndef g(x): return K * x", other)
+        return texts_of([one["f"], other["g"]])
+
+    assert told("2.0") == told("2.0") != told("3.0")
 
 
 def test_what_a_class_does_belongs_to_its_objects():
@@ -265,9 +280,8 @@ PROGRAM = """
 import sys
 sys.path.insert(0, sys.argv[1])
 import a_users_own, hashlib
-from jaxclear.studies.store.digest import tell
-found = {}
-tell([getattr(a_users_own, name) for name in sys.argv[2:]], "", found)
+from jaxclear.studies.store.digest import describe
+found = describe([("", [getattr(a_users_own, name) for name in sys.argv[2:]])])
 print(hashlib.sha256(repr(sorted(found.items())).encode()).hexdigest())
 """
 

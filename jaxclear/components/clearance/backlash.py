@@ -50,36 +50,15 @@ class Backlash(AbstractQuantified):
         ValueError: for wear without slide or area, or for slide, area or pitch_radius without wear.
     """
 
-    play: Scalar = quantity(
-        unit="rad", meaning="way from flank to flank (m for a sliding joint)", at_least=0
-    )
-    middle: Scalar | None = quantity(
-        None, "rad", "where the middle of the play is (m for a sliding joint)", kw_only=True
-    )
+    play: Scalar = quantity(unit="rad", sliding="m", at_least=0)
+    middle: Scalar | None = quantity(None, "rad", sliding="m", kw_only=True)
     law: AbstractFlankLaw = eqx.field(default_factory=Nordin, kw_only=True)
-    restitution: Scalar | None = quantity(
-        None,
-        "1",
-        "share of the speed with which rigid flanks part",
-        at_least=0,
-        at_most=1,
-        kw_only=True,
-    )
+    restitution: Scalar | None = quantity(None, "1", at_least=0, at_most=1, kw_only=True)
     seated: bool = eqx.field(static=True, default=False, kw_only=True)
     wear: Wearing | None = eqx.field(default=None, converter=_as_wearing, kw_only=True)
-    slide: Scalar | None = quantity(
-        None, "1", "way that a flank slides per way along its pitch line", at_least=0, kw_only=True
-    )
-    area: Scalar | None = quantity(
-        None, "m^2", "area of a flank that wears, of all teeth", above=0, kw_only=True
-    )
-    pitch_radius: Scalar | None = quantity(
-        None,
-        "m",
-        "lever of a flank's normal force: of an involute the base radius",
-        above=0,
-        kw_only=True,
-    )
+    slide: Scalar | None = quantity(None, "1", at_least=0, kw_only=True)
+    area: Scalar | None = quantity(None, "m^2", above=0, kw_only=True)
+    pitch_radius: Scalar | None = quantity(None, "m", above=0, kw_only=True)
 
     def __check_init__(self):
         given = [name for name in ("slide", "area") if getattr(self, name) is not None]

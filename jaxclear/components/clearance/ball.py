@@ -40,10 +40,8 @@ class BallSocket(AbstractClearance):
     ideal_rows: ClassVar = ("x", "y", "z")
     contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
-    socket_radius: Scalar = quantity(10e-3, "m", "radius of the socket", above=0, kw_only=True)
-    clearance: Scalar = quantity(
-        0.1e-3, "m", "radial clearance, socket radius - ball radius", above=0, kw_only=True
-    )
+    socket_radius: Scalar = quantity(10e-3, "m", above=0, kw_only=True)
+    clearance: Scalar = quantity(0.1e-3, "m", above=0, kw_only=True)
     socket_wear: Wearing | None = eqx.field(default=None, kw_only=True)
     ball_wear: Wearing | None = eqx.field(default=None, kw_only=True)
 

@@ -66,29 +66,15 @@ class SliderGuide(AbstractClearance):
     ideal_rows: ClassVar = ("x", "x.z")
     contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
-    width: Scalar = quantity(
-        20e-3, "m", "width of the slider, across the guide", above=0, kw_only=True
-    )
-    length: Scalar = quantity(
-        40e-3, "m", "length of the slider, along the guide", above=0, kw_only=True
-    )
-    clearance: Scalar = quantity(
-        0.1e-3, "m", "gap on each side of a centred slider", above=0, kw_only=True
-    )
-    corner_radius: Scalar = quantity(
-        5e-3, "m", "rounding of a corner, for the stiffness only", above=0, kw_only=True
-    )
+    width: Scalar = quantity(20e-3, "m", above=0, kw_only=True)
+    length: Scalar = quantity(40e-3, "m", above=0, kw_only=True)
+    clearance: Scalar = quantity(0.1e-3, "m", above=0, kw_only=True)
+    corner_radius: Scalar = quantity(5e-3, "m", above=0, kw_only=True)
     guide_wear: Wearing | None = eqx.field(default=None, kw_only=True)
     slider_wear: Wearing | None = eqx.field(default=None, kw_only=True)
-    breadth: Scalar | None = quantity(
-        None, "m", "breadth of the faces that wear, along y", above=0, kw_only=True
-    )
-    guide_length: Scalar | None = quantity(
-        None, "m", "length of the walls that wear, along the guide", above=0, kw_only=True
-    )
-    guide_middle: Scalar | None = quantity(
-        None, "m", "place of these walls' middle along the guide (None: its marker)", kw_only=True
-    )
+    breadth: Scalar | None = quantity(None, "m", above=0, kw_only=True)
+    guide_length: Scalar | None = quantity(None, "m", above=0, kw_only=True)
+    guide_middle: Scalar | None = quantity(None, "m", kw_only=True)
 
     def __check_init__(self):
         check_clearance(self, "width")

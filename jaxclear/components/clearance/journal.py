@@ -58,10 +58,8 @@ class Flange(AbstractQuantified):
 
     contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
-    radius: Scalar = quantity(14e-3, "m", "outer radius of the collar", above=0, kw_only=True)
-    clearance: Scalar = quantity(
-        0.2e-3, "m", "axial clearance at each collar, journal centred", above=0, kw_only=True
-    )
+    radius: Scalar = quantity(14e-3, "m", above=0, kw_only=True)
+    clearance: Scalar = quantity(0.2e-3, "m", above=0, kw_only=True)
 
     def contacts(self, offset: tuple, axis: tuple, length: Scalar) -> Iterator[tuple]:
         """Contact of the collars with the lower and the upper face of a bearing.
@@ -134,13 +132,9 @@ class PlanarJournalBearing(AbstractJournalBearing):
     ideal_rows: ClassVar = ("x", "y")
     contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
-    bearing_radius: Scalar = quantity(
-        10e-3, "m", "radius of the bearing's hole", above=0, kw_only=True
-    )
-    clearance: Scalar = quantity(
-        0.1e-3, "m", "radial clearance, bearing radius - journal radius", above=0, kw_only=True
-    )
-    length: Scalar = quantity(20e-3, "m", "length of the bearing", above=0, kw_only=True)
+    bearing_radius: Scalar = quantity(10e-3, "m", above=0, kw_only=True)
+    clearance: Scalar = quantity(0.1e-3, "m", above=0, kw_only=True)
+    length: Scalar = quantity(20e-3, "m", above=0, kw_only=True)
     bearing_wear: Wearing | None = eqx.field(default=None, kw_only=True)
     journal_wear: Wearing | None = eqx.field(default=None, kw_only=True)
     roundness: tuple[Lobes, ...] | None = eqx.field(default=None, kw_only=True)
@@ -212,8 +206,8 @@ class JournalBearing(AbstractJournalBearing):
         bearing_radius: radius of the bearing's hole [m], > 0.
         clearance: radial clearance, bearing radius minus journal radius [m], > 0.
         length: length of the bearing [m], > 0.
-        journal_length: length of the journal [m], at least that of the bearing; None: it reaches
-            through the bearing wherever it goes.
+        journal_length: length of the journal [m], > 0, at least that of the bearing; None: it
+            reaches through the bearing wherever it goes.
         flange: collars that stop the journal along the axis, a `Flange`; none by default.
         bearing_wear: wear of the bearing, a `Wearing`; none by default.
         journal_wear: wear of the journal, a `Wearing`; none by default.
@@ -228,16 +222,10 @@ class JournalBearing(AbstractJournalBearing):
     ideal_rows: ClassVar = ("x", "y", "z", "x.z", "y.z")
     contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
-    bearing_radius: Scalar = quantity(
-        10e-3, "m", "radius of the bearing's hole", above=0, kw_only=True
-    )
-    clearance: Scalar = quantity(
-        0.1e-3, "m", "radial clearance, bearing radius - journal radius", above=0, kw_only=True
-    )
-    length: Scalar = quantity(20e-3, "m", "length of the bearing", above=0, kw_only=True)
-    journal_length: Scalar | None = quantity(
-        None, "m", "length of the journal, at least that of the bearing", above=0, kw_only=True
-    )
+    bearing_radius: Scalar = quantity(10e-3, "m", above=0, kw_only=True)
+    clearance: Scalar = quantity(0.1e-3, "m", above=0, kw_only=True)
+    length: Scalar = quantity(20e-3, "m", above=0, kw_only=True)
+    journal_length: Scalar | None = quantity(None, "m", above=0, kw_only=True)
     flange: Flange | None = eqx.field(default=None, kw_only=True)
     bearing_wear: Wearing | None = eqx.field(default=None, kw_only=True)
     journal_wear: Wearing | None = eqx.field(default=None, kw_only=True)

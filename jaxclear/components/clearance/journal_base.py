@@ -44,9 +44,9 @@ class Lobes(AbstractQuantified):
         sine: deviation of the radius, sine part [m].
     """
 
-    number: int = count(2, "lobes around the bore", at_least=2)
-    cosine: Scalar = quantity(0.0, "m", "deviation of the radius, cosine part", kw_only=True)
-    sine: Scalar = quantity(0.0, "m", "deviation of the radius, sine part", kw_only=True)
+    number: int = count(2, at_least=2)
+    cosine: Scalar = quantity(0.0, "m", kw_only=True)
+    sine: Scalar = quantity(0.0, "m", kw_only=True)
 
 
 def radius_deviation(lobes: Sequence[Lobes], x: Any, y: Any) -> tuple[Any, Any, Any]:

@@ -38,7 +38,7 @@ class Motor(AbstractQuantified):
         inertia: inertia of the rotor and of what turns with it [kg m^2], > 0.
     """
 
-    inertia: Scalar = quantity(unit="kg m^2", meaning="inertia of the rotor", above=0)
+    inertia: Scalar = quantity(unit="kg m^2", above=0)
 
 
 @jax.tree_util.register_static
@@ -87,14 +87,12 @@ def play_field() -> Any:
 
 def stiffness_field() -> Any:
     """Field of the stiffness of what transmits, seen where its play is."""
-    return quantity(None, "N m/rad", "stiffness (N/m for a sliding joint)", above=0, kw_only=True)
+    return quantity(None, "N m/rad", sliding="N/m", above=0, kw_only=True)
 
 
 def damping_field() -> Any:
     """Field of the damping of what transmits, seen where its play is."""
-    return quantity(
-        None, "N m s/rad", "viscous damping (N s/m for a sliding joint)", at_least=0, kw_only=True
-    )
+    return quantity(None, "N m s/rad", sliding="N s/m", at_least=0, kw_only=True)
 
 
 class AbstractCoupling(AbstractQuantified):

@@ -53,25 +53,11 @@ class Cam(AbstractForceCoupling):
     cam: str = named_end()
     follower: str = named_end()
     profile: Callable
-    stiffness: Scalar = quantity(
-        None,
-        "N/m",
-        "contact stiffness, along the follower (N m/rad of one that swings)",
-        above=0,
-        kw_only=True,
-    )
-    damping: Scalar | None = quantity(
-        None, "N s/m", "contact damping (N m s/rad of one that swings)", at_least=0, kw_only=True
-    )
-    friction: Scalar | None = quantity(
-        None, "1", "friction coefficient of a flat face", at_least=0, kw_only=True
-    )
-    base_radius: Scalar | None = quantity(
-        None, "m", "from the cam's axis to the face at lift 0", above=0, kw_only=True
-    )
-    transition_speed: Scalar = quantity(
-        1e-3, "m/s", "sliding speed at which three quarters of friction act", above=0, kw_only=True
-    )
+    stiffness: Scalar = quantity(None, "N/m", above=0, kw_only=True)
+    damping: Scalar | None = quantity(None, "N s/m", at_least=0, kw_only=True)
+    friction: Scalar | None = quantity(None, "1", at_least=0, kw_only=True)
+    base_radius: Scalar | None = quantity(None, "m", above=0, kw_only=True)
+    transition_speed: Scalar = quantity(1e-3, "m/s", above=0, kw_only=True)
 
     def __check_init__(self):
         check_needed(self, "stiffness")

@@ -35,10 +35,8 @@ class Ratio(AbstractCoordinateCoupling):
 
     follower: str | Motor = end()
     leader: str | Motor = end()
-    ratio: Scalar = quantity(unit="1", meaning="change of the follower for one of the leader")
-    offset: Scalar | None = quantity(
-        None, "rad", "follower's coordinate where the leader's is 0 (m for a sliding joint)"
-    )
+    ratio: Scalar = quantity(unit="1")
+    offset: Scalar | None = quantity(None, "rad", sliding="m")
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
     damping: Scalar | None = damping_field()
@@ -73,7 +71,7 @@ class Differential(AbstractCoordinateCoupling):
     a: str = named_end()
     b: str = named_end()
     carrier: str = named_end()
-    ratio: Scalar = quantity(1.0, "1", "turns of a for one of b, the carrier held", above=0)
+    ratio: Scalar = quantity(1.0, "1", above=0)
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
     damping: Scalar | None = damping_field()
@@ -108,9 +106,7 @@ class Hold(AbstractCoordinateCoupling):
     """
 
     joint: str = named_end()
-    place: Scalar | None = quantity(
-        None, "rad", "coordinate at which it is held (m for a sliding joint)"
-    )
+    place: Scalar | None = quantity(None, "rad", sliding="m")
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
     damping: Scalar | None = damping_field()

@@ -30,18 +30,10 @@ class Efficiency(AbstractQuantified):
     Mech. 8, 85, doi:10.1002/zamm.19280080202 (friction that holds).
     """
 
-    forwards: Scalar = quantity(
-        unit="1", meaning="what comes out for what goes in, forwards", above=0, at_most=1
-    )
-    backwards: Scalar | None = quantity(
-        None, "1", "the same backwards (None: as forwards; negative: self-locking)", at_most=1
-    )
-    presliding: Scalar = quantity(
-        1e-3, "rad", "deflection of the first end at which friction is full", above=0, kw_only=True
-    )
-    settling_time: Scalar = quantity(
-        1e-3, "s", "damping time of friction that holds", at_least=0, kw_only=True
-    )
+    forwards: Scalar = quantity(unit="1", above=0, at_most=1)
+    backwards: Scalar | None = quantity(None, "1", at_most=1)
+    presliding: Scalar = quantity(1e-3, "rad", above=0, kw_only=True)
+    settling_time: Scalar = quantity(1e-3, "s", at_least=0, kw_only=True)
 
     def loss(self, force: Scalar, share: Scalar) -> Scalar:
         """Friction on the first end.

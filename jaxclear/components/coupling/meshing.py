@@ -65,10 +65,8 @@ class Gear(AbstractBodyCoupling):
 
     a: str | Motor = end()
     b: str | Motor = end()
-    ratio: Scalar = quantity(unit="1", meaning="turns of a for one of b: teeth of b by a", above=0)
-    pressure_angle: Scalar | None = quantity(
-        None, "rad", "pressure angle; its sign picks the flank", above=-1, below=1, kw_only=True
-    )
+    ratio: Scalar = quantity(unit="1", above=0)
+    pressure_angle: Scalar | None = quantity(None, "rad", above=-1, below=1, kw_only=True)
     internal: bool = eqx.field(static=True, default=False, kw_only=True)
     transmission_error: Callable | None = eqx.field(default=None, kw_only=True)
     efficiency: Efficiency | None = efficiency_field()
@@ -165,8 +163,10 @@ class Belt(AbstractBodyCoupling):
             and does not push: beyond a torque of 2 r_a F_0 at a the slack one gives up its share,
             and half the stiffness is left. None, as of a chain that is taut both ways: both go on.
         play: play, a `clearance.Backlash`, or its width alone, seen at a [rad]; none by default.
-        stiffness: stiffness of both strands together, seen at a [N m/rad], > 0; none by default.
-        damping: viscous damping, seen at a [N m s/rad], >= 0; none by default.
+        stiffness: stiffness of both strands together, seen at a [N m/rad; N/m for a sliding joint],
+            > 0; none by default.
+        damping: viscous damping, seen at a [N m s/rad; N s/m for a sliding joint], >= 0; none by
+            default.
 
     Raises:
         ValueError: for a pretension without stiffness, or with play.
@@ -174,12 +174,10 @@ class Belt(AbstractBodyCoupling):
 
     a: str | Motor = end()
     b: str | Motor = end()
-    radius_a: Scalar = quantity(unit="m", meaning="radius of pulley a", above=0)
-    radius_b: Scalar = quantity(unit="m", meaning="radius of pulley b", above=0)
+    radius_a: Scalar = quantity(unit="m", above=0)
+    radius_b: Scalar = quantity(unit="m", above=0)
     crossed: bool = eqx.field(static=True, default=False, kw_only=True)
-    pretension: Scalar | None = quantity(
-        None, "N", "pull F_0 of each strand at rest", at_least=0, kw_only=True
-    )
+    pretension: Scalar | None = quantity(None, "N", at_least=0, kw_only=True)
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
     damping: Scalar | None = damping_field()
@@ -248,16 +246,16 @@ class Rack(AbstractBodyCoupling):
             <= 1; no losses by default.
         play: play, a `clearance.Backlash`, or its width alone, seen at the pinion [rad]; none by
             default.
-        stiffness: stiffness, seen at the pinion [N m/rad], > 0; none by default.
-        damping: viscous damping, seen at the pinion [N m s/rad], >= 0; none by default.
+        stiffness: stiffness, seen at the pinion [N m/rad; N/m for a sliding joint], > 0; none by
+            default.
+        damping: viscous damping, seen at the pinion [N m s/rad; N s/m for a sliding joint], >= 0;
+            none by default.
     """
 
     pinion: str | Motor = end()
     rack: str = eqx.field(static=True)
-    radius: Scalar = quantity(unit="m", meaning="pitch radius of the pinion", above=0)
-    pressure_angle: Scalar | None = quantity(
-        None, "rad", "pressure angle; its sign picks the flank", above=-1, below=1, kw_only=True
-    )
+    radius: Scalar = quantity(unit="m", above=0)
+    pressure_angle: Scalar | None = quantity(None, "rad", above=-1, below=1, kw_only=True)
     efficiency: Efficiency | None = efficiency_field()
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
@@ -343,8 +341,10 @@ class Screw(AbstractBodyCoupling):
         presliding: deflection along the helix at which friction is full [m], > 0.
         settling_time: damping time of friction that holds [s], >= 0.
         play: play, a `clearance.Backlash`, or its width alone [m]; none by default.
-        stiffness: stiffness along the axis [N/m], > 0; none by default.
-        damping: viscous damping along the axis [N s/m], >= 0; none by default.
+        stiffness: stiffness along the axis [N m/rad; N/m for a sliding joint, as here], > 0; none
+            by default.
+        damping: viscous damping along the axis [N m s/rad; N s/m for a sliding joint, as here], >=
+            0; none by default.
 
     Raises:
         ValueError: if the lead is 0, or one of friction and diameter is given without the other.
@@ -354,22 +354,12 @@ class Screw(AbstractBodyCoupling):
     """
 
     joint: str = eqx.field(static=True)
-    lead: Scalar = quantity(unit="m", meaning="advance for one turn", usual=USUAL_LEAD)
-    friction: Scalar | None = quantity(
-        None, "1", "friction coefficient of the flanks", at_least=0, kw_only=True
-    )
-    diameter: Scalar | None = quantity(
-        None, "m", "mean diameter of the thread", above=0, kw_only=True
-    )
-    flank_angle: Scalar = quantity(
-        0.0, "rad", "half the thread's angle", at_least=0, below=1.2, kw_only=True
-    )
-    presliding: Scalar = quantity(
-        1e-5, "m", "deflection along the helix at which friction is full", above=0, kw_only=True
-    )
-    settling_time: Scalar = quantity(
-        1e-3, "s", "damping time of friction that holds", at_least=0, kw_only=True
-    )
+    lead: Scalar = quantity(unit="m", usual=USUAL_LEAD)
+    friction: Scalar | None = quantity(None, "1", at_least=0, kw_only=True)
+    diameter: Scalar | None = quantity(None, "m", above=0, kw_only=True)
+    flank_angle: Scalar = quantity(0.0, "rad", at_least=0, below=1.2, kw_only=True)
+    presliding: Scalar = quantity(1e-5, "m", above=0, kw_only=True)
+    settling_time: Scalar = quantity(1e-3, "s", at_least=0, kw_only=True)
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
     damping: Scalar | None = damping_field()

@@ -34,13 +34,9 @@ class OneWay(AbstractForceCoupling):
 
     a: str = named_end()
     b: str = named_end()
-    ratio: Scalar = quantity(1.0, "1", "turns of a for one of b")
-    stiffness: Scalar = quantity(
-        None, "N m/rad", "stiffness where it locks (N/m of slides)", above=0, kw_only=True
-    )
-    damping: Scalar = quantity(
-        None, "N m s/rad", "damping where it locks (N s/m of slides)", above=0, kw_only=True
-    )
+    ratio: Scalar = quantity(1.0, "1")
+    stiffness: Scalar = quantity(None, "N m/rad", sliding="N/m", above=0, kw_only=True)
+    damping: Scalar = quantity(None, "N m s/rad", sliding="N s/m", above=0, kw_only=True)
 
     def __check_init__(self):
         check_needed(self, "stiffness", "damping")

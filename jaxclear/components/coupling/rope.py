@@ -29,7 +29,7 @@ class Rope(AbstractForceCoupling):
 
     Args:
         over: names of the joints, a tuple.
-        radii: lengthening r_i of the rope for a unit of each coordinate, a tuple: a radius [m] for
+        radii: lengthening r_i of the rope for a unit of each coordinate [m], a tuple: a radius for
             a joint that turns, a number (1 for one strand, 2 for two) for one that slides; positive
             where the rope gets longer.
         pretension: pull F_0 where all coordinates are 0 [N]; a negative one is slack, of the length
@@ -42,12 +42,10 @@ class Rope(AbstractForceCoupling):
     """
 
     over: tuple[str, ...] = eqx.field(static=True, converter=_as_names)
-    radii: tuple = vector(
-        unit="m", meaning="way of the rope for a unit of each coordinate", converter=as_vector
-    )
-    pretension: Scalar = quantity(0.0, "N", "pull where all coordinates are 0", kw_only=True)
-    stiffness: Scalar = quantity(None, "N/m", "stiffness", above=0, kw_only=True)
-    damping: Scalar | None = quantity(None, "N s/m", "damping", at_least=0, kw_only=True)
+    radii: tuple = vector(unit="m", converter=as_vector)
+    pretension: Scalar = quantity(0.0, "N", kw_only=True)
+    stiffness: Scalar = quantity(None, "N/m", above=0, kw_only=True)
+    damping: Scalar | None = quantity(None, "N s/m", at_least=0, kw_only=True)
 
     def __check_init__(self):
         check_needed(self, "stiffness")
@@ -91,17 +89,16 @@ class Capstan(AbstractForceCoupling):
         pulley: name of the joint of the pulley; None: it stands still. At least two of the three
             are joints.
         b: name of the joint at the other end; None as for a.
-        friction: friction coefficient of rope and pulley [1], >= 0.
-        wrap: angle over which they touch [rad], >= 0; whole turns count.
-        radius: of the pulley [m], > 0 (1 by default, for a pulley that stands still).
-        radius_a: by how much the span of a gets longer for a unit of its coordinate: a radius [m]
-            of a joint that turns, 1 or -1 of one that slides; 1 by default.
-        radius_b: by how much the span of b gets longer for a unit of its coordinate, as radius_a
-            [m].
-        stiffness: of each span [N/m], > 0.
+        friction: friction coefficient of rope and pulley [1], >= 0; required.
+        wrap: angle of contact of rope and pulley [rad], >= 0; whole turns count.
+        radius: radius of the pulley [m], > 0 (1 by default, for a pulley that stands still).
+        radius_a: lengthening of the span of a for a unit of its coordinate [m]: a radius for a
+            joint that turns, 1 or -1 for one that slides.
+        radius_b: lengthening of the span of b for a unit of its coordinate [m], as radius_a.
+        stiffness: stiffness of each span [N/m], > 0; required.
         pretension: pull of each span where all coordinates are 0 [N]; 0 by default; below 0 slack.
-        settling_time: within which the slip follows its bound [s]; 1e-3 by default. Steps of fixed
-            length are no longer.
+        settling_time: time within which the slip follows its bound [s], > 0. Steps of fixed length
+            are no longer.
 
     Raises:
         ValueError: for fewer than two joints.
@@ -113,14 +110,14 @@ class Capstan(AbstractForceCoupling):
     a: str | None = eqx.field(static=True, default=None, converter=as_name)
     pulley: str | None = eqx.field(static=True, default=None, converter=as_name)
     b: str | None = eqx.field(static=True, default=None, converter=as_name)
-    friction: Scalar = quantity(None, "1", "friction coefficient", at_least=0, kw_only=True)
-    wrap: Scalar = quantity(None, "rad", "angle of wrap", at_least=0, kw_only=True)
-    radius: Scalar = quantity(1.0, "m", "radius of the pulley", above=0, kw_only=True)
-    radius_a: Scalar = quantity(1.0, "m", "way of the span for a unit of a", kw_only=True)
-    radius_b: Scalar = quantity(1.0, "m", "way of the span for a unit of b", kw_only=True)
-    stiffness: Scalar = quantity(None, "N/m", "stiffness of a span", above=0, kw_only=True)
-    pretension: Scalar = quantity(0.0, "N", "pull of a span at 0", kw_only=True)
-    settling_time: Scalar = quantity(1e-3, "s", "time of the slip", above=0, kw_only=True)
+    friction: Scalar = quantity(None, "1", at_least=0, kw_only=True)
+    wrap: Scalar = quantity(None, "rad", at_least=0, kw_only=True)
+    radius: Scalar = quantity(1.0, "m", above=0, kw_only=True)
+    radius_a: Scalar = quantity(1.0, "m", kw_only=True)
+    radius_b: Scalar = quantity(1.0, "m", kw_only=True)
+    stiffness: Scalar = quantity(None, "N/m", above=0, kw_only=True)
+    pretension: Scalar = quantity(0.0, "N", kw_only=True)
+    settling_time: Scalar = quantity(1e-3, "s", above=0, kw_only=True)
 
     def __check_init__(self):
         check_needed(self, "friction", "wrap", "stiffness")

@@ -67,11 +67,9 @@ class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
     reversal: ClassVar = Revolute.reversal
     gap_axes: ClassVar = ()
     friction: AbstractFrictionLaw | None = None
-    radius: Scalar = quantity(10e-3, "m", "radius of the pin", above=0, kw_only=True)
-    length: Scalar | None = quantity(None, "m", "length of the bearing", above=0, kw_only=True)
-    load: Scalar | None = quantity(
-        None, "N", "normal force that rubs (None: the reaction does)", at_least=0, kw_only=True
-    )
+    radius: Scalar = quantity(10e-3, "m", above=0, kw_only=True)
+    length: Scalar | None = quantity(None, "m", above=0, kw_only=True)
+    load: Scalar | None = quantity(None, "N", at_least=0, kw_only=True)
     wear: Wearing | None = eqx.field(default=None, kw_only=True)
     drive: AbstractDrive | None = eqx.field(default=None, kw_only=True)
 
@@ -160,11 +158,9 @@ class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
     gap_axes: ClassVar = ()
     arm: ClassVar = 1
     friction: AbstractFrictionLaw | None = None
-    length: Scalar | None = quantity(None, "m", "length of the slider", above=0, kw_only=True)
-    width: Scalar | None = quantity(None, "m", "width of the slider", above=0, kw_only=True)
-    load: Scalar | None = quantity(
-        None, "N", "normal force that rubs (None: the reaction does)", at_least=0, kw_only=True
-    )
+    length: Scalar | None = quantity(None, "m", above=0, kw_only=True)
+    width: Scalar | None = quantity(None, "m", above=0, kw_only=True)
+    load: Scalar | None = quantity(None, "N", at_least=0, kw_only=True)
     wear: Wearing | None = eqx.field(default=None, kw_only=True)
     drive: AbstractDrive | None = eqx.field(default=None, kw_only=True)
 
@@ -319,7 +315,7 @@ class BallJoint(AbstractRubbingBall):
     gap_axes: ClassVar = ()
     play: ClassVar = 0
     friction: AbstractFrictionLaw | None = None
-    radius: Scalar = quantity(10e-3, "m", "radius of the ball", above=0, kw_only=True)
+    radius: Scalar = quantity(10e-3, "m", above=0, kw_only=True)
     wear: Wearing | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self):

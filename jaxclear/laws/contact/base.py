@@ -18,12 +18,12 @@ from jaxclear.laws.law import AbstractLaw
 
 def stiffness_field() -> Any:
     """Field of a stiffness [N/m^exponent]."""
-    return quantity(1e10, "N/m^exponent", "generalized contact stiffness K", above=0)
+    return quantity(1e10, "N/m^exponent", above=0)
 
 
 def exponent_field() -> Any:
     """Field of an exponent [1]."""
-    return quantity(None, "1", "exponent of the indentation, above 1 (None: Hertz's 3/2)", above=1)
+    return quantity(None, "1", above=1)
 
 
 class AbstractNormalLaw(AbstractLaw):

@@ -33,16 +33,11 @@ class ImpactMemory(AbstractQuantified):
     The integrators supply that speed at the touch itself.
 
     Args:
-        slowest_impact: slower impacts are damped as if at this speed [m/s], > 0, so that rest is no
-            division by 0.
+        slowest_impact: least impact speed [m/s], > 0: slower impacts are damped as if at this
+            speed, so that rest is no division by 0.
     """
 
-    slowest_impact: Scalar = quantity(
-        1e-3,
-        "m/s",
-        "an impact slower than this is damped as if at this speed (rest is no division by 0)",
-        above=0,
-    )
+    slowest_impact: Scalar = quantity(1e-3, "m/s", above=0)
 
 
 class ContactForce(AbstractContactLaw):
@@ -224,11 +219,9 @@ class KelvinVoigt(AbstractContactLaw):
     doi:10.1007/978-3-319-30897-5.
     """
 
-    stiffness: Fitted = quantity(1e8, "N/m", "spring stiffness K", above=0)
-    damping: Scalar = quantity(1e3, "N s/m", "damper coefficient D", at_least=0)
-    onset_depth: Scalar = quantity(
-        1e-7, "m", "indentation at which the damper acts in full", above=0
-    )
+    stiffness: Fitted = quantity(1e8, "N/m", above=0)
+    damping: Scalar = quantity(1e3, "N s/m", at_least=0)
+    onset_depth: Scalar = quantity(1e-7, "m", above=0)
     restitution: ClassVar[None] = None
     remembers_impact_speed: ClassVar[bool] = False
 
@@ -262,10 +255,8 @@ class AdamsImpact(AbstractContactLaw):
 
     stiffness: Fitted = stiffness_field()
     exponent: Scalar | None = exponent_field()
-    damping: Scalar = quantity(1e3, "N s/m", "largest damping coefficient c_max", at_least=0)
-    full_damping_depth: Scalar = quantity(
-        1e-5, "m", "indentation d_max at which damping is largest", above=0
-    )
+    damping: Scalar = quantity(1e3, "N s/m", at_least=0)
+    full_damping_depth: Scalar = quantity(1e-5, "m", above=0)
     restitution: ClassVar[None] = None
     remembers_impact_speed: ClassVar[bool] = False
 
@@ -290,9 +281,7 @@ class Rigid(AbstractNormalLaw):
     Nonsmooth Mechanics and Applications, 1, doi:10.1007/978-3-7091-2624-0_1.
     """
 
-    restitution: Scalar = quantity(
-        0.9, "1", "coefficient of restitution c_e, 0 <= c_e <= 1", at_least=0, at_most=1
-    )
+    restitution: Scalar = quantity(0.9, "1", at_least=0, at_most=1)
     compliant: ClassVar[bool] = False
     remembers_impact_speed: ClassVar[bool] = False
 

@@ -33,12 +33,7 @@ ROARK_WIDTH = 1.60
 
 def length_field() -> Any:
     """Field of a contact's length [m], by default the pair's."""
-    return quantity(
-        unit="m",
-        meaning="length L of the contact along the axis",
-        default_factory=LengthOf,
-        above=0,
-    )
+    return quantity(unit="m", default_factory=LengthOf, above=0)
 
 
 def logarithmic_force(indentation, modulus, clearance, length, scale, ratio, offset) -> Scalar:
@@ -160,12 +155,8 @@ class Goldsmith(AbstractElasticForce):
     """
 
     modulus: Fitted = modulus_field()
-    inner_radius: Fitted = quantity(
-        unit="m", meaning="journal's radius R_i", default_factory=InnerRadiusOf, above=0
-    )
-    outer_radius: Fitted = quantity(
-        unit="m", meaning="bearing's radius R_j", default_factory=OuterRadiusOf, above=0
-    )
+    inner_radius: Fitted = quantity(unit="m", default_factory=InnerRadiusOf, above=0)
+    outer_radius: Fitted = quantity(unit="m", default_factory=OuterRadiusOf, above=0)
     length: Fitted = length_field()
 
     def __check_init__(self):

@@ -55,7 +55,7 @@ class RestitutionMissed(UserWarning):
 
 def restitution_field() -> Any:
     """Field of a prescribed coefficient of restitution [1]."""
-    return quantity(0.9, "1", "coefficient of restitution c_e, 0 < c_e <= 1", above=0, at_most=1)
+    return quantity(0.9, "1", above=0, at_most=1)
 
 
 class AbstractRestitutionFactor(AbstractDissipation):
@@ -266,9 +266,7 @@ class MarhefkaOrin(AbstractDissipation):
     1999, IEEE Trans. SMC-A 29, 566, doi:10.1109/3468.798060.
     """
 
-    loss_per_speed: Scalar = quantity(
-        0.2, "s/m", "a: loss of restitution per impact speed", at_least=0
-    )
+    loss_per_speed: Scalar = quantity(0.2, "s/m", at_least=0)
     restitution: ClassVar[None] = None
     remembers_impact_speed: ClassVar[bool] = False
 

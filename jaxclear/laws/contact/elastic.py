@@ -18,14 +18,12 @@ __getattr__, __dir__ = nothing_else("jaxclear.contact.elastic", __all__)
 
 def modulus_field() -> Any:
     """Field of a combined modulus [Pa]."""
-    return quantity(
-        112.9e9, "Pa", "combined modulus E* (default: steel on steel)", above=0, usual=USUAL_MODULUS
-    )
+    return quantity(112.9e9, "Pa", above=0, usual=USUAL_MODULUS)
 
 
 def clearance_field() -> Any:
     """Field of a radial clearance [m], by default the pair's."""
-    return quantity(unit="m", meaning="radial clearance c", default_factory=ClearanceOf, above=0)
+    return quantity(unit="m", default_factory=ClearanceOf, above=0)
 
 
 class Linear(AbstractElasticForce):
@@ -39,7 +37,7 @@ class Linear(AbstractElasticForce):
     Source: Hooke 1678, De potentia restitutiva; in contact Goldsmith 1960, Impact.
     """
 
-    stiffness: Fitted = quantity(1e8, "N/m", "spring stiffness K", above=0)
+    stiffness: Fitted = quantity(1e8, "N/m", above=0)
 
     def force(self, indentation: Scalar) -> Scalar:
         return self.stiffness * positive_part(indentation)
@@ -90,9 +88,7 @@ class BallInSocket(AbstractElasticForce):
     """
 
     modulus: Fitted = modulus_field()
-    socket_radius: Fitted = quantity(
-        unit="m", meaning="socket's radius R_s", default_factory=OuterRadiusOf, above=0
-    )
+    socket_radius: Fitted = quantity(unit="m", default_factory=OuterRadiusOf, above=0)
     clearance: Fitted = clearance_field()
 
     def force(self, indentation: Scalar) -> Scalar:

@@ -24,12 +24,12 @@ USUAL_FRICTION = (0.0, 5.0, "is it in per cent?")
 
 def mu_static_field() -> Any:
     """Field of a static friction coefficient [1]."""
-    return quantity(0.15, "1", "static friction coefficient mu_s", at_least=0, usual=USUAL_FRICTION)
+    return quantity(0.15, "1", at_least=0, usual=USUAL_FRICTION)
 
 
 def mu_kinetic_field() -> Any:
     """Field of a kinetic friction coefficient [1]."""
-    return quantity(0.1, "1", "kinetic friction coefficient mu_d", at_least=0, usual=USUAL_FRICTION)
+    return quantity(0.1, "1", at_least=0, usual=USUAL_FRICTION)
 
 
 def check_static(law: Any) -> None:
@@ -231,9 +231,7 @@ class Coulomb(AbstractSetValuedFriction):
     """
 
     mu_kinetic: Scalar = mu_kinetic_field()
-    mu_static: Scalar | None = quantity(
-        None, "1", "static friction coefficient mu_s (None: as the kinetic one)", at_least=0
-    )
+    mu_static: Scalar | None = quantity(None, "1", at_least=0)
     set_valued: ClassVar[bool] = True
     bristles: ClassVar[int] = 0
 

@@ -161,7 +161,7 @@ class Dahl(AbstractBristleFriction):
     """
 
     mu_kinetic: Scalar = mu_kinetic_field()
-    presliding: Scalar = quantity(1e-6, "m", "deflection z_0 at which the bristles yield", above=0)
+    presliding: Scalar = quantity(1e-6, "m", above=0)
 
     def deflection_rate(self, deflection: Scalar, slip: Scalar, slip_speed: Scalar) -> Scalar:
         return slip - slip_speed * deflection / self.presliding
@@ -198,18 +198,10 @@ class LuGre(AbstractBristleFriction):
 
     mu_static: Scalar = mu_static_field()
     mu_kinetic: Scalar = mu_kinetic_field()
-    stribeck_speed: Scalar = quantity(
-        1e-2, "m/s", "speed v_S over which friction falls from static to kinetic", above=0
-    )
-    presliding: Scalar = quantity(
-        1e-6, "m", "deflection z_0 at which the bristles yield from rest", above=0
-    )
-    settling_time: Scalar = quantity(
-        1e-4, "s", "damping time t_0 of the bristles at rest", at_least=0
-    )
-    viscous: Scalar | None = quantity(
-        None, "s/m", "viscous coefficient per sliding speed (None: absent)", at_least=0
-    )
+    stribeck_speed: Scalar = quantity(1e-2, "m/s", above=0)
+    presliding: Scalar = quantity(1e-6, "m", above=0)
+    settling_time: Scalar = quantity(1e-4, "s", at_least=0)
+    viscous: Scalar | None = quantity(None, "s/m", at_least=0)
 
     def __check_init__(self):
         check_static(self)

@@ -95,9 +95,7 @@ class CoulombTanh(AbstractSlipFriction):
     """
 
     mu_kinetic: Scalar = mu_kinetic_field()
-    transition_speed: Scalar = quantity(
-        1e-3, "m/s", "speed v_0 at which three quarters of the friction act", above=0
-    )
+    transition_speed: Scalar = quantity(1e-3, "m/s", above=0)
 
     def largest_slope(self, step):
         return self.mu_kinetic / self.transition_speed
@@ -127,12 +125,8 @@ class Ambrosio(AbstractSlipFriction):
     """
 
     mu_kinetic: Scalar = mu_kinetic_field()
-    inner_speed: Scalar = quantity(
-        1e-4, "m/s", "speed v_0 up to which there is no friction", at_least=0
-    )
-    outer_speed: Scalar = quantity(
-        1e-3, "m/s", "speed v_1 from which friction acts in full", above=0
-    )
+    inner_speed: Scalar = quantity(1e-4, "m/s", at_least=0)
+    outer_speed: Scalar = quantity(1e-3, "m/s", above=0)
 
     def __check_init__(self):
         check_increasing(self, "inner_speed", "outer_speed")
@@ -167,10 +161,8 @@ class ThreeZone(AbstractSlipFriction):
 
     mu_static: Scalar = mu_static_field()
     mu_kinetic: Scalar = mu_kinetic_field()
-    static_speed: Scalar = quantity(1e-3, "m/s", "speed V_s at which friction is largest", above=0)
-    kinetic_speed: Scalar = quantity(
-        1e-2, "m/s", "speed V_d from which friction is kinetic", above=0
-    )
+    static_speed: Scalar = quantity(1e-3, "m/s", above=0)
+    kinetic_speed: Scalar = quantity(1e-2, "m/s", above=0)
 
     def __check_init__(self):
         check_static(self)
@@ -208,8 +200,8 @@ class AdamsStep(AbstractSlipFriction):
 
     mu_static: Scalar = mu_static_field()
     mu_kinetic: Scalar = mu_kinetic_field()
-    static_speed: Scalar = quantity(1e-4, "m/s", "stiction transition speed v_s", above=0)
-    kinetic_speed: Scalar = quantity(1e-2, "m/s", "friction transition speed v_d", above=0)
+    static_speed: Scalar = quantity(1e-4, "m/s", above=0)
+    kinetic_speed: Scalar = quantity(1e-2, "m/s", above=0)
 
     def __check_init__(self):
         check_static(self)
@@ -240,10 +232,8 @@ class Threlfall(AbstractSlipFriction):
     """
 
     mu_kinetic: Scalar = mu_kinetic_field()
-    transition_speed: Scalar = quantity(
-        1e-3, "m/s", "speed v_r from which friction is kinetic", above=0
-    )
-    steepness: Scalar = quantity(3.0, "1", "Threlfall's 3: exponent reached at v_r", above=0)
+    transition_speed: Scalar = quantity(1e-3, "m/s", above=0)
+    steepness: Scalar = quantity(3.0, "1", above=0)
 
     def largest_slope(self, step):
         return (
@@ -277,10 +267,8 @@ class BengisuAkay(AbstractSlipFriction):
 
     mu_static: Scalar = mu_static_field()
     mu_kinetic: Scalar = mu_kinetic_field()
-    peak_speed: Scalar = quantity(1e-3, "m/s", "speed v_0 at which friction is largest", above=0)
-    decay: Scalar = quantity(
-        1e3, "s/m", "rate xi at which friction falls from static to kinetic", at_least=0
-    )
+    peak_speed: Scalar = quantity(1e-3, "m/s", above=0)
+    decay: Scalar = quantity(1e3, "s/m", at_least=0)
 
     def __check_init__(self):
         check_static(self)
@@ -316,13 +304,9 @@ class Stribeck(AbstractSlipFriction):
 
     mu_static: Scalar = mu_static_field()
     mu_kinetic: Scalar = mu_kinetic_field()
-    stribeck_speed: Scalar = quantity(
-        1e-2, "m/s", "speed v_S over which friction falls from static to kinetic", above=0
-    )
-    transition_speed: Scalar = quantity(1e-4, "m/s", "speed v_0 of the ramp through rest", above=0)
-    viscous: Scalar | None = quantity(
-        None, "s/m", "viscous coefficient per sliding speed (None: absent)", at_least=0
-    )
+    stribeck_speed: Scalar = quantity(1e-2, "m/s", above=0)
+    transition_speed: Scalar = quantity(1e-4, "m/s", above=0)
+    viscous: Scalar | None = quantity(None, "s/m", at_least=0)
 
     def __check_init__(self):
         check_static(self)

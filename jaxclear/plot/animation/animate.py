@@ -258,7 +258,7 @@ def _page(run: Trajectory, solids: dict, frames: np.ndarray, told: dict, forces:
     )
     size, colours = size_of(run), _colours(run)
     time = np.asarray(run.time)[frames].tolist()
-    own = {name: part for name, part in parts(run, solids, size).items() if len(part.whole.points)}
+    own = {n: p for n, p in parts(run, solids, size).items() if len(p.triangles.points)}
     moves = {name: _moves(run, name, frames) for name in own}
     scene.camera = _camera(run, frames, _reach(own, moves))
     connections = run.mechanism.connections
@@ -267,7 +267,7 @@ def _page(run: Trajectory, solids: dict, frames: np.ndarray, told: dict, forces:
     glass = hiding(own, moves, joints, np.array(scene.camera[:3]))
     for name, part in own.items():
         colour = GREY if name == GROUND else int(colours[name][1:], 16)
-        shown = {name: (part.whole, 1.0)}
+        shown = {name: (part.triangles, 1.0)}
         if name in glass:
             through = f"{name}, seen through"
             shown = {name: (joined(part.joints.values()), 1.0), through: (part.solid, GLASS)}
@@ -302,7 +302,7 @@ def _reach(own: dict[str, Part], moves: dict[str, np.ndarray]) -> np.ndarray:
     found = []
     for name, part in own.items():
         some = moves[name][:: max(len(moves[name]) // LOOKS, 1)]
-        ends = _ends(part.whole.points)
+        ends = _ends(part.triangles.points)
         found.append(ends @ some[:, :3, :3].transpose(0, 2, 1) + some[:, None, :3, 3])
     return np.concatenate([one.reshape(-1, 3) for one in found])
 

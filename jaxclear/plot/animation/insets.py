@@ -21,7 +21,7 @@ from jaxclear.components.clearance import (
     SliderGuide,
 )
 from jaxclear.ground import sparse as sp
-from jaxclear.results.relative_motion import seen
+from jaxclear.results.relative_motion import marker_motion
 from jaxclear.results.response import PeakContactForce
 from jaxclear.results.solids import Triangles, joined, rod
 from jaxclear.results.trajectory import Trajectory
@@ -78,7 +78,7 @@ def _contacts(run: Trajectory, name: str, history: Any, frames: np.ndarray) -> t
     connection = run.mechanism.connections[name]
     joint: Any = connection.joint
     joint = getattr(joint, "gap", joint)
-    outer, inner = seen(run, connection.parent), seen(run, connection.child)
+    outer, inner = marker_motion(run, connection.parent), marker_motion(run, connection.child)
     turn = np.asarray(outer.rotation)[frames]
     own = turn.transpose(0, 2, 1) @ np.asarray(inner.rotation)[frames]
 

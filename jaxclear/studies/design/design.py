@@ -21,10 +21,12 @@ from jaxclear.studies.design.result import Design, prices_of
 from jaxclear.studies.design.runs import BATCH, Runs
 from jaxclear.studies.design.search import DesignSettings, Sought, sought
 from jaxclear.studies.endless import endless_sentences
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import sentences
 
 
 @answering
+@stored("a design")
 def design(
     problem: AbstractProblem,
     cost: Any,
@@ -53,11 +55,11 @@ def design(
     asked = _asked(problem, cost, limits, tolerance, nominal)
     settings = _settings(settings)
     check_flags("design", progress_bar=progress_bar)
-    runs = _runs(problem, settings, store, progress_bar)
-    return _designed(asked, runs, settings)
+    return _designed(asked, _runs(problem, settings, progress_bar), settings)
 
 
 @answering
+@stored("a design")
 def design_front(
     problem: AbstractProblem,
     cost: Any,
@@ -84,7 +86,7 @@ def design_front(
     if limit >= len(asked.limits):
         raise ValueError(f"there is no limit {limit}; there are {len(asked.limits)}, from 0 on.")
     settings = _settings(settings)
-    runs = _runs(problem, settings, store, show)
+    runs = _runs(problem, settings, show)
     found = []
     for bound in bounds:
         own = list(asked.limits)
@@ -116,10 +118,10 @@ def _direct(problem: AbstractProblem, settings: DesignSettings) -> bool:
     return problem.at_once() and not any(problem.pathwise_limits())
 
 
-def _runs(problem: AbstractProblem, settings: DesignSettings, store: Any, show: bool) -> Runs:
+def _runs(problem: AbstractProblem, settings: DesignSettings, show: bool) -> Runs:
     usual = problem.compiled() and not problem.at_once()
     batch = BATCH if usual else problem.most_together()
-    return Runs(problem, store, show, min(batch, settings.samples))
+    return Runs(problem, show, min(batch, settings.samples))
 
 
 def _designed(question: Question, runs: Runs, settings: DesignSettings) -> Design:

@@ -1,36 +1,30 @@
-"""Samples of a problem that a design has computed, kept: in memory for the surfaces to come, in a
-folder for another day.
+"""Samples of a problem that a design has computed, in memory for the surfaces to come.
 
-They are asked for in batches of one size, so that one compiled program serves them all and every
-record of the store has the same length.
+They are asked for in batches of one size, so that one compiled program serves them all and a store
+finds them again.
 """
 
 from collections.abc import Callable
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.endless import answered, bounded
 from jaxclear.studies.store.batch import evaluate_all
-from jaxclear.studies.store.digest import in_texts
-from jaxclear.studies.store.store import Ledger
+from jaxclear.studies.store.store import CURRENT
 from jaxclear.studies.warned import codes_of
 
 # Samples a batch: one record of the store, and one chunk of the compiled program.
 BATCH = 32
-KIND = "a design"
 
 
 class Runs:
     """Values (samples, variables) and responses (samples, responses), `nan` of those that failed;
     `codes` (samples,): of what they warn (`studies.warned`)."""
 
-    def __init__(self, problem: Any, store: Any, show: bool, batch: int = BATCH):
+    def __init__(self, problem: Any, show: bool, batch: int = BATCH):
         self.problem, self.show, self.batch = problem, show, batch
-        self.store = None if store is None else Ledger.opened(store, KIND, in_texts(problem))
         self.values = np.zeros((0, len(problem.names)))
         self.responses = np.zeros((0, len(problem.response_names)))
         self.codes = np.zeros(0, np.int64)
@@ -56,22 +50,22 @@ class Runs:
 
     def ask(self, values: np.ndarray, label: str) -> np.ndarray:
         """Responses (samples, responses) of values (samples, variables)."""
-        count = len(values)
+        count, store = len(values), CURRENT.get()
+        before = store.loaded if store else 0
         padded = np.concatenate([values, np.repeat(values[-1:], -count % self.batch, axis=0)])
-        pieces = padded.reshape(-1, self.batch, values.shape[1])
-        kind = jax.ShapeDtypeStruct((self.batch, self.responses.shape[1] + 1), np.dtype(float))
-        found: list[Any] = [None] * len(pieces)
-        if self.store is not None:
-            found = [self.store.taken(piece.ravel(), kind) for piece in pieces]
-        left = [number for number, known in enumerate(found) if known is None]
-        if left:
-            for number, own in zip(left, self._computed(pieces[left], label), strict=True):
-                found[number] = own
-        answers = np.concatenate(found)[:count]
+        found = evaluate_all(
+            self.problem, padded, chunk=self.batch, progress_bar=self.show, label=f"design, {label}"
+        )
+        self.computed += len(padded) - (store.loaded - before if store else 0)
+        good = (found.outcome == Outcome.REACHED) & answered(self.problem, found.responses)
+        names = self.problem.response_names
+        columns = [np.where(good, found.responses[n], np.nan)[:count] for n in names]
         self.values = np.concatenate([self.values, values])
-        self.responses = np.concatenate([self.responses, answers[:, :-1]])
-        self.codes = np.concatenate([self.codes, answers[:, -1].astype(np.int64)])
-        return answers[:, :-1]
+        self.responses = np.concatenate([self.responses, np.stack(columns, axis=1)])
+        # A failed run is none that warns.
+        codes = np.where(good, codes_of(found.checks, len(padded)), 0)[:count]
+        self.codes = np.concatenate([self.codes, codes])
+        return self.responses[-count:]
 
     def good(self, inside: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """Whether each sample (samples,) succeeded and lies inside."""
@@ -88,19 +82,3 @@ class Runs:
         pairs = zip(names, self.responses[good].T, strict=True)
         columns = [bounded(self.problem, name, own, levels(name)) for name, own in pairs]
         return self.values[good], np.stack(columns, axis=1)
-
-    def _computed(self, pieces: np.ndarray, label: str) -> list[np.ndarray]:
-        flat = jnp.asarray(pieces.reshape(-1, pieces.shape[-1]))
-        found = evaluate_all(
-            self.problem, flat, chunk=self.batch, progress_bar=self.show, label=f"design, {label}"
-        )
-        good = (found.outcome == Outcome.REACHED) & answered(self.problem, found.responses)
-        columns = [np.where(good, found.responses[n], np.nan) for n in self.problem.response_names]
-        # A failed run is none that warns.
-        columns.append(np.where(good, codes_of(found.checks, len(flat)), 0))
-        answers = np.stack(columns, axis=1).reshape(len(pieces), self.batch, -1)
-        self.computed += len(flat)
-        for piece, own in zip(pieces, answers, strict=True):
-            if self.store is not None:
-                self.store.add(piece.ravel(), own)
-        return list(answers)

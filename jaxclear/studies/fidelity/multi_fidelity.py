@@ -7,6 +7,7 @@ both, so that the answer is the accurate problem's whatever the cheaper one says
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from jaxclear.studies.sampling import check_sampled, draw
 from jaxclear.studies.scrambling import seed_of
 from jaxclear.studies.statistics.accuracy import asked_of, unreached
 from jaxclear.studies.statistics.scrambled import Statistic, deviation_of_moments, student
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import any_warning
 
 # Independent scramblings, whose differences tell the errors.
@@ -51,6 +53,7 @@ class Question(NamedTuple):
 
 
 @answering
+@stored("a study of several models")
 def multi_fidelity(
     problem: AbstractProblem,
     cheaper: AbstractProblem | Mapping[str, AbstractProblem],
@@ -60,6 +63,7 @@ def multi_fidelity(
     costs: Mapping[str, float] | None = None,
     seed: int = 0,
     sampling: str = "sobol",
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> MultiFidelity:
     """Means and standard deviations of a problem, by its own runs and many of cheaper problems.

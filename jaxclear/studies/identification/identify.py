@@ -55,8 +55,7 @@ from jaxclear.studies.identification.sample import (
 from jaxclear.studies.identification.told import of_records, told_by_signals
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled
-from jaxclear.studies.store.digest import in_texts
-from jaxclear.studies.store.store import Ledger, current
+from jaxclear.studies.store.store import open_store
 
 WAYS = ("statistics", "signal")
 # What a folder is told to hold.
@@ -131,8 +130,7 @@ def identify(
         if not same:
             known = ensemble(own.mechanism, laws)
             runs_of = watched(own, record, known)
-            kept = None if store is None else Ledger.opened(store, WHAT, in_texts(runs_of))
-            with current(kept):
+            with open_store(store, WHAT, runs_of):
                 sample = sampled(own, record, runs_of, known, runs, seed, progress_bar)
             same = [fit(own, record, sample, _statistics(statistics, record), seed)]
             fitted.append((own, record, same[0]))

@@ -14,7 +14,7 @@ import numpy as np
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import listed
 from jaxclear.integrators import NonColliding, Outcome
-from jaxclear.results.signal import Signal, by_turns, whole_turns
+from jaxclear.results.signal import Signal, by_turns, full_turns
 from jaxclear.studies.identification.laws import Ensemble
 from jaxclear.studies.identification.measurement import Measurement
 from jaxclear.studies.problem import Problem
@@ -173,7 +173,7 @@ def cut_of(record: Measurement, sample: Sample) -> Cut:
     if isinstance(record.turn, str):
         shown = _shown_part(sample.problem, sample.signals[record.turn], record)
         angles = [record.signals[record.turn], *shown]
-        ends = [whole_turns(own) for own in angles]
+        ends = [full_turns(own) for own in angles]
         turns = min(last - first for first, last in ends)
     else:
         turns = int(np.floor(record.lasts / record.turn * (1 + 1e-9)))

@@ -131,7 +131,7 @@ def _none(unit: str, why: str) -> LifeDerivative:
 def _along(life: WearLife, values: Any, most: int) -> WearLife:
     """The life with other numbers, by the same steps."""
     accurate = life.accuracy if np.isfinite(life.accuracy) else 1.0
-    rates = Rates(life.problem, values, Patience(SETTLED, accurate, most), None)
+    rates = Rates(life.problem, values, Patience(SETTLED, accurate, most))
     return lived(rates, life.asked, life.accuracy, None, life.lengths)
 
 

@@ -346,7 +346,7 @@ class LifeProblem(AbstractProblem):
 
     def _lived(self, values: Any, cycles: float) -> WearLife:
         patience = Patience(SETTLED, float(self.accuracy), self.most)
-        rates = Rates(self.problem, values, patience, None)
+        rates = Rates(self.problem, values, patience)
         return lived(rates, float(cycles), float(self.accuracy), None)
 
     def _failed(self, outcome: Outcome) -> SampleResult:

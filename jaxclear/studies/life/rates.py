@@ -32,7 +32,9 @@ from jaxclear.studies.life.cycle import (
 from jaxclear.studies.life.settling import Patience, Settling, settle
 from jaxclear.studies.life.steps import Cells, CycleFailed, Losses, Rate
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.store.store import Ledger
+from jaxclear.studies.store.batch import as_arrays, as_tree
+from jaxclear.studies.store.digest import in_texts
+from jaxclear.studies.store.store import CURRENT, compute_address
 
 # What a narrow contact makes of depths.
 NARROW = (Check.WEAR_BY_CELLS,)
@@ -47,8 +49,8 @@ GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 class Rates:
     """Of a machine: its problem, the cycles simulated so far, where the motion settled."""
 
-    def __init__(self, problem: Problem, values: Any, patience: Patience, store: Ledger | None):
-        self.problem, self.patience, self.store = problem, patience, store
+    def __init__(self, problem: Problem, values: Any, patience: Patience):
+        self.problem, self.patience, self.store = problem, patience, CURRENT.get()
         self.asked = asked_of(problem, values)
         self.motion, self.worn = first_state(problem, values)
         depth, self.unflat = flattened(self.worn)
@@ -62,7 +64,8 @@ class Rates:
         self.simulated = 0
         self.last_run: Any = None
         self.kind: Any = None
-        if store is not None:
+        if self.store is not None:
+            self.question = compute_address(in_texts(problem), np.asarray(values))
             self.kind = kind_of_cycle(self.asked, self.motion, self.worn)
 
     def evaluate(self, row: np.ndarray, set_down: bool = False) -> Rate:
@@ -141,22 +144,19 @@ class Rates:
 
     def _cycle(self, motion: Any, worn: Worn) -> Cycle:
         """A cycle, from the store where it is there."""
-        known = self._taken(motion, worn)
-        if known is None:
-            known, self.last_run = cycle(self.asked, motion, worn)
-            self._keep(motion, worn, known)
         self.simulated += 1
-        return known
+        store = self.store
 
-    def _taken(self, motion: Any, worn: Worn) -> Any:
-        """A cycle from the store; None where it is not there."""
-        if self.store is None:
-            return None
-        return self.store.taken(flattened((motion, worn))[0], self.kind)
+        def compute() -> Cycle:
+            found, self.last_run = cycle(self.asked, motion, worn)
+            if store is not None:
+                store.write(address, as_arrays(found))
+            return found
 
-    def _keep(self, motion: Any, worn: Worn, one: Cycle) -> None:
-        if self.store is not None:
-            self.store.add(flattened((motion, worn))[0], one)
+        if store is None:
+            return compute()
+        address = compute_address(self.question, flattened((motion, worn))[0])
+        return store.obtain(address, lambda: as_tree(self.kind, store.load(address)), compute, True)
 
 
 def flattened(tree: Any) -> tuple[np.ndarray, Any]:

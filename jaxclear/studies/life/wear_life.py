@@ -36,8 +36,7 @@ from jaxclear.studies.life.steps import (
 )
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import draw
-from jaxclear.studies.store.digest import in_texts
-from jaxclear.studies.store.store import Ledger
+from jaxclear.studies.store.store import open_store
 
 # Ends of a cycle this far apart are the same, as in `settled`.
 SETTLED = 1e-3
@@ -80,13 +79,9 @@ def wear_life(
     check_count("most of wear_life", most)
     check_flags("wear_life", progress_bar=progress_bar)
     check_asked(problem)
-    kept = None if store is None else Ledger.opened(store, "a wear life", in_texts(problem))
-    rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, most), kept)
-    with progress.bar(progress_bar, "wear life"):
-        result = lived(rates, float(cycles), float(accuracy), jump)
-    if kept is not None:
-        kept.conclude(result.to_dataset())
-    return result
+    with open_store(store, "a wear life", problem), progress.bar(progress_bar, "wear life"):
+        rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, most))
+        return lived(rates, float(cycles), float(accuracy), jump)
 
 
 def lived(
@@ -269,14 +264,10 @@ def wear_lives(
     values = draw(problem, samples, seed)
     lives: list[WearLife | None] = []
     failed: dict[int, str] = {}
-    with progress.bar(progress_bar, "lives"):
+    with open_store(store, "wear lives", problem), progress.bar(progress_bar, "lives"):
         for i, own in enumerate(values):
-            kept = None
-            if store is not None:
-                texts = in_texts(problem) | {"values of its variables": repr(own.tolist())}
-                kept = Ledger.opened(Path(store) / f"{i:06d}", "a wear life", texts)
             try:
-                rates = Rates(problem, jnp.asarray(own), Patience(SETTLED, accuracy, most), kept)
+                rates = Rates(problem, jnp.asarray(own), Patience(SETTLED, accuracy, most))
                 lives.append(lived(rates, float(cycles), float(accuracy), None))
             except (SimulationError, ValueError) as reason:
                 lives.append(None)

@@ -7,6 +7,7 @@ nothing that fails is found, a search of few runs says whether any is within rea
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -31,6 +32,7 @@ from jaxclear.studies.reliability.result import Reliability
 from jaxclear.studies.reliability.subset import PILOT, Reach, repetitions, subset
 from jaxclear.studies.scrambling import scrambled_normal
 from jaxclear.studies.store.digest import difference
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import powers
 from jaxclear.studies.surface.response_surface import ResponseSurface
@@ -107,6 +109,7 @@ MOST_REGIONS = 16
 
 
 @answering
+@stored("a reliability")
 def reliability(
     problem: AbstractProblem,
     limit: AbstractLimitState,
@@ -116,6 +119,7 @@ def reliability(
     variation: float = 0.1,
     most_runs: int = 20_000,
     seed: int = 0,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> Reliability:
     """Probability that a limit is broken, with its error and the number of runs.

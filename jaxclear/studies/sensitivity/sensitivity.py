@@ -7,6 +7,7 @@ in one (`derivative`).
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,6 +48,7 @@ from jaxclear.studies.sensitivity.regression import (
 )
 from jaxclear.studies.sensitivity.steps import error_by_steps
 from jaxclear.studies.store.result import GivenSample, given_sample
+from jaxclear.studies.store.store import stored
 
 METHODS = ("regression", "differences", "pathwise")
 # Independent parts of a sample of differences: as many as of the Monte Carlo sample.
@@ -56,6 +58,7 @@ SEEDS = 811
 
 
 @answering
+@stored("a sensitivity study")
 def sensitivity(
     problem: AbstractProblem,
     variables: str | Sequence[str] | None = None,
@@ -66,6 +69,7 @@ def sensitivity(
     methods: Sequence[str] = ("regression", "differences"),
     seed: int = 0,
     verify: bool = True,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> Sensitivity:
     """Derivatives of the mean of every response, or of other statistics, with respect to

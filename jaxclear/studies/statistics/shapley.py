@@ -12,6 +12,7 @@ chance: Song, Nelson & Staum 2016, SIAM/ASA J. Uncertain. Quantif. 4, 1060, doi:
 
 import itertools
 import math
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -37,6 +38,7 @@ from jaxclear.studies.statistics.sobol_indices import (
     refuse_part_of_spread,
 )
 from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
 
@@ -80,11 +82,13 @@ class ShapleyEffects(AbstractAnswer):
 
 
 @answering
+@stored("a study of Shapley effects")
 def shapley_effects(
     of: AbstractProblem | ResponseSurface,
     samples: int = 1024,
     *,
     seed: int = 0,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> ShapleyEffects:
     """Shapley effects of every variable on every response, for independent variables and dependent

@@ -16,6 +16,7 @@ Avramidis & Wilson 1993, Manage. Sci. 39, 1094, doi:10.1287/mnsc.39.9.1094.
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -41,6 +42,7 @@ from jaxclear.studies.statistics.scrambled import (
     jackknifed,
 )
 from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.fitting import HIGHEST
 from jaxclear.studies.surface.polynomials import Expansion, levels, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface
@@ -77,12 +79,14 @@ class SobolIndices(AbstractAnswer):
 
 
 @answering
+@stored("a study of Sobol' indices")
 def sobol_indices(
     of: AbstractProblem | ResponseSurface,
     samples: int = 512,
     *,
     seed: int = 0,
     scramblings: int | None = None,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> SobolIndices:
     """Sobol' indices of every response by every variable.

@@ -1,5 +1,5 @@
 """Runs a problem for many sets of values: compiled once, in chunks that fit memory, one thread a
-core; from a ledger as far as it is there.
+core; from a store as far as it holds them.
 
 Compiled programs leave Python free while they run, so two chunks run side by side on two cores
 without splitting a device. Several accelerators share a chunk: each computes samples of its own, by
@@ -7,9 +7,11 @@ the same program as alone.
 """
 
 import functools
+import itertools
 import os
 import threading
-from collections.abc import Callable, Iterable
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from typing import Any
@@ -23,16 +25,23 @@ from jaxtyping import Array, Float
 from tqdm import tqdm
 
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.integrators.checks import Check, Checks
 from jaxclear.native import calls_lapack, stop, stoppable, stops
 from jaxclear.native.compiled import Prepared, prepared
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.store.store import CURRENT, Question
+from jaxclear.studies.store.digest import describe, in_texts
+from jaxclear.studies.store.store import CURRENT, Chunk, Store, compute_address
 
 # Memory for one chunk [bytes] on machines with a few GiB a core.
 CHUNK_MEMORY = 1 << 30
 # Runs come in chunks of no fewer samples than these, where there are as many, so that there are so
 # many chunks for each thread: the threads end together, and what is finished is seen.
 LEAST_CHUNK, CHUNKS_A_THREAD = 64, 8
+# [s] between looks at whether others have finished the chunks that they are at.
+PATIENCE = 0.2
+# What is kept of each sample; the figures of its checks, and when they were met.
+COLUMNS = ("values", "responses", "outcome", "ended", "worst", "when")
+VALUES, RESPONSES, OUTCOME, ENDED, WORST, WHEN = COLUMNS
 
 
 class Stopped(Exception):
@@ -204,6 +213,109 @@ def side_by_side(
             raise
 
 
+def in_turn(
+    one: Callable[[int], Any], numbers: Iterable[int], heard: Callable[[int, Any], None]
+) -> None:
+    """As `side_by_side`, in the caller's thread. What samples that are no compiled program run may
+    call LAPACK (see `calls_lapack`), which is not known before, and so each of their runs hears
+    Ctrl-C."""
+    for number in numbers:
+        heard(number, one(number))
+
+
+def until_all(
+    one: Callable[[int], Any],
+    numbers: Iterable[int],
+    heard: Callable[[int, Any], None],
+    run: Callable[..., None] = side_by_side,
+) -> None:
+    """As `side_by_side`; what `one` gives None for, as another process is at it, once more."""
+    left = list(numbers)
+    while left:
+        busy: list[int] = []
+
+        def note(number: int, result: Any, busy: list[int] = busy) -> None:
+            if result is None:
+                busy.append(number)
+            else:
+                heard(number, result)
+
+        run(one, left, note)
+        left = busy
+        time.sleep(PATIENCE if left else 0)
+
+
+def pack(names: Sequence[str], values: Any, result: SampleResult) -> tuple[dict, dict[str, Any]]:
+    """Arrays of samples of these values (samples, variables), by column, and what a chunk says of
+    them. `names`: of their responses."""
+    rows = np.array([result.responses[name] for name in names], float)
+    checks = result.checks
+    columns = {
+        VALUES: values,
+        RESPONSES: rows.reshape(len(names), len(values)).T,
+        OUTCOME: np.asarray(result.outcome, np.int8),
+        ENDED: result.ended,
+        WORST: checks.worst,
+        WHEN: checks.time,
+    }
+    figures = [(check.name, place) for check, places in checks.named for place in places]
+    return columns, {"figures": figures, "samples": len(values)}
+
+
+def unpack(names: Sequence[str], figures: Any, columns: Mapping[str, Any]) -> SampleResult:
+    """The samples of these columns, whose chunks say that these are their `figures`."""
+    grouped = itertools.groupby(figures, key=lambda figure: figure[0])
+    named = tuple((Check[check], tuple(place for _, place in own)) for check, own in grouped)
+    return SampleResult(
+        dict(zip(names, columns[RESPONSES].T, strict=True)),
+        columns[OUTCOME].astype(np.int32),
+        columns[ENDED],
+        Checks(columns[WORST], columns[WHEN], named),
+    )
+
+
+class _Saved:
+    """Chunks of these values (chunks, samples, variables) in a store: what a function of a chunk
+    gives, as samples or as any tree of arrays."""
+
+    def __init__(self, store: Store, problem: AbstractProblem, function: Any, pieces: np.ndarray):
+        question = compute_address(in_texts(problem), describe([("", function)]))
+        self.store, self.pieces, self.names = store, pieces, problem.response_names
+        self.addresses = [compute_address(question, piece) for piece in pieces]
+        self.kind: Any = None
+        if function is not evaluate_chunk:
+            self.kind = eqx.filter_eval_shape(function, problem, jnp.asarray(pieces[0]))
+
+    def load(self, number: int) -> Any:
+        chunk = self.store.load(self.addresses[number])
+        self.store.loaded += 0 if chunk is None else len(self.pieces[number])
+        if chunk is None or self.kind is not None:
+            return as_tree(self.kind, chunk)
+        return unpack(self.names, chunk.about["figures"], chunk.arrays)
+
+    def save(self, number: int, result: Any) -> Any:
+        packed: tuple = (as_arrays(result),)
+        if self.kind is None:
+            packed = pack(self.names, self.pieces[number], result)
+        self.store.write(self.addresses[number], *packed)
+        return result
+
+
+def as_arrays(tree: Any) -> dict[str, Any]:
+    """The arrays of a tree, by their number."""
+    return {str(i): leaf for i, leaf in enumerate(jax.tree.leaves(tree))}
+
+
+def as_tree(kind: Any, chunk: Chunk | None) -> Any:
+    """The tree like `kind`, which has shapes in place of arrays, whose arrays a chunk holds; None
+    where it holds others, or there is none."""
+    leaves, tree = jax.tree.flatten(kind)
+    arrays = [] if chunk is None else [*chunk.arrays.values()]
+    if [(own.shape, own.dtype) for own in arrays] != [(own.shape, own.dtype) for own in leaves]:
+        return None
+    return jax.tree.unflatten(tree, arrays)
+
+
 def evaluate_all(
     problem: AbstractProblem,
     values: Any,
@@ -214,32 +326,32 @@ def evaluate_all(
     function=evaluate_chunk,
 ) -> SampleResult:
     """Outcomes of samples of these values (samples, variables), in their order; arrays on the host.
-    What the `current` ledger knows is not computed; what it does not is kept there, each chunk as
-    it is finished."""
+    What the current store holds is not computed; what it lacks is kept there, each chunk as it is
+    finished, and computed by one process of those that share the folder."""
     check_double_precision()
-    samples, values, ledger = len(values), np.asarray(values), CURRENT.get()
+    samples, values, store = len(values), np.asarray(values), CURRENT.get()
     # Any other function of a chunk is a compiled program, which a problem that is none refuses.
-    if not problem.compiled() and function is evaluate_chunk:
-        return _each_alone(problem, values, progress_bar, label)
-    chunk = chunk_size(problem, samples, chunk)
+    compiled = problem.compiled() or function is not evaluate_chunk
+    chunk = chunk_size(problem, samples, chunk) if compiled else 1
     count = -(-samples // chunk)
     # The last chunk is filled up with copies, so that all chunks run the one compiled program.
     padded = np.concatenate([values, np.repeat(values[-1:], count * chunk - samples, axis=0)])
     pieces = padded.reshape(count, chunk, -1)
-    found: list[Any] = [None] * count
-    if ledger is not None:
-        asked = Question.of(problem, function)
-        kind = eqx.filter_eval_shape(function, problem, jnp.asarray(pieces[0]))
-        found = [ledger.taken(piece, kind, asked) for piece in pieces]
-        ledger.begin()
+    saved = None if store is None else _Saved(store, problem, function, pieces)
+    found: list[Any] = [None if saved is None else saved.load(n) for n in range(count)]
     left = [number for number, known in enumerate(found) if known is None]
     program, before = Program(problem, function), stops()
 
+    def compute(number: int) -> Any:
+        if compiled:
+            return program.run(pieces[number], before, once=len(left) == 1)
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[None], problem.evaluate(values[number]))
+
     def one(number: int) -> Any:
-        own = program.run(pieces[number], before, once=len(left) == 1)
-        if ledger is not None:
-            ledger.add(pieces[number], own, asked)
-        return own
+        if saved is None:
+            return compute(number)
+        load, save = lambda: saved.load(number), lambda: saved.save(number, compute(number))
+        return saved.store.obtain(saved.addresses[number], load, save)
 
     with tqdm(total=samples, desc=label, disable=not progress_bar) as bar:
         bar.update(max(samples - len(left) * chunk, 0))
@@ -249,16 +361,5 @@ def evaluate_all(
             bar.update(min(chunk, samples - bar.n))
 
         if left:
-            side_by_side(one, left, heard)
+            until_all(one, left, heard, side_by_side if compiled else in_turn)
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:samples], *found)
-
-
-def _each_alone(
-    problem: AbstractProblem, values: np.ndarray, progress_bar: bool, label: str
-) -> SampleResult:
-    """Outcomes of samples that are no compiled program, one after the other: what they run may call
-    LAPACK (see `calls_lapack`), which is not known before. In the caller's thread, so that each
-    of their runs hears Ctrl-C."""
-    shown = tqdm(values, desc=label, disable=not progress_bar)
-    outcomes = [problem.evaluate(own) for own in shown]
-    return jax.tree.map(lambda *parts: np.stack(parts), *outcomes)

@@ -1,57 +1,52 @@
 """A study that is kept on disk chunk by chunk, and goes on where it was interrupted:
 `jaxclear.campaign`, of Monte Carlo or of another study, and `jaxclear.open_campaign` to read it.
+
+A folder is begun or found, made larger where more samples are asked for, what it lacks is computed,
+and its first samples get replicas.
 """
 
+import dataclasses
 import inspect
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import jax
+import numpy as np
+from tqdm import tqdm
+
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
+from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, listed, meant
+from jaxclear.integrators.checks import Checks
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.campaign.recorded import RecordedProblem
-from jaxclear.studies.design.design import design
-from jaxclear.studies.life.wear_life import wear_life, wear_lives
-from jaxclear.studies.reliability.reliability import reliability
-from jaxclear.studies.sampling import check_sampled, checked_scramblings
-from jaxclear.studies.sensitivity.sensitivity import sensitivity
-from jaxclear.studies.sequential import FIRST_SAMPLES, first_of
-from jaxclear.studies.statistics.accuracy import asked_of
-from jaxclear.studies.statistics.shapley import shapley_effects
-from jaxclear.studies.statistics.sobol_indices import sobol_indices
+from jaxclear.studies.campaign.recorded import RecordedProblem, in_json
+from jaxclear.studies.replicas import MOST_REPLICAS
+from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
+from jaxclear.studies.sequential import FIRST_SAMPLES, first_of, until_accurate
+from jaxclear.studies.statistics.accuracy import Piece, asked_of
+from jaxclear.studies.store.batch import RESPONSES, VALUES
 from jaxclear.studies.store.digest import in_texts
-from jaxclear.studies.store.files import checked_folder
 from jaxclear.studies.store.result import Campaign
-from jaxclear.studies.store.run import Wanted, computed
-from jaxclear.studies.store.samples import KIND, Samples, planned
-from jaxclear.studies.store.store import Ledger, current, refuse_other
-from jaxclear.studies.store.threads import AbstractWork, Threads
-from jaxclear.studies.store.workers import Workers, check_client
-from jaxclear.studies.surface.surface import surface
-from jaxclear.studies.worst_case import worst_case
+from jaxclear.studies.store.samples import KIND, Plan, Samples, batch_of, planned
+from jaxclear.studies.store.store import check_folder
+from jaxclear.studies.store.workers import AbstractWork, Heard, Threads, Workers, check_client
 
-# What studies keep, in words. Some keep records of their own; of others all samples are kept.
-OWN_RECORDS = {wear_life: "a wear life", wear_lives: "wear lives", design: "a design"}
-BY_SAMPLES = {
-    sensitivity: "a sensitivity study",
-    sobol_indices: "a study of Sobol' indices",
-    surface: "a response surface",
-    worst_case: "a worst case",
-    reliability: "a reliability",
-    shapley_effects: "a study of Shapley effects",
-}
 # What keeps lives, in words.
 OTHERWISE = (
-    "is no compiled program, and a campaign keeps samples of one; ask jaxclear.monte_carlo for "
-    "lives as responses, or jaxclear.wear_lives(..., store=folder) for lives that are kept."
+    "is no compiled program, and a campaign keeps samples of one; ask jaxclear.monte_carlo(..., "
+    "store=folder) for lives as responses, or jaxclear.wear_lives(..., store=folder)."
 )
 # How studies call the number of their samples.
 COUNTS = ("samples", "sample")
 # What a campaign takes beside the arguments that it names.
 SAMPLED = ("sampling", "scramblings", "accuracy", "chunk")
+# Samples that are read together, about.
+READ = 1 << 16
+# Claimed by the process that adds replicas.
+VERIFYING = "replicas"
 
 
 @answering
@@ -68,7 +63,7 @@ def campaign(
     **settings: Any,
 ) -> Any:
     """A Monte Carlo study of any size, kept in a folder chunk by chunk: values, responses,
-    outcomes, warnings, seed, versions and what the problem is, as text and NumPy's archives.
+    outcomes, warnings, seed, versions and what the problem is, in plain files with checksums.
 
     Asked again, it goes on from the chunks that are finished, also to more samples: it becomes what
     it would be had it been asked for them at once, in the scramblings that the folder has.
@@ -87,25 +82,44 @@ def campaign(
     that all of them see. `verify`: the first 16 samples have replicas, as in `monte_carlo`, kept as
     well. `progress_bar` shows rate, time left, failures.
 
-    `study`: another one to keep, `jaxclear.sensitivity`, `sobol_indices`, `shapley_effects`,
-    `surface`, `worst_case`, `reliability`, `design`, `wear_life` or `wear_lives`, with its own
-    arguments in `settings`; its own result is returned. Its samples or lives are kept as they are
-    computed, by one process at a time.
+    `study`: another one to keep, such as `jaxclear.sensitivity`, with its own arguments in
+    `settings`; its own result is returned. It is another way to write
+    `jaxclear.sensitivity(problem, store=folder)`, which every study that runs samples or lives
+    takes.
 
-    Raises `ValueError` with a sentence for what cannot be asked, `ImportError` without zarr.
+    Raises `ValueError` with a sentence for what cannot be asked.
     """
     check_flags("campaign", verify=verify, progress_bar=progress_bar)
     if study is not None:
         given = {"samples": samples, "seed": seed, "client": client}
         given |= {"verify": None if verify else False}
         given |= {"chunk": settings.pop("chunk", None), "progress_bar": progress_bar or None}
-        return _kept_study(study, problem, folder, given, settings)
+        options = {name: own for name, own in given.items() if own is not None}
+        return _run_study(study, problem, folder, options, settings)
     samples, seed = 1024 if samples is None else samples, 0 if seed is None else seed
-    asked = _asked(problem, samples, seed, settings)._replace(verify=verify)
-    checked_folder(folder)
+    plan = _plan(problem, samples, seed, settings)
+    accuracy = asked_of(settings.get("accuracy"), problem.response_names, "campaign")
+    checked = ("seed", "sampling", "scramblings")[: 2 + ("scramblings" in settings)]
+    check_folder(folder)
     try:
-        with _by(problem, client) as work:
-            return computed(work, asked, folder, progress_bar)
+        with _workers(problem, client) as work:
+            kept = _begin(problem, plan, checked, samples, folder)
+            # The plan first: whatever ends the process from here on, the folder knows what was
+            # asked of it.
+            if accuracy is None:
+                kept = _with_room(kept, samples, samples, problem)
+            if len(kept.finished()):
+                kept.warn_of_versions()
+            run, short = _Run(work, kept, samples, progress_bar), ""
+            if accuracy is None:
+                run.grow(samples)
+            else:
+                first = max(plan.samples, kept.plan.samples)
+                short = until_accurate(problem, first, samples, accuracy, run.grown)
+            if verify:
+                _verify(run.kept, work)
+            run.kept.conclude()
+            return Campaign(run.kept, problem, short)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(_interrupted(folder)) from None
 
@@ -115,70 +129,38 @@ def open_campaign(folder: str | Path, problem: AbstractProblem | None = None) ->
     """The campaign in a folder, finished or not. `problem`: that which it is of, to run single
     samples again; without it everything else can be read. Raises `ValueError` with a sentence where
     the folder holds none, or one of another problem."""
-    kept = Samples.opened(folder)
+    kept = Samples.open(folder)
     if problem is None:
-        return Campaign(kept, RecordedProblem.of_json(kept.told["recorded"]))
+        return Campaign(kept, RecordedProblem.of_json(kept.description["recorded"]))
     expect(problem, AbstractProblem, "problem of open_campaign", "a jaxclear.Problem")
-    refuse_other(kept.folder, kept.told, KIND, in_texts(problem))
+    kept.store.refuse_other(kept.description, KIND, in_texts(problem))
     return Campaign(kept, problem)
 
 
-def _kept_study(
-    study: Any,
-    problem: AbstractProblem,
-    folder: Any,
-    given: dict[str, Any],
-    settings: dict[str, Any],
+def _run_study(
+    study: Any, problem: Any, folder: Any, options: dict[str, Any], settings: dict[str, Any]
 ) -> Any:
-    """What a study answers, from a folder as far as it is there. `given`: arguments of the campaign
-    that the study may have, absent where None. Raises `ValueError` with a sentence for a study that
-    is not kept, or an argument that it has not."""
-    if not callable(study) or study not in OWN_RECORDS | BY_SAMPLES:
-        known = [f"jaxclear.{own.__name__}" for own in OWN_RECORDS | BY_SAMPLES]
+    """What a study answers that takes `store`. `options`: arguments of the campaign that the study
+    may have. Raises `ValueError` with a sentence for a study that is not kept, or an option that it
+    has not."""
+    takes = inspect.signature(study).parameters if callable(study) else {}
+    if "store" not in takes:
         raise ValueError(
-            f"study of campaign is {described(study)}; it must be one of {listed(known)}, or left "
-            "out for a Monte Carlo study."
+            f"study of campaign is {described(study)}; it must be one of jaxclear that takes "
+            "store=, such as jaxclear.sensitivity, or left out for a Monte Carlo study."
         )
-    settings = settings | _named(study, {n: own for n, own in given.items() if own is not None})
-    if study in BY_SAMPLES:
-        _refuse_uncompiled(problem)
-    path: Path = checked_folder(folder)
-    try:
-        if study in OWN_RECORDS:
-            return study(problem, store=path, **settings)
-        expect(problem, AbstractProblem, "problem of campaign", "a jaxclear.Problem")
-        with current(Ledger.opened(path, BY_SAMPLES[study], in_texts(problem))):
-            return study(problem, **settings)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            f"The study was interrupted. What it had computed is kept in {path}; ask the same "
-            "again, and it goes on from there."
-        ) from None
-
-
-def _refuse_uncompiled(problem: Any) -> None:
-    """Raises `ValueError` with a sentence for a problem whose samples are no compiled program. What
-    is no problem at all is for its study to refuse."""
-    if isinstance(problem, AbstractProblem) and not problem.compiled():
-        raise ValueError(f"problem of campaign ({type(problem).__name__}) {OTHERWISE}")
-
-
-def _named(study: Callable, given: dict[str, Any]) -> dict[str, Any]:
-    """What is given, by the names that the study has for it."""
-    takes = inspect.signature(study).parameters
-    found = {}
-    for name, value in given.items():
+    for name, value in options.items():
         known = [own for own in (COUNTS if name == "samples" else (name,)) if own in takes]
         if not known:
             raise ValueError(
                 f"jaxclear.{study.__name__} has no {name}; leave it out of the campaign."
             )
-        found[known[0]] = value
-    return found
+        settings = settings | {known[0]: value}
+    return study(problem, store=folder, **settings)
 
 
 @contextmanager
-def _by(problem: AbstractProblem, client: Any) -> Iterator[AbstractWork]:
+def _workers(problem: AbstractProblem, client: Any) -> Iterator[AbstractWork]:
     """Who computes: the threads here, or the workers of a client."""
     if client is None:
         yield Threads(problem)
@@ -191,34 +173,135 @@ def _by(problem: AbstractProblem, client: Any) -> Iterator[AbstractWork]:
         workers.close()
 
 
-def _asked(problem: Any, samples: Any, seed: Any, sampled: dict[str, Any]) -> Wanted:
-    """What is asked, with its plan. Raises `ValueError` or `TypeError` with a sentence."""
-    for name in sampled:
+def _plan(problem: Any, samples: Any, seed: Any, settings: dict[str, Any]) -> Plan:
+    """The plan to begin with. Raises `ValueError` or `TypeError` with a sentence."""
+    for name in settings:
         if name not in SAMPLED:
             known = [*inspect.signature(campaign).parameters][:-1]
             raise TypeError(
                 f'jaxclear.campaign has no argument "{name}"; it takes '
                 f"{listed([*known, *SAMPLED])}.{meant(name, [*known, *SAMPLED])}"
             )
-    sampling = sampled.get("sampling", "sobol")
+    sampling, scramblings = settings.get("sampling", "sobol"), settings.get("scramblings")
     check_sampled(problem, samples, seed, sampling)
-    _refuse_uncompiled(problem)
-    accuracy = asked_of(sampled.get("accuracy"), problem.response_names, "campaign")
-    first = samples if accuracy is None else min(samples, FIRST_SAMPLES)
-    parts = checked_scramblings("campaign", first, sampled.get("scramblings"))
-    first = first if accuracy is None else first_of(first, parts)
-    chunk = sampled.get("chunk")
+    if not problem.compiled():
+        raise ValueError(f"problem of campaign ({type(problem).__name__}) {OTHERWISE}")
+    to_accuracy = settings.get("accuracy") is not None
+    first = min(samples, FIRST_SAMPLES) if to_accuracy else samples
+    parts = checked_scramblings("campaign", first, scramblings)
+    first = first_of(first, parts) if to_accuracy else first
+    chunk = settings.get("chunk")
     if chunk is not None:
         check_count("chunk of campaign", chunk)
-    drawn = first, seed, sampling, parts
-    scrambled = sampled.get("scramblings") is not None
-    return Wanted(planned(problem, drawn, chunk, samples), samples, accuracy, scrambled)
+    return planned(problem, (first, seed, sampling, parts), chunk, samples)
+
+
+def _begin(
+    problem: AbstractProblem, plan: Plan, checked: tuple[str, ...], most: int, folder: Any
+) -> Samples:
+    """The samples in a folder, which is told of them where there are none. `checked`: what of a
+    plan must be as in the folder."""
+    found = Samples.create(folder, plan, in_texts(problem), in_json(problem))
+    for name in checked:
+        there, here = getattr(found.plan, name), getattr(plan, name)
+        if there != here:
+            raise ValueError(
+                f"the folder {found.folder} holds a campaign of this problem with "
+                f"{name}={there!r}, not {here!r}. Ask for the same, or give another folder."
+            )
+    if found.plan.samples > most:
+        raise ValueError(
+            f"the folder {found.folder} holds a campaign of this problem with "
+            f"samples={found.plan.samples}, more than {most}. Ask for as many or more, or "
+            "give another folder."
+        )
+    return found
+
+
+def _with_room(kept: Samples, samples: int, most: int, problem: AbstractProblem) -> Samples:
+    """The same with room for so many samples; for more, up to the `most`, where other processes
+    have planned these."""
+    if kept.plan.samples >= samples:
+        return kept
+    return kept.extend(samples, batch_of(problem, samples)).view(most)
+
+
+class _Run:
+    """Grows what is in a folder, to the `most` samples that are asked for; other processes may
+    make it larger."""
+
+    def __init__(self, by: AbstractWork, kept: Samples, most: int, shown: bool):
+        self.by, self.kept, self.most, self.shown = by, kept, most, shown
+
+    def grow(self, samples: int) -> None:
+        """Has so many samples in the folder, and computes those that it lacks."""
+        self.kept = _with_room(self.kept, samples, self.most, self.by.problem)
+        plan = self.kept.plan
+        left = np.setdiff1d(np.arange(plan.chunks), self.kept.finished()).tolist()
+        if lost := self.kept.lost(left):
+            warn(lost)
+        if left:
+            with _progress(self.shown, plan, left) as heard:
+                self.by.compute(self.kept, left, heard)
+
+    def grown(self, samples: int) -> Iterator[Piece]:
+        """Has so many samples in the folder, and reads all that are then there in pieces of some
+        chunks: responses (samples,), and their scramblings."""
+        self.grow(samples)
+        names, plan = self.by.problem.response_names, self.kept.plan
+        size = max(READ // plan.chunk, 1) * plan.chunk
+        for first in range(0, plan.samples, size):
+            at = slice(first, min(first + size, plan.samples))
+            rows = self.kept.read(at, RESPONSES)[RESPONSES]
+            own = groups(at.stop, plan.scramblings, at.start)
+            yield {name: rows[:, i] for i, name in enumerate(names)}, own
+
+
+def _verify(samples: Samples, by: AbstractWork) -> None:
+    """Adds the replicas that the finished samples in a folder lack, if their problem has any:
+    finer runs of the first ones, written once all samples are there. A campaign that becomes larger
+    keeps them, and adds what it lacks."""
+    count = min(MOST_REPLICAS, samples.plan.samples)
+
+    def load() -> Any:
+        known = samples.finer()
+        return known if known is not None and len(known.outcome) >= count else None
+
+    def compute() -> Any:
+        known = samples.finer()
+        values = samples.read(slice(0, count), VALUES)[VALUES]
+        left = values[0 if known is None else len(known.outcome) :]
+        found: Any = by.replicated(samples.plan, left)
+        found = dataclasses.replace(found, checks=Checks())
+        parts = [own for own in (known, found) if own is not None]
+        samples.keep_finer(values, jax.tree.map(lambda *own: np.concatenate(own), *parts))
+
+    if by.problem.replica() is not None:
+        samples.store.obtain(VERIFYING, load, compute, wait=True)
+
+
+@contextmanager
+def _progress(shown: bool, plan: Plan, left: list[int]) -> Iterator[Heard]:
+    """A bar with rate, time left and failures so far; what is told of each finished chunk."""
+    sizes = {number: plan.span(number)[1] - plan.span(number)[0] for number in left}
+    before = plan.samples - sum(sizes.values())
+    failed = [0]
+    with tqdm(
+        total=plan.samples, initial=before, desc="campaign", unit=" samples", disable=not shown
+    ) as bar:
+
+        def heard(number: int, failures: int) -> None:
+            failed[0] += failures
+            bar.set_postfix_str(f"{failed[0]} failed", refresh=False)
+            bar.update(sizes[number])
+
+        yield heard
 
 
 def _interrupted(folder: Any) -> str:
     """What is said after Ctrl-C."""
     try:
-        kept = Samples.opened(folder)
+        kept = Samples.open(folder)
     except ValueError:
         return "The campaign was interrupted before its first chunk."
     done, plan = len(kept.finished()), kept.plan

@@ -7,15 +7,8 @@ from typing import Any
 import numpy as np
 
 from jaxclear.studies.monte_carlo import FINER, finer_name
-from jaxclear.studies.store.samples import (
-    ENDED,
-    OUTCOME,
-    RESPONSES,
-    VALUES,
-    WHEN,
-    WORST,
-    Samples,
-)
+from jaxclear.studies.store.batch import ENDED, OUTCOME, RESPONSES, VALUES, WHEN, WORST
+from jaxclear.studies.store.samples import Samples
 
 # An outcome that no sample has, and how outcomes are kept.
 UNKNOWN = (np.dtype(np.int8), -1)
@@ -25,7 +18,7 @@ def dataset_of(samples: Samples) -> Any:
     """The Dataset of a campaign; variables, responses and sentences of outcomes by name."""
     import xarray
 
-    plan, recorded = samples.plan, samples.told["recorded"]
+    plan, recorded = samples.plan, samples.description["recorded"]
     finished = samples.finished()
     there = np.isin(np.arange(plan.chunks), finished)
 
@@ -63,8 +56,8 @@ def dataset_of(samples: Samples) -> Any:
     figures = [f"{check}, {place}" if place else check for check, place in samples.figures]
     coordinates = {"figure": figures} if figures else {}
     attributes = {
-        "what": samples.told["what"],
-        "problem": samples.told["problem"],
+        "what": samples.description["what"],
+        "problem": samples.description["problem"],
         "versions": json.dumps(list(samples.versions())),
     }
     return xarray.Dataset(columns, coordinates, attributes | plan._asdict())

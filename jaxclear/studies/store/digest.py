@@ -1,9 +1,10 @@
-"""A problem in texts, one for each of its parts: two problems are one where these are the same,
-also in another process, and where one of them lies in a folder.
+"""A problem in texts, one for each of its parts: two problems are the same where these are, also in
+another process, and where one of them lies in a folder.
 
-A function is told by what it does and with what: its code and that of the functions in it, what it
-holds and has by default, and the things outside that it uses by name. What libraries bring is told
-by its name: whoever keeps texts keeps the libraries' versions beside them.
+A function is described by what it does and with what: its code and that of the functions in it, its
+closure and defaults, and the globals that it names; a class by its members. What libraries bring is
+described by its name: whoever keeps texts keeps the libraries' versions with them. A script and the
+same file imported give the same texts.
 """
 
 import dataclasses
@@ -13,8 +14,9 @@ import hashlib
 import importlib.util
 import inspect
 import re
+import sys
 import sysconfig
-from collections.abc import Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from types import CodeType, MemberDescriptorType, ModuleType
 from typing import Any
@@ -22,47 +24,18 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.quantity import IF_ANY
 from jaxclear.ground.wording import listed
 from jaxclear.studies.base import AbstractProblem
 
-# Longest text of one piece, in characters; what is longer ends in a digest.
-LONGEST = 60
-# Of a digest.
-DIGITS = 16
-# How a function begins to be told.
-FUNCTION = "the function"
-# How what belongs to a class begins, and what stands for a thing whose parts are told.
-CLASS, TOLD = "class ", "told"
-# Names by which a class tells of its fields; beside those that begin and end in a line.
-OF_FIELDS = ("_fields", "_field_defaults")
-# Functions of a class that make a thing, whose numbers are told, or show it.
-OF_NO_NUMBER = {
-    f"__{name}__"
-    for name in (
-        "init",
-        "new",
-        "post_init",
-        "check_init",
-        "init_subclass",
-        "repr",
-        "str",
-        "format",
-        "hash",
-        "eq",
-        "ne",
-        "setattr",
-        "delattr",
-        "reduce",
-        "reduce_ex",
-        "getstate",
-        "setstate",
-        "replace",
-        "annotate",
-        "annotate_func",
-        "getnewargs",
-    )
-}
+# Longest text of one piece, in characters; what is longer ends in a digest, of so many.
+LONGEST, DIGITS = 60, 16
+# How the text of a function begins, and what stands for a thing whose parts are described.
+FUNCTION, DESCRIBED = "the function", "described"
+# Functions of a class that make a thing, whose numbers are described, or show it.
+WITHOUT_NUMBERS = (
+    "init new post_init check_init init_subclass repr str format hash eq ne setattr delattr reduce "
+    "reduce_ex getstate setstate replace annotate annotate_func getnewargs"
+)
 # Where in memory a thing lies is no part of what it is.
 ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
 # Where libraries lie.
@@ -74,24 +47,31 @@ LIBRARIES = tuple(
 def in_texts(problem: AbstractProblem) -> dict[str, str]:
     """A text for each part of a problem, by its path. Numbers with all their digits, large arrays
     and functions by a digest."""
-    found: dict[str, str] = {}
-    for what, part in problem.parts().items():
-        tell(part, what, found)
-    for name in problem.names:
-        tell(problem.variables[name].distribution, f'distribution of "{name}"', found)
+    parts = problem.parts()
+    parts |= {
+        f'distribution of "{name}"': problem.variables[name].distribution for name in problem.names
+    }
     if problem.correlation is not None:
-        tell(problem.correlation, "correlation of the variables", found)
-    return found
+        parts["correlation of the variables"] = problem.correlation
+    return describe(parts.items())
+
+
+def describe(things: Iterable[tuple[str, Any]]) -> dict[str, str]:
+    """Texts of things, each by the path that it is given, and of all their parts."""
+    description = _Description()
+    for path, thing in things:
+        description.add(thing, path)
+    return description.texts
 
 
 def difference(one: AbstractProblem, other: AbstractProblem) -> str:
     """The first thing in which `one` differs from `other`, in words; "" where they are the same. A
     problem built anew by the same lines is the same."""
-    if one.names != other.names:
-        return f"its variables are {_named(one.names)}, not {_named(other.names)}"
-    if one.response_names != other.response_names:
-        named = _named(one.response_names)
-        return f"its responses are {named}, not {_named(other.response_names)}"
+    for kind in ("names", "response_names"):
+        mine, others = getattr(one, kind), getattr(other, kind)
+        if mine != others:
+            what = "variables" if kind == "names" else "responses"
+            return f"its {what} are {listed(mine) or 'none'}, not {listed(others) or 'none'}"
     if type(one) is not type(other):
         return f"it is a {type(one).__name__}, not a {type(other).__name__}"
     return first_difference(in_texts(one), in_texts(other))
@@ -99,26 +79,104 @@ def difference(one: AbstractProblem, other: AbstractProblem) -> str:
 
 def first_difference(one: dict[str, str], other: dict[str, str]) -> str:
     """The first part in which two descriptions differ, in words; "" where they are the same."""
-    for part in [*one, *(name for name in other if name not in one)]:
-        mine, others = (own.get(part, "absent") for own in (one, other))
-        if mine.startswith(FUNCTION) and others.startswith(FUNCTION) and mine != others:
-            return f"{part} is another function"
+    for part in one | other:
+        mine, others = one.get(part, "absent"), other.get(part, "absent")
         if mine != others:
+            if mine.startswith(FUNCTION) and others.startswith(FUNCTION):
+                return f"{part} is another function"
             return f"{part} is {mine} there, {others} here"
     return ""
 
 
-def _named(names: tuple[str, ...]) -> str:
-    return listed(names) or "none"
+class _Description:
+    """Texts of things by path; `once`: globals and classes by the path at which they are described,
+    which several functions may use and which may use one another."""
+
+    def __init__(self) -> None:
+        self.texts: dict[str, str] = {}
+        self.once: dict[str, Any] = {}
+
+    def add(self, thing: Any, path: str, ancestors: tuple[int, ...] = ()) -> None:
+        """The texts of a thing and of its parts. `ancestors`: whose part it is, by identity."""
+        if id(thing) in ancestors:
+            self.texts[path] = "what it is a part of"
+            return
+        ancestors = (*ancestors, id(thing))
+        parts: dict[str, Any] = {}
+        if eqx.is_array(thing) or isinstance(thing, np.ndarray):
+            self.texts[path] = _array_text(np.asarray(thing))
+        elif isinstance(thing, ModuleType):
+            self.texts[path] = _module_text(thing)
+        elif isinstance(thing, type):
+            self.texts[path] = f"the class {self._add_class(thing, ancestors)}"
+        elif (function := _unwrap(thing)) is not None:
+            code = _digest(_code_text(function.__code__).encode())
+            self.texts[path] = f"{FUNCTION} {function.__name__} {code}"
+            parts = _references(function)
+            if not _is_library(scope := function.__globals__.get("__name__", "")):
+                for name in sorted(_global_names(function.__code__) & set(function.__globals__)):
+                    self._add_global(f"{_module_name(scope)}.{name}", function.__globals__[name])
+        elif (items := _items(thing)) is not None:
+            # Of a library's dictionary its names say all, whatever its class.
+            by_library = isinstance(thing, dict) and _is_library(type(thing).__module__)
+            self.texts[path] = self._add_class(dict if by_library else type(thing), ancestors)
+            parts = items if dataclasses.is_dataclass(thing) else items | _attributes(thing)
+        else:
+            # Of a user's class by its attributes and what the class does, of a library's by how it
+            # shows itself, or by its attributes where that says nothing.
+            shown = sorted(map(repr, thing)) if isinstance(thing, (set, frozenset)) else thing
+            text, held = repr(shown), _attributes(thing)
+            if not _is_library(type(thing).__module__) or (ADDRESS.search(text) and held):
+                self.texts[path], parts = self._add_class(type(thing), ancestors), held
+            else:
+                self.texts[path] = _shorten(ADDRESS.sub("", text))
+        for name, part in parts.items():
+            self.add(part, f"{path}{name}", ancestors)
+
+    def _new_path(self, path: str, thing: Any) -> str:
+        """The path of a thing that is described here for the first time; "" of another. Two modules
+        of one name may have different things of one name."""
+        while path in self.once:
+            if self.once[path] is thing:
+                return ""
+            path += "'"
+        self.once[path], self.texts[path] = thing, DESCRIBED
+        return path
+
+    def _add_global(self, path: str, thing: Any) -> None:
+        if path := self._new_path(path, thing):
+            self.add(thing, path)
+
+    def _add_class(self, kind: type, ancestors: tuple[int, ...]) -> str:
+        """The name of a class; what the functions of one that no library brings do, and with which
+        values of the class, is described once."""
+        for owner in kind.__mro__:
+            if _is_library(owner.__module__):
+                continue
+            path = f"class {_module_name(owner.__module__)}.{owner.__qualname__}"
+            if not (path := self._new_path(path, owner)):
+                continue
+            for name in vars(owner):
+                member = inspect.getattr_static(owner, name)
+                if isinstance(member, property):
+                    member = member.fget
+                elif isinstance(member, functools.cached_property):
+                    member = member.func
+                else:
+                    member = getattr(owner, name, None)
+                special = name.startswith("__") and name.endswith("__")
+                if _unwrap(member) is not None:
+                    if name.strip("_") not in WITHOUT_NUMBERS.split() or not special:
+                        self.add(member, f"{path}.{name}", ancestors)
+                elif not (special or inspect.isdatadescriptor(member) or _is_field(owner, name)):
+                    self.add(member, f"{path}.{name}", ancestors)
+        return kind.__name__
 
 
-def parts_of(thing: Any) -> dict[str, Any] | None:
-    """What a thing consists of, each by what follows its own name; None for what is one piece."""
-    if dataclasses.is_dataclass(thing) and not isinstance(thing, type):
-        own = {f: getattr(thing, f.name) for f in dataclasses.fields(thing)}
-        # What a folder of an earlier version does not know is told where there is some.
-        told = (f for f, value in own.items() if not f.metadata.get(IF_ANY, False) or value)
-        return {f".{f.name}": own[f] for f in told}
+def _items(thing: Any) -> dict[str, Any] | None:
+    """What a thing consists of, each by what follows its own path; None for what is one piece."""
+    if dataclasses.is_dataclass(thing):
+        return {f".{f.name}": getattr(thing, f.name) for f in dataclasses.fields(thing)}
     if isinstance(thing, dict):
         return {f'["{key}"]': value for key, value in thing.items()}
     if isinstance(thing, (tuple, list)):
@@ -128,48 +186,11 @@ def parts_of(thing: Any) -> dict[str, Any] | None:
     return None
 
 
-def tell(thing: Any, path: str, found: dict[str, str], inside: tuple[int, ...] = ()) -> None:
-    """Puts the texts of a thing and of its parts into `found`. `inside`: whose part it is."""
-    if id(thing) in inside:
-        found[path] = "what it is a part of"
-        return
-    inside = (*inside, id(thing))
-    if eqx.is_array(thing) or isinstance(thing, np.ndarray):
-        found[path] = _array(np.asarray(thing))
-    elif isinstance(thing, ModuleType):
-        found[path] = _module(thing)
-    elif isinstance(thing, type):
-        found[path] = f"the class {_tell_class(thing, found, inside)}"
-    elif (function := _function(thing)) is not None:
-        _tell_function(function, path, found, inside)
-    elif (parts := parts_of(thing)) is not None:
-        # Of a library's dictionary its names say all, whatever its class.
-        by_library = isinstance(thing, dict) and _of_library(type(thing).__module__)
-        found[path] = _tell_class(dict if by_library else type(thing), found, inside)
-        if not dataclasses.is_dataclass(thing):
-            parts |= _attributes(thing)
-        for key, part in parts.items():
-            tell(part, f"{path}{key}", found, inside)
-    else:
-        _tell_piece(thing, path, found, inside)
-
-
-def _tell_piece(thing: Any, path: str, found: dict[str, str], inside: tuple[int, ...]) -> None:
-    """What has no parts that are known: of a user's class by what it holds and what the class does,
-    of a library's by how it shows itself, or by what it holds where that says nothing."""
-    shown = repr(sorted(map(repr, thing)) if isinstance(thing, (set, frozenset)) else thing)
-    held = _attributes(thing)
-    if not _of_library(type(thing).__module__) or (ADDRESS.search(shown) and held):
-        found[path] = _tell_class(type(thing), found, inside)
-        for name, value in held.items():
-            tell(value, f"{path}{name}", found, inside)
-    else:
-        found[path] = _short(ADDRESS.sub("", shown))
-
-
 def _attributes(thing: Any) -> dict[str, Any]:
-    """What a thing holds, in slots too, each by what follows its own name."""
+    """What a thing holds, in slots too, each by what follows its own path."""
     held = dict(getattr(thing, "__dict__", {}))
+    # Of what wraps a function, and another one in a script.
+    held.pop("__module__", None)
     for owner in type(thing).__mro__:
         slots = (n for n, own in vars(owner).items() if isinstance(own, MemberDescriptorType))
         # A slot that has no value counts as None.
@@ -177,97 +198,42 @@ def _attributes(thing: Any) -> dict[str, Any]:
     return {f".{name}": value for name, value in held.items()}
 
 
-def _tell_class(kind: type, found: dict[str, str], inside: tuple[int, ...]) -> str:
-    """The name of a class. What the functions of one that no library brings do, and with which
-    values of the class, is told once."""
-    for owner in kind.__mro__:
-        path = f"{CLASS}{owner.__module__}.{owner.__qualname__}"
-        if path in found or _of_library(owner.__module__):
-            continue
-        found[path] = TOLD
-        for name in vars(owner):
-            member = inspect.getattr_static(owner, name)
-            if isinstance(member, property):
-                member = member.fget
-            elif isinstance(member, functools.cached_property):
-                member = member.func
-            else:
-                member = getattr(owner, name, None)
-            special = name.startswith("__") and name.endswith("__")
-            if (function := _function(member)) is not None:
-                if name not in OF_NO_NUMBER:
-                    _tell_function(function, f"{path}.{name}", found, inside)
-            elif not (special or inspect.isdatadescriptor(member) or _is_field(owner, name)):
-                tell(member, f"{path}.{name}", found, inside)
-    return kind.__name__
-
-
 def _is_field(kind: type, name: str) -> bool:
-    """Whether a class's value is what a field has by default, or tells of fields: its things tell
+    """Whether a class's value is what a field has by default, or describes fields: its things have
     their own."""
-    own = name in OF_FIELDS or (name.startswith("_") and name.endswith("_"))
-    return own or name in getattr(kind, "__dataclass_fields__", {})
+    of_fields = name in ("_fields", "_field_defaults") or (name.startswith("_") and name[-1] == "_")
+    return of_fields or name in getattr(kind, "__dataclass_fields__", {})
 
 
-def _function(thing: Any) -> Any:
+def _unwrap(thing: Any) -> Any:
     """The function that was written: of what JAX or another library has made of it, too; else
     None."""
     if not callable(thing) or isinstance(thing, type):
         return None
-    thing = inspect.unwrap(thing, stop=lambda own: not _of_library(_module_of(own)))
+    source = lambda own: getattr(own, "__globals__", {}).get("__name__", type(own).__module__)
+    thing = inspect.unwrap(thing, stop=lambda own: not _is_library(source(own)))
     return thing if getattr(thing, "__code__", None) is not None else None
 
 
-def _module_of(thing: Any) -> str:
-    """Where a function was written, or the class of a thing that is called as one."""
-    return getattr(thing, "__globals__", {}).get("__name__", type(thing).__module__)
-
-
-def _tell_function(
-    function: Any, path: str, found: dict[str, str], inside: tuple[int, ...]
-) -> None:
-    """A function by what it does and with what."""
-    text = _digest(_code(function.__code__).encode())
-    found[path] = f"{FUNCTION} {function.__name__} {text}"
-    for what, part in _held(function):
-        tell(part, f"{path} {what}", found, inside)
-    outside = function.__globals__
-    if _of_library(outside.get("__name__", "")):
-        return
-    for name in sorted(_names_outside(function.__code__)):
-        place = f"{outside.get('__name__')}.{name}"
-        # Told once: two functions may call one another.
-        if name in outside and place not in found:
-            found[place] = TOLD
-            tell(outside[name], place, found)
-
-
-def _held(function: Any) -> Iterator[tuple[str, Any]]:
-    """What a function holds, by what it is called in texts."""
-    if inspect.ismethod(function):
-        yield "of", function.__self__
+def _references(function: Any) -> dict[str, Any]:
+    """What a function is bound to, holds and has by default, by what follows its path."""
+    found = {" of": function.__self__} if inspect.ismethod(function) else {}
     for i, cell in enumerate(function.__closure__ or ()):
-        yield f"holds [{i}]", _content(cell)
-    for i, value in enumerate(function.__defaults__ or ()):
-        yield f"by default [{i}]", value
-    for name, value in (function.__kwdefaults__ or {}).items():
-        yield f"by default {name}", value
+        try:
+            found[f" holds [{i}]"] = cell.cell_contents
+        except ValueError:
+            # Empty until the name that it stands for has a value.
+            found[f" holds [{i}]"] = None
+    found |= {f" by default [{i}]": own for i, own in enumerate(function.__defaults__ or ())}
+    return found | {f" by default {n}": own for n, own in (function.__kwdefaults__ or {}).items()}
 
 
-def _content(cell: Any) -> Any:
-    """What is in a cell, which is empty until the name that it stands for has a value."""
-    try:
-        return cell.cell_contents
-    except ValueError:
-        return None
-
-
-def _code(code: CodeType) -> str:
+def _code_text(code: CodeType) -> str:
     """What a code does, without where it was written; of the functions in it, too."""
     constants = []
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
-            constants.append(_code(constant))
+            constants.append(_code_text(constant))
         elif isinstance(constant, frozenset):
             constants.append(repr(sorted(map(repr, constant))))
         else:
@@ -275,52 +241,56 @@ def _code(code: CodeType) -> str:
     return repr((code.co_code, constants, code.co_names, code.co_varnames))
 
 
-def _names_outside(code: CodeType) -> set[str]:
-    """The names by which a code, and what is written in it, reaches things outside."""
-    names = {
-        step.argval for step in dis.get_instructions(code) if step.opname.startswith("LOAD_GLOBAL")
-    }
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            names |= _names_outside(constant)
-    return names
+def _global_names(code: CodeType) -> set[str]:
+    """The names by which a code, and the functions in it, reach globals."""
+    steps = dis.get_instructions(code)
+    names = {step.argval for step in steps if step.opname.startswith("LOAD_GLOBAL")}
+    return names.union(*(_global_names(c) for c in code.co_consts if isinstance(c, CodeType)))
 
 
 @functools.cache
-def _of_library(module: str) -> bool:
+def _is_library(module: str) -> bool:
     """Whether a module is jaxclear's, Python's, or of an installed library."""
     top = module.partition(".")[0]
-    if top in ("jaxclear", "builtins"):
-        return True
-    if top == "__main__":
-        return False
+    if top in ("jaxclear", "builtins", "__main__"):
+        return top != "__main__"
     try:
-        found = importlib.util.find_spec(top)
+        spec = importlib.util.find_spec(top)
     except (ImportError, ValueError):
         return False
-    if found is None or found.origin is None:
+    if spec is None or spec.origin is None:
         return False
-    places = Path(found.origin).parents
-    return found.origin in ("built-in", "frozen") or any(place in places for place in LIBRARIES)
+    places = Path(spec.origin).parents
+    return spec.origin in ("built-in", "frozen") or any(place in places for place in LIBRARIES)
 
 
-def _module(module: ModuleType) -> str:
+def _module_name(module: str) -> str:
+    """The name of a user's module, without its packages; of a script, that which it has where it is
+    imported."""
+    main = sys.modules.get(module)
+    if module == "__main__" and main is not None:
+        spec, file = getattr(main, "__spec__", None), getattr(main, "__file__", None)
+        module = spec.name if spec is not None else Path(file).stem if file else module
+    return module.rpartition(".")[2]
+
+
+def _module_text(module: ModuleType) -> str:
     """A library by its name; a user's own module with a digest of its file."""
     file = getattr(module, "__file__", None)
-    if _of_library(module.__name__) or file is None or not Path(file).is_file():
+    if _is_library(module.__name__) or file is None or not Path(file).is_file():
         return f"the module {module.__name__}"
     return f"the module {module.__name__} {_digest(Path(file).read_bytes())}"
 
 
-def _array(values: np.ndarray) -> str:
+def _array_text(values: np.ndarray) -> str:
     if values.ndim == 0:
         return repr(values.item())
     if values.dtype == object:
-        return _short(ADDRESS.sub("", repr(values.tolist())))
+        return _shorten(ADDRESS.sub("", repr(values.tolist())))
     return f"an array {values.shape} {values.dtype} {_digest(np.ascontiguousarray(values))}"
 
 
-def _short(text: str) -> str:
+def _shorten(text: str) -> str:
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}... {_digest(text.encode())}"
 
 

@@ -17,9 +17,10 @@ from jaxclear.studies.endless import answered
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.limits import Limits, check_limits
 from jaxclear.studies.statistics.summary import summary_of, summary_row
+from jaxclear.studies.store.batch import VALUES
 from jaxclear.studies.store.dataset import dataset_of
 from jaxclear.studies.store.digest import difference, first_difference, in_texts
-from jaxclear.studies.store.samples import VALUES, Samples
+from jaxclear.studies.store.samples import Samples
 
 
 def _of_all(method: Callable) -> Any:
@@ -90,7 +91,9 @@ class Campaign:
     def sample_of(self, problem: AbstractProblem) -> MonteCarlo:
         """The finished samples in memory as a study of this problem. Raises `ValueError` with a
         sentence where they are of another one."""
-        differs = first_difference(json.loads(self._samples.told["problem"]), in_texts(problem))
+        differs = first_difference(
+            json.loads(self._samples.description["problem"]), in_texts(problem)
+        )
         if differs:
             raise ValueError(
                 f"the campaign in {self.folder} is of another problem: {differs}. Give a sample of "

@@ -1,13 +1,12 @@
-"""Samples of a campaign in its folder: which ones are planned, a file for each chunk of them, found
-by what they are drawn from, and what the folder tells of them.
+"""Samples of a campaign in its folder: which ones are planned, a chunk of the store for so many of
+them, found by what they are drawn from, and what the folder says of them.
 
 A chunk is finished where its file has all its samples, or more: a sample is the same whatever
 becomes of the plan. A last chunk that was not full is written again where the samples become more.
 """
 
+import dataclasses
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,20 +15,20 @@ import numpy as np
 
 from jaxclear.ground.datasets import library_versions
 from jaxclear.ground.warning import warn
-from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.replicas import Replicas, together_with
 from jaxclear.studies.sampling import groups
-from jaxclear.studies.store.batch import LEAST_CHUNK, devices, usual_batch
-from jaxclear.studies.store.files import (
-    MENDED,
-    Piece,
-    Pieces,
-    address_of,
-    checked_folder,
-    refuse_unwritable,
+from jaxclear.studies.store.batch import (
+    COLUMNS,
+    LEAST_CHUNK,
+    WHEN,
+    WORST,
+    devices,
+    pack,
+    unpack,
+    usual_batch,
 )
-from jaxclear.studies.store.store import STUDY, DamagedFolder, refuse_foreign, tell, told_of
+from jaxclear.studies.store.store import Chunk, Store, check_folder, compute_address
 
 # A campaign has about this many chunks at the most. Samples that are cheap beside a file come in
 # fewer and larger ones.
@@ -38,14 +37,7 @@ MOST_CHUNKS, MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK = 1024, 32, 1 << 14
 # but no more than this part of it.
 BATCHES, OF_CAMPAIGN = 4, 64
 KIND = "a Monte Carlo campaign"
-# What is kept of each sample; the figures of its checks, and when they were met.
-COLUMNS = ("values", "responses", "outcome", "ended", "worst", "when")
-VALUES, RESPONSES, OUTCOME, ENDED, WORST, WHEN = COLUMNS
-# Columns that repeat themselves.
-SQUEEZED = (OUTCOME, ENDED, WORST, WHEN)
 FINER = "finer"
-# Held while the plan is changed.
-PLANNING = ".planning"
 # Up to how many samples all had been finished once.
 WHOLE = "whole"
 
@@ -107,86 +99,83 @@ def planned(
 
 
 class Samples:
-    """The samples in a folder: what is planned, what is finished, and the numbers of both. `told`:
-    all that is known of them, as JSON."""
+    """The samples in a folder: what is planned, what is finished, and the numbers of both.
+    `description`: what the folder says of them, as JSON."""
 
-    def __init__(self, folder: Path, told: dict[str, Any]):
-        self.folder, self.told = folder, told
-        self.plan = Plan(**told["plan"])
-        self.pieces = Pieces(folder)
-        self._drawn = address_of(json.loads(told["problem"]), [*self.plan[1:4], self.plan.chunk])
+    def __init__(self, store: Store, description: dict[str, Any]):
+        self.store, self.folder, self.description = store, store.folder, description
+        self.plan = Plan(**description["plan"])
+        self.names = description["recorded"]["response_names"]
+        drawn = [*self.plan[1:4], self.plan.chunk]
+        self._drawn = compute_address(json.loads(description["problem"]), drawn)
         # Of the finished chunks that have been read, what computed them.
         self._whole: dict[int, dict[str, str]] = {}
 
     @classmethod
-    def opened(cls, folder: Any) -> "Samples":
+    def open(cls, folder: Any) -> "Samples":
         """Those in a folder. Raises `ValueError` with a sentence where there are none."""
-        path = checked_folder(folder)
-        told = _told(path, mend=False)
-        if told is None:
-            raise ValueError(f"the folder {path} holds no campaign.")
-        return cls(path, told)
+        store = Store(check_folder(folder))
+        description = store.describe()
+        if description is None:
+            raise ValueError(f"the folder {folder} holds no campaign.")
+        if "plan" not in description:
+            store.refuse_other(description, KIND, {})
+        return cls(store, description)
 
     @classmethod
-    def made(cls, folder: Any, plan: Plan, told: dict[str, Any]) -> "Samples":
-        """Those in a folder. Where it holds none, it is told what there is to be known of them;
-        raises `ValueError` with a sentence where it holds something else."""
-        path = checked_folder(folder)
-        known = _told(path, mend=True)
-        if known is not None and (path / STUDY).exists():
-            return cls(path, known)
-        if known is None:
-            refuse_foreign(path, "campaign")
-            known = {"what": KIND, "plan": plan._asdict()} | told
-        with held(path / PLANNING):
-            with suppress(DamagedFolder):
-                # Two processes may begin at once.
-                known = told_of(path) or known
-            tell(path, known)
-        return cls(path, known)
+    def create(cls, folder: Any, plan: Plan, texts: dict[str, str], recorded: Any) -> "Samples":
+        """Those of a problem in a folder, which is told what there is to be known of them where it
+        holds none; raises `ValueError` with a sentence where it holds something else."""
+        store = Store(check_folder(folder))
+        saved = store.describe(mend=True)
+        if saved is None:
+            store.refuse_foreign("campaign")
+            new = {"what": KIND, "plan": plan._asdict(), "recorded": recorded}
+            new["problem"] = json.dumps(texts)
+            # Two processes may begin at once.
+            saved = store.update(lambda other: other or new)
+        store.refuse_other(saved, KIND, texts)
+        return cls(store, saved)
 
     def view(self, most: int) -> "Samples":
         """The same as if no more than the most samples were planned."""
         fewer = self.plan._replace(samples=min(self.plan.samples, most))
-        found = Samples(self.folder, self.told | {"plan": fewer._asdict()})
+        found = Samples(self.store, self.description | {"plan": fewer._asdict()})
         found._whole = {n: v for n, v in self._whole.items() if self.plan.span(n) == fewer.span(n)}
         return found
 
-    def extended(self, samples: int, usual: int) -> "Samples":
+    def extend(self, samples: int, usual: int) -> "Samples":
         """With room for so many, in batches of the `usual` size; for more, where another process
         has planned these."""
-        with held(self.folder / PLANNING):
-            told = told_of(self.folder) or self.told
-            plan = Plan(**told["plan"])
-            if plan.samples < samples:
-                plan = plan.larger(samples, usual)
-                told = told | {"plan": plan._asdict()}
-                tell(self.folder, told)
-        return Samples(self.folder, told)
+
+        def change(saved: dict[str, Any] | None) -> dict[str, Any]:
+            saved = saved or self.description
+            plan = Plan(**saved["plan"])
+            larger = plan.larger(samples, usual) if plan.samples < samples else plan
+            return saved | {"plan": larger._asdict()}
+
+        return Samples(self.store, self.store.update(change))
 
     def conclude(self) -> None:
-        """Puts down that all samples are finished, and tidies up."""
-        if self.told.get(WHOLE, 0) < self.plan.samples:
-            with held(self.folder / PLANNING):
-                told = told_of(self.folder) or self.told
-                tell(self.folder, told | {WHOLE: max(told.get(WHOLE, 0), self.plan.samples)})
-        self.pieces.tidy()
+        """Writes that all samples are finished, and tidies up."""
+        if self.description.get(WHOLE, 0) < (count := self.plan.samples):
+
+            def change(saved: dict[str, Any] | None) -> dict[str, Any]:
+                saved = saved or self.description
+                return saved | {WHOLE: max(saved.get(WHOLE, 0), count)}
+
+            self.store.update(change)
+        self.store.tidy()
 
     def address(self, number: int) -> str:
         """Of a chunk's file."""
-        return address_of(self._drawn, number)
+        return compute_address(self._drawn, number)
 
-    def claimed(self, number: int) -> Any:
-        """As `Pieces.claimed`, of a chunk."""
-        return self.pieces.claimed(self.address(number))
-
-    def chunk(self, number: int, *names: str) -> Piece | None:
-        """A chunk's columns of these names, or all; None where it is not finished."""
+    def chunk(self, number: int) -> Chunk | None:
+        """A chunk; None where it is not finished."""
         first, last = self.plan.span(number)
-        found = self.pieces.read(self.address(number), names or None)
-        if found is None or found.about["samples"] < last - first:
-            return None
-        return found
+        found = self.store.read(self.address(number))
+        return None if found is None or found.about["samples"] < last - first else found
 
     def finished(self) -> np.ndarray:
         """Numbers of the finished chunks, whose checksums are right."""
@@ -199,15 +188,15 @@ class Samples:
 
     def lost(self, left: list[int]) -> str:
         """A sentence on those of the chunks that are left that were there before; "" for none."""
-        before = self.told.get(WHOLE, 0)
+        before = self.description.get(WHOLE, 0)
         lost = [
             number
             for number in left
-            if self.address(number) in self.pieces.damaged or self.plan.span(number)[1] <= before
+            if self.address(number) in self.store.damaged or self.plan.span(number)[1] <= before
         ]
         if not lost:
             return ""
-        name = self.pieces.path(self.address(lost[0])).name
+        name = self.store.path(self.address(lost[0])).name
         return (
             f"{len(lost)} of {self.plan.chunks} chunks in {self.folder} are missing or do not "
             f"match their checksums (the first is {name}); they are computed again."
@@ -216,95 +205,61 @@ class Samples:
     def write(self, number: int, values: np.ndarray, found: SampleResult) -> None:
         """Keeps a chunk, signed with the versions that computed it. Samples that failed have no
         responses."""
-        reached = found.reached_responses()
-        responses = np.stack([reached[name] for name in self._names], axis=1)
-        columns: dict[str, Any] = {VALUES: values, RESPONSES: responses}
-        columns |= {OUTCOME: np.asarray(found.outcome, np.int8), ENDED: found.ended}
-        figures = found.checks.figures
-        if figures:
-            columns[WORST] = np.concatenate([own.worst for own in figures.values()], axis=1)
-            columns[WHEN] = np.concatenate([own.time for own in figures.values()], axis=1)
-        named = [[check.name, place] for check, own in figures.items() for place in own.places]
-        about = {"versions": self._now, "figures": named, "samples": len(values)}
-        self.pieces.write(self.address(number), about, columns, SQUEEZED)
+        reached: Any = found.reached_responses()
+        found = dataclasses.replace(found, responses=reached)
+        columns, about = pack(self.names, values, found)
+        self.store.write(self.address(number), columns, about | {"versions": self._now})
         self._whole[number] = self._now
 
     @cached_property
     def _now(self) -> dict[str, str]:
         return library_versions()
 
-    @property
-    def _names(self) -> list[str]:
-        return self.told["recorded"]["response_names"]
-
     @cached_property
     def figures(self) -> list[tuple[str, str]]:
         """Check and place of each figure that chunks hold, as the first finished one does."""
-        pieces = (self.chunk(number, OUTCOME) for number in range(self.plan.chunks))
-        first = next((own for own in pieces if own is not None), None)
+        chunks = (self.chunk(number) for number in range(self.plan.chunks))
+        first = next((own for own in chunks if own is not None), None)
         return [] if first is None else [tuple(own) for own in first.about["figures"]]
 
     def read(self, at: slice, *names: str) -> dict[str, np.ndarray]:
-        """Columns of some finished samples, by name; figures in the order of `figures`. Raises
-        `ValueError` with a sentence where they are not there any more."""
-        parts = []
+        """These columns of some finished samples, or all, by name; figures in the order of
+        `figures`, 0 where another version had others. Raises `ValueError` with a sentence where
+        they are not there any more."""
+        names, parts = names or COLUMNS, []
         for number in range(at.start // self.plan.chunk, -(-at.stop // self.plan.chunk)):
             first, last = self.plan.span(number)
-            piece = self.chunk(number, *names)
-            if piece is None:
+            chunk = self.chunk(number)
+            if chunk is None:
                 raise ValueError(
-                    f"{self.pieces.path(self.address(number))} is missing or does not match its "
+                    f"{self.store.path(self.address(number))} is missing or does not match its "
                     "checksum; ask jaxclear.campaign the same again, which computes it again."
                 )
             own = slice(max(at.start, first) - first, min(at.stop, last) - first)
-            wanted = [name for name in piece.arrays if not names or name in names]
-            columns = {name: piece.arrays[name][own] for name in wanted}
-            parts.append(self._aligned(piece, columns, names))
-        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-    def _aligned(self, piece: Piece, columns: dict[str, Any], names: tuple[str, ...]) -> dict:
-        """Columns with the figures that all have; 0 where another version asked for others."""
-        there = [tuple(own) for own in piece.about["figures"]]
-        if there != self.figures:
-            rows = len(next(iter(columns.values())))
-            for name in (WORST, WHEN):
-                if not names or name in names:
-                    wide = np.zeros((rows, len(self.figures)))
-                    for i, figure in enumerate(self.figures):
-                        if figure in there:
-                            wide[:, i] = columns[name][:, there.index(figure)]
-                    columns[name] = wide
-        return columns
+            columns = {name: chunk.arrays[name][own] for name in names}
+            there = [tuple(figure) for figure in chunk.about["figures"]]
+            if there != self.figures:
+                places = [there.index(f) if f in there else -1 for f in self.figures]
+                for name in {WORST, WHEN} & {*names}:
+                    columns[name] = np.pad(columns[name], ((0, 0), (0, 1)))[:, places]
+            parts.append(columns)
+        return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
     def found(self, at: slice) -> SampleResult:
         """What was computed of some samples, as the problem gave it."""
-        columns: dict[str, Any] = self.read(at, *COLUMNS[1:])
-        figures: dict[Check, Figure] = {}
-        for check in dict.fromkeys(check for check, _ in self.figures):
-            own = [i for i, (name, _) in enumerate(self.figures) if name == check]
-            places = tuple(self.figures[i][1] for i in own)
-            figures[Check[check]] = Figure(columns[WORST][:, own], columns[WHEN][:, own], places)
-        by_name = {name: columns[RESPONSES][:, i] for i, name in enumerate(self._names)}
-        outcome = columns[OUTCOME].astype(np.int32)
-        return SampleResult(by_name, outcome, columns[ENDED], Checks.of(figures))
+        return unpack(self.names, self.figures, self.read(at))
 
     def finer(self) -> SampleResult | None:
         """What the first samples gave in finer runs; None where none is kept."""
-        piece = self.pieces.read(address_of(self._drawn, FINER))
-        if piece is None:
-            return None
-        columns: dict[str, Any] = piece.arrays
-        by_name = dict(zip(self._names, columns[RESPONSES], strict=True))
-        return SampleResult(by_name, columns[OUTCOME], columns[ENDED])
+        chunk = self.store.read(compute_address(self._drawn, FINER))
+        return None if chunk is None else unpack(self.names, (), chunk.arrays)
 
-    def keep_finer(self, found: SampleResult) -> None:
-        """Keeps what the first samples gave in finer runs."""
-        rows = np.stack([found.responses[name] for name in self._names])
-        columns = {RESPONSES: rows, OUTCOME: found.outcome, ENDED: found.ended}
-        address = address_of(self._drawn, FINER)
-        if address in self.pieces.damaged:
-            warn(MENDED.format(self.pieces.path(address)))
-        self.pieces.write(address, {}, columns)
+    def keep_finer(self, values: np.ndarray, found: SampleResult) -> None:
+        """Keeps what the first samples, of these values, gave in finer runs."""
+        address = compute_address(self._drawn, FINER)
+        # A warning, where that is damaged.
+        self.store.load(address)
+        self.store.write(address, *pack(self.names, values, found))
 
     def replicas(self) -> Replicas | None:
         """The replicas of the first samples; None where there are none."""
@@ -312,7 +267,7 @@ class Samples:
         count = 0 if finer is None else len(finer.outcome)
         if finer is None or len(self.finished()) < -(-count // self.plan.chunk):
             return None
-        return together_with(self._names, self.found(slice(0, count)), finer, count)
+        return together_with(self.names, self.found(slice(0, count)), finer, count)
 
     def versions(self) -> tuple[dict[str, str], ...]:
         """Versions of the programs that computed finished chunks."""
@@ -336,32 +291,4 @@ class Samples:
 
 def holds_campaign(folder: Path) -> bool:
     """Whether a folder holds a campaign, and no other study."""
-    return "plan" in (told_of(folder) or {})
-
-
-def _told(path: Path, mend: bool) -> dict[str, Any] | None:
-    """What a folder tells of its campaign, as `told_of`. Raises `ValueError` with a sentence where
-    it holds another study."""
-    told = told_of(path, mend)
-    if told is not None and "plan" not in told:
-        raise ValueError(
-            f"the folder {path} holds {told['what']} and holds no campaign; give another one."
-        )
-    return told
-
-
-@contextmanager
-def held(path: Path) -> Iterator[None]:
-    """Holds a file in a folder, which is made where there is none, against other processes."""
-    import filelock
-
-    lock = filelock.FileLock(path, thread_local=False)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        lock.acquire()
-    except OSError as reason:
-        refuse_unwritable(path.parent, reason)
-    try:
-        yield
-    finally:
-        lock.release()
+    return "plan" in (Store(folder).describe() or {})

@@ -1,184 +1,357 @@
-"""The ledger of a study: what was asked of a problem, and what it answered.
+"""What a study has computed, in plain files of a folder: one for each chunk, found by its address,
+a digest of what was asked.
 
-An answer is found by what was asked: a digest of the problem's texts, of the function and of the
-values. So an interrupted study that asks the same again goes on, bit for bit, in whatever order it
-asks; a file that is missing or damaged is computed again. Samples of all studies are asked for by
-`batch.evaluate_all`, which looks into the ledger that is `current`; what is no sample (a cycle of a
-life) is taken and added by its study.
+A chunk is SHA-256 over its address and all that follows: a line of JSON (what it says of itself;
+names, types and shapes of its arrays), then the arrays. It is written under another name and
+renamed, so it is whole or absent, and two processes that computed the same write the same bytes.
+Nothing in it is executed when it is read. What study it is stands in `study.json`.
 """
 
+import errno
+import functools
+import hashlib
+import inspect
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
+import secrets
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn, ParamSpec, TypeVar
 
-import jax
 import numpy as np
 
+from jaxclear.ground.arguments import expect
 from jaxclear.ground.warning import warn
+from jaxclear.ground.wording import described
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.store.digest import first_difference, in_texts
-from jaxclear.studies.store.files import (
-    MENDED,
-    PIECES,
-    Pieces,
-    address_of,
-    checked_folder,
-    put,
-    refuse_unwritable,
-)
 
-# What a folder tells of its study, with a checksum; and the result, for other programs.
-STUDY, CHECKSUM, RESULT = "study.json", "checksum", "result.zarr"
-CURRENT: ContextVar["Ledger | None"] = ContextVar("ledger of samples", default=None)
+P, R = ParamSpec("P"), TypeVar("R")
+# Within a folder: its study, its chunks, files on their way, and who computes which chunk.
+STUDY, CHUNKS, UNFINISHED, CLAIMS = "study.json", "chunks", ".unfinished", ".claims"
+CHECKSUM, FORMAT = "checksum", "format"
+# Of these files; folders of jaxclear 0.36 and earlier have none, and hold chunks under this name.
+THIS_FORMAT, EARLIER_CHUNKS = 1, "pieces"
+# Bytes of a checksum; where arrays begin.
+HASH_SIZE, ALIGNMENT = 32, 8
+# Of an address, in hexadecimal.
+DIGITS = 32
+# Age [s] of files that a process which died did not finish.
+ABANDONED = 3600.0
+# What helps where nothing can be written; else the reason has to go.
+FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
-class OtherStudy(ValueError):
+class StoreError(OSError):
+    """Nothing can be written into a folder: its disk is full, or it is read-only."""
+
+
+class OtherStudyError(ValueError):
     """A folder holds another study than the one that is to go on there."""
 
 
-class DamagedFolder(ValueError):
-    """What a folder tells of its study does not match its checksum."""
+class DamagedStudyError(ValueError):
+    """What a folder says of its study does not match its checksum."""
 
 
-class Question(NamedTuple):
-    """What values are asked about: a problem, in texts, and what is done with it."""
+class Chunk(NamedTuple):
+    """What a file says of its numbers, and these by name."""
 
-    texts: dict[str, str]
-    digest: str
-
-    @classmethod
-    def of(cls, problem: AbstractProblem, function: Any) -> "Question":
-        """A function of this package of a problem."""
-        own, texts = getattr(function, "__wrapped__", function), in_texts(problem)
-        return cls(texts, address_of(texts, f"{own.__module__}.{own.__qualname__}"))
+    about: dict[str, Any]
+    arrays: dict[str, np.ndarray]
 
 
-class Ledger:
-    """Answers of a study in a folder. `what`: the kind of study, in words; `texts` describe the
-    problem, part by part."""
-
-    def __init__(self, folder: Path, what: str, texts: dict[str, str]):
-        self.folder, self.what, self.texts = folder, what, texts
-        self.pieces = Pieces(folder)
-        self.grown = False
-        self.question = Question(texts, address_of(texts))
-
-    @classmethod
-    def opened(cls, folder: Any, what: str, texts: dict[str, str]) -> "Ledger":
-        """The ledger in a folder, which is made where there is none. Raises `ValueError` with a
-        sentence where it holds something else, `ImportError` without zarr."""
-        found = cls(checked_folder(folder), what, texts)
-        told = told_of(found.folder, mend=True)
-        if told is not None:
-            refuse_other(found.folder, told, what, texts)
+def compute_address(*parts: Any) -> str:
+    """A digest of texts, numbers and arrays."""
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            digest.update(f"{part.dtype.str} {part.shape} ".encode())
+            digest.update(np.ascontiguousarray(part).tobytes())
         else:
-            refuse_foreign(found.folder, "study")
-        return found
+            digest.update(json.dumps(part, sort_keys=True).encode())
+        digest.update(b"\n")
+    return digest.hexdigest()[:DIGITS]
 
-    def taken(self, asked: np.ndarray, kind: Any, of: Question | None = None) -> Any:
-        """What was answered when these numbers were asked; None where nobody knows. `kind`: the
-        answer with shapes in place of arrays; `of`: another question than the study's own."""
-        of = self.question if of is None else of
-        leaves, tree = jax.tree.flatten(kind)
-        address = self._address(asked, of)
-        piece = self.pieces.read(address)
-        if piece is not None:
-            arrays = [piece.arrays.get(str(i)) for i in range(len(leaves))]
-            if [(np.shape(own), own.dtype) for own in arrays if own is not None] == [
-                (leaf.shape, leaf.dtype) for leaf in leaves
-            ]:
-                return jax.tree.unflatten(tree, arrays)
-        if address in self.pieces.damaged:
-            warn(MENDED.format(self.pieces.path(address)))
-        return None
 
-    def add(self, asked: np.ndarray, answer: Any, of: Question | None = None) -> None:
-        """Keeps what was answered when these numbers were asked."""
-        self.begin()
-        self.grown = True
-        leaves = {str(i): leaf for i, leaf in enumerate(jax.tree.leaves(answer))}
-        address = self._address(asked, self.question if of is None else of)
-        self.pieces.write(address, {}, {"asked": asked} | leaves)
+class Store:
+    """The chunks of a study in a folder. `damaged`: addresses of files that were read and do not
+    match their checksum; `loaded`: samples that were read and not computed."""
 
-    def begin(self) -> None:
-        """Puts down which study it is, where that is not there."""
-        if not (self.folder / STUDY).exists():
-            tell(self.folder, {"what": self.what, "problem": json.dumps(self.texts)})
+    def __init__(self, folder: Path, description: dict[str, Any] | None = None):
+        self.folder, self.description = folder, description
+        self.damaged: set[str] = set()
+        self.loaded = 0
 
-    def conclude(self, result: Any) -> None:
-        """Keeps the study's result, an xarray Dataset, beside its answers."""
+    @classmethod
+    def open(cls, folder: Any, what: str, texts: dict[str, str]) -> "Store":
+        """The store in a folder of this kind of study, of a problem with these texts. Raises
+        `ValueError` with a sentence where it holds something else."""
+        store = cls(check_folder(folder), {"what": what, "problem": json.dumps(texts)})
+        saved = store.describe(mend=True)
+        if saved is None:
+            store.refuse_foreign("study")
+        else:
+            store.refuse_other(saved, what, texts)
+        return store
+
+    def path(self, address: str) -> Path:
+        """Of the chunk with this address."""
+        return self.folder / CHUNKS / f"{address}.chunk"
+
+    def read(self, address: str) -> Chunk | None:
+        """A chunk; None where it is absent, damaged, or that of another address."""
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            result.to_zarr(self.folder / RESULT, mode="w", consolidated=False)
-        except OSError as reason:
-            # Of a folder that is read-only and has all, nothing is lost.
-            if self.grown or not (self.folder / RESULT).exists():
-                refuse_unwritable(self.folder, reason)
+            content = self.path(address).read_bytes()
+        except FileNotFoundError:
+            return None
+        if _checksum(address, memoryview(content)[HASH_SIZE:]) != content[:HASH_SIZE]:
+            self.damaged.add(address)
+            return None
+        end = content.index(b"\n", HASH_SIZE) + 1
+        about, kinds = json.loads(content[HASH_SIZE:end])
+        arrays = {}
+        for name, kind, shape in kinds:
+            count = int(np.prod(shape))
+            arrays[name] = np.frombuffer(content, kind, count, end).reshape(shape)
+            end += arrays[name].nbytes + -arrays[name].nbytes % ALIGNMENT
+        return Chunk(about, arrays)
 
-    def _address(self, asked: np.ndarray, of: Question) -> str:
-        return address_of(of.digest, np.asarray(asked))
+    def load(self, address: str) -> Chunk | None:
+        """As `read`, with a warning where the file is damaged."""
+        chunk = self.read(address)
+        if address in self.damaged:
+            path = self.path(address)
+            warn(f"{path} does not match its checksum; what it held is computed again.")
+            self.damaged.discard(address)
+        return chunk
+
+    def write(
+        self, address: str, arrays: Mapping[str, Any], about: Mapping[str, Any] | None = None
+    ) -> None:
+        """Saves a chunk. Raises `StoreError`."""
+        if self.description is not None:
+            self.record(self.description)
+            self.description = None
+        numbers = {name: np.asarray(own, order="C") for name, own in arrays.items()}
+        kinds = [(name, own.dtype.str, own.shape) for name, own in numbers.items()]
+        head = json.dumps([about, kinds]).encode()
+        parts = [head, b" " * (-(len(head) + 1) % ALIGNMENT), b"\n"]
+        for own in numbers.values():
+            parts += [own.tobytes(), bytes(-own.nbytes % ALIGNMENT)]
+        body = b"".join(parts)
+        self._put(self.path(address), _checksum(address, body) + body)
+        self.damaged.discard(address)
+
+    @contextmanager
+    def claim(self, address: str, wait: bool = False) -> Iterator[bool]:
+        """Whether this thread may compute a chunk, or another one, of this process or of another,
+        is at it; `wait`: until it may. The system takes claims back from processes that end."""
+        import filelock
+
+        path, timeout = self.folder / CLAIMS / address, -1 if wait else 0
+        lock = filelock.FileLock(path, timeout, thread_local=False)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            lock.acquire()
+        except (filelock.Timeout, FileNotFoundError, FileExistsError):
+            # Somebody is at it, or has finished the study and removes claims: pathlib may find the
+            # folder there, and a moment later not.
+            yield False
+            return
+        except OSError as reason:
+            self._refuse_unwritable(reason)
+        try:
+            yield True
+        finally:
+            lock.release()
+
+    def obtain(
+        self, address: str, load: Callable[[], Any], compute: Callable[[], Any], wait: bool = False
+    ) -> Any:
+        """What `load` reads of a chunk, or `compute` gives and saves where that is None; None where
+        another process or thread is at it, unless it is to `wait`."""
+        result = load()
+        if result is None:
+            with self.claim(address, wait) as claimed:
+                result = load()
+                if result is None and (claimed or wait):
+                    result = compute()
+        return result
+
+    def tidy(self) -> None:
+        """Removes claims, and files that processes which died long ago did not finish."""
+        shutil.rmtree(self.folder / CLAIMS, ignore_errors=True)
+        for path in (self.folder / UNFINISHED).glob("*"):
+            with suppress(OSError):
+                if time.time() - path.stat().st_mtime > ABANDONED:
+                    path.unlink()
+
+    def describe(self, mend: bool = False) -> dict[str, Any] | None:
+        """What the folder says of its study; None where there is none. Where that is damaged, None
+        too if it is to be mended, with a warning; else raises `DamagedStudyError`."""
+        path = self.folder / STUDY
+        if (self.folder / EARLIER_CHUNKS).exists():
+            self._refuse_earlier()
+        if not path.exists():
+            return None
+        saved: Any = {}
+        with suppress(ValueError, KeyError, AttributeError, TypeError):
+            saved = json.loads(path.read_text())
+            if saved.pop(CHECKSUM) != compute_address(saved):
+                saved = {}
+        if saved:
+            return saved if saved.get(FORMAT) == THIS_FORMAT else self._refuse_earlier()
+        if mend:
+            warn(f"{path} does not match its checksum; it is written again from what is asked.")
+            return None
+        raise DamagedStudyError(
+            f"{path} does not match its checksum; ask the same study of the same problem again, "
+            "which writes it anew and computes nothing that is kept."
+        )
+
+    def record(self, description: dict[str, Any]) -> None:
+        """Writes what the folder says of its study, where it says something else."""
+        # Numbers and texts as they are read again.
+        saved = json.loads(json.dumps({FORMAT: THIS_FORMAT} | description))
+        text = json.dumps(saved | {CHECKSUM: compute_address(saved)}, indent=1)
+        path = self.folder / STUDY
+        if not path.exists() or path.read_text() != text:
+            self._put(path, text.encode())
+
+    def update(self, change: Callable[[dict[str, Any] | None], dict[str, Any]]) -> dict[str, Any]:
+        """Changes what the folder says of its study, one process at a time: what it says then."""
+        with self.claim(STUDY, wait=True):
+            saved = None
+            with suppress(DamagedStudyError):
+                saved = self.describe()
+            saved = change(saved)
+            self.record(saved)
+        return saved
+
+    def refuse_foreign(self, what: str) -> None:
+        """Raises `ValueError` with a sentence for a folder with something else than files of a
+        study."""
+        names = {path.name for path in self.folder.iterdir()} if self.folder.exists() else set()
+        if not names & {CHUNKS, STUDY} and any(not name.startswith(".") for name in names):
+            raise ValueError(
+                f"the folder {self.folder} is not empty and holds no {what}; give another one."
+            )
+
+    def refuse_other(self, saved: dict[str, Any], what: str, texts: dict[str, str]) -> None:
+        """Raises `OtherStudyError` with a sentence where a folder that says this of itself holds
+        another kind of study than `what`, or one of a problem that differs from these texts."""
+        if saved["what"] != what:
+            raise OtherStudyError(
+                f"the folder {self.folder} holds {saved['what']}, not {what}; give another one."
+            )
+        difference = first_difference(json.loads(saved["problem"]), texts)
+        if difference:
+            raise OtherStudyError(
+                f"the folder {self.folder} holds {what} of another problem: {difference}. Give "
+                "another folder, or delete this one."
+            )
+
+    def _put(self, path: Path, content: bytes) -> None:
+        temporary = self.folder / UNFINISHED / secrets.token_hex(16)
+        try:
+            for parent in (temporary.parent, path.parent):
+                if not parent.exists():
+                    parent.mkdir(parents=True, exist_ok=True)
+            temporary.write_bytes(content)
+            temporary.replace(path)
+        except BaseException as reason:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            if isinstance(reason, OSError):
+                self._refuse_unwritable(reason)
+            raise
+
+    def _refuse_unwritable(self, reason: OSError) -> NoReturn:
+        cure = "make room" if reason.errno in FULL else "let it be written"
+        raise StoreError(
+            f"nothing can be written into the folder {self.folder} ({reason.strerror or reason}). "
+            f"What was finished is kept there; {cure}, ask the same again, and it goes on from "
+            "there."
+        ) from reason
+
+    def _refuse_earlier(self) -> NoReturn:
+        raise OtherStudyError(
+            f"the folder {self.folder} was written by another version of jaxclear, whose files "
+            "this one does not read; give another folder, or delete this one."
+        )
+
+
+def _checksum(address: str, body: Any) -> bytes:
+    digest = hashlib.sha256(address.encode())
+    digest.update(body)
+    return digest.digest()
+
+
+def check_folder(folder: Any) -> Path:
+    """The path of a folder in which a study is kept, or can be. Raises `ValueError` with a
+    sentence."""
+    if not isinstance(folder, (str, Path)) or not str(folder):
+        raise ValueError(f"store is {described(folder)}; it must be the path of a folder.")
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"the store {folder} is a file; give a folder.")
+    return folder
+
+
+CURRENT: ContextVar[Store | None] = ContextVar("store of the current study", default=None)
 
 
 @contextmanager
-def current(ledger: Ledger | None) -> Iterator[None]:
-    """All samples that are asked for within are kept in a ledger; None: in none."""
-    token = CURRENT.set(ledger)
+def open_store(folder: Any, what: str, problem: AbstractProblem) -> Iterator[None]:
+    """What a study of this kind computes of a problem within is kept in a folder, if one is
+    given."""
+    if folder is None:
+        yield
+    else:
+        with use_store(Store.open(folder, what, in_texts(problem))):
+            yield
+
+
+@contextmanager
+def use_store(store: Store | None) -> Iterator[None]:
+    """All samples that are computed within are kept in a store."""
+    token = CURRENT.set(store)
     try:
         yield
+    except KeyboardInterrupt:
+        if store is None:
+            raise
+        raise KeyboardInterrupt(
+            f"The study was interrupted. What it had computed is kept in {store.folder}; ask the "
+            "same again, and it goes on from there."
+        ) from None
     finally:
         CURRENT.reset(token)
+    if store is not None:
+        store.tidy()
 
 
-def told_of(folder: Path, mend: bool = False) -> dict[str, Any] | None:
-    """What a folder tells of its study; None where there is none. Where that is damaged, None too
-    if it is to be mended, with a warning; else raises `DamagedFolder`."""
-    path = folder / STUDY
-    if not path.exists():
-        return None
-    try:
-        told = json.loads(path.read_text())
-        if told.pop(CHECKSUM) == address_of(told):
-            return told
-    except (ValueError, KeyError, AttributeError, TypeError):
-        pass
-    if mend:
-        warn(f"{path} does not match its checksum; it is written again from what is asked.")
-        return None
-    raise DamagedFolder(
-        f"{path} does not match its checksum; ask the same study of the same problem again, which "
-        "writes it anew and computes nothing that is kept."
-    )
+def stored(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Of a study of this kind, whose first argument is a problem: with `store`, a folder, the
+    samples that it computes are kept there, and taken from there."""
 
+    def decorate(study: Callable[P, R]) -> Callable[P, R]:
+        first = next(iter(inspect.signature(study).parameters))
 
-def tell(folder: Path, told: dict[str, Any]) -> None:
-    """Puts down what a folder tells of its study."""
-    # Numbers and texts as they are read again.
-    told = json.loads(json.dumps(told))
-    whole = json.dumps(told | {CHECKSUM: address_of(told)}, indent=1)
-    put(folder / STUDY, whole.encode(), folder)
+        @functools.wraps(study)
+        def run(*arguments: P.args, **options: P.kwargs) -> R:
+            folder = options.get("store")
+            if folder is None:
+                return study(*arguments, **options)
+            problem: Any = arguments[0] if arguments else options.get(first)
+            expect(problem, AbstractProblem, f"the {first} of {what}", "a problem, for its store")
+            with open_store(folder, what, problem):
+                return study(*arguments, **options)
 
+        return run
 
-def refuse_foreign(folder: Path, what: str) -> None:
-    """Raises `ValueError` with a sentence for a folder with something else than files of a
-    study."""
-    there = {path.name for path in folder.iterdir()} if folder.exists() else set()
-    if not there & {PIECES, STUDY} and any(not name.startswith(".") for name in there):
-        raise ValueError(f"the folder {folder} is not empty and holds no {what}; give another one.")
-
-
-def refuse_other(folder: Path, kept: dict[str, Any], what: str, texts: dict[str, str]) -> None:
-    """Raises `OtherStudy` with a sentence where what a folder says of itself is another kind of
-    study than `what`, or of a problem that differs from these texts."""
-    if kept.get("what") != what:
-        raise OtherStudy(
-            f"the folder {folder} holds {kept.get('what')}, not {what}; give another one."
-        )
-    found = first_difference(json.loads(kept["problem"]), texts)
-    if found:
-        raise OtherStudy(
-            f"the folder {folder} holds {what} of another problem: {found}. Give another "
-            "folder, or delete this one."
-        )
+    return decorate

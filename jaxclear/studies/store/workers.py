@@ -1,4 +1,8 @@
-"""Chunks of a campaign on the workers of Dask, which write them themselves.
+"""Who computes the chunks of a campaign: each is claimed, drawn, computed, kept; by the threads of
+this process, or on the workers of Dask. Other processes may be at the same folder.
+
+A sample is drawn by its own number, and computed in a batch whose size depends on the problem
+alone: it is the same to the last bit in whatever chunks, threads and processes the work is done.
 
 Dask decides who computes what, and asks again for what a lost worker was at. Only the problem
 travels (pickled by Dask, between processes of one user), once to each worker, and numbers of
@@ -11,20 +15,37 @@ import functools
 import secrets
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from jaxclear.ground.wording import described
-from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.replicas import finer_runs
-from jaxclear.studies.store.batch import Program
-from jaxclear.studies.store.digest import in_texts
-from jaxclear.studies.store.files import address_of
-from jaxclear.studies.store.samples import Samples
-from jaxclear.studies.store.store import STUDY
-from jaxclear.studies.store.threads import PATIENCE, AbstractWork, Evaluation, done
+import jax
+import numpy as np
 
+from jaxclear.ground.wording import described
+from jaxclear.integrators import Outcome
+from jaxclear.native import stops
+from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.endless import answered
+from jaxclear.studies.replicas import finer_runs
+from jaxclear.studies.sampling import Drawing
+from jaxclear.studies.store.batch import (
+    OUTCOME,
+    PATIENCE,
+    RESPONSES,
+    Program,
+    devices,
+    until_all,
+)
+from jaxclear.studies.store.digest import in_texts
+from jaxclear.studies.store.samples import Plan, Samples
+from jaxclear.studies.store.store import STUDY, compute_address
+
+# Samples are drawn in blocks of whole chunks, about so many, because a small draw costs as much.
+DRAWN = 1 << 14
 # Blocks of chunks asked of the scheduler at a time, for each thread of the workers.
 ASKED_A_THREAD = 2
 # [s] after which a worker answers, whatever is left of its block: Dask's own work is little beside
@@ -32,8 +53,104 @@ ASKED_A_THREAD = 2
 WORTH = 1.0
 # [s] for the first worker to join.
 JOINING = 60.0
+# Told of every chunk that is finished: its number and how many of its samples failed.
+Heard = Callable[[int, int], None]
 # Held by the thread of a worker that makes what all its threads share.
 _MAKING = threading.Lock()
+
+
+class Evaluation:
+    """What a plan asks a program for, chunk by chunk."""
+
+    def __init__(self, program: Program, plan: Plan):
+        self.program, self.plan = program, plan
+        self._stops = stops()
+        self._drawing = threading.Lock()
+        self._drawn: dict[int, np.ndarray] = {}
+
+    @cached_property
+    def _sample(self) -> Drawing:
+        plan = self.plan
+        return Drawing(self.program.problem, plan.seed, plan.sampling, plan.scramblings)
+
+    def values(self, number: int) -> np.ndarray:
+        """Values (samples, variables) of a chunk."""
+        chunk = self.plan.chunk
+        size = max(DRAWN // chunk, 1) * chunk
+        first, last = self.plan.span(number)
+        block = first // size
+        with self._drawing:
+            if block not in self._drawn:
+                # Threads may still be at the block before.
+                self._drawn = {n: own for n, own in self._drawn.items() if n == block - 1}
+                ends = block * size, min((block + 1) * size, self.plan.samples)
+                self._drawn[block] = self._sample.span(*ends)
+            return self._drawn[block][first - block * size : last - block * size]
+
+    def chunk(self, values: np.ndarray) -> SampleResult:
+        """What the samples of a chunk give. Raises `Stopped` where Ctrl-C ended the program."""
+        batch, count = self.plan.batch * devices(), len(values)
+        # The last batch is filled up with copies, so that all run the one compiled program.
+        padded = np.concatenate([values, np.repeat(values[-1:], -count % batch, axis=0)])
+        pieces = padded.reshape(-1, batch, values.shape[1])
+        found = [self.program.run(piece, self._stops) for piece in pieces]
+        return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *found)
+
+
+def failures(problem: AbstractProblem, outcome: Any, responses: dict[str, Any]) -> int:
+    """How many of these samples failed."""
+    return int(np.sum((outcome != Outcome.REACHED) | ~answered(problem, responses)))
+
+
+def done(samples: Samples, evaluation: Evaluation, number: int) -> int | None:
+    """Computes a chunk and keeps it: how many of its samples failed; None where another thread or
+    process is at it."""
+    problem = evaluation.program.problem
+
+    def load() -> int | None:
+        known = samples.chunk(number)
+        if known is None:
+            return None
+        by_name = dict(zip(problem.response_names, known.arrays[RESPONSES].T, strict=True))
+        return failures(problem, known.arrays[OUTCOME], by_name)
+
+    def compute() -> int:
+        values = evaluation.values(number)
+        found = evaluation.chunk(values)
+        samples.write(number, values, found)
+        return failures(problem, found.outcome, found.responses)
+
+    return samples.store.obtain(samples.address(number), load, compute)
+
+
+class AbstractWork(ABC):
+    """Who computes the chunks of a campaign of a `problem`."""
+
+    problem: AbstractProblem
+
+    @abstractmethod
+    def compute(self, samples: Samples, numbers: Sequence[int], heard: Heard) -> None:
+        """Computes and keeps the chunks of these numbers, and waits for those that other processes
+        are at."""
+
+    @abstractmethod
+    def replicated(self, plan: Plan, values: np.ndarray) -> SampleResult | None:
+        """What samples of these values (samples, variables) give in finer runs, if there are
+        any."""
+
+
+class Threads(AbstractWork):
+    """The threads of this process, side by side. Interrupted, it loses the chunks in work."""
+
+    def __init__(self, problem: AbstractProblem):
+        self.problem, self._program = problem, Program(problem, wide=True)
+
+    def compute(self, samples, numbers, heard):
+        evaluation = Evaluation(self._program, samples.plan)
+        until_all(lambda number: done(samples, evaluation, number), numbers, heard)
+
+    def replicated(self, plan, values):
+        return finer_runs(self.problem, values, plan.batch)
 
 
 def check_client(client: Any) -> None:
@@ -53,7 +170,7 @@ class Workers(AbstractWork):
     def __init__(self, problem: AbstractProblem, client: Any):
         self.problem, self.client = problem, client
         # The texts that a problem is known by tell a worker whether it has compiled it before.
-        self.token = address_of(in_texts(problem))
+        self.token = compute_address(in_texts(problem))
         self.there = client.submit(_itself, problem, pure=False)
 
     def compute(self, samples, numbers, heard):
@@ -172,5 +289,5 @@ def _ready(known: _Once, folder: str, most: int, campaign: str) -> tuple[Samples
             f"a worker does not see the folder {folder} of the campaign; give one that all workers "
             "share."
         )
-    samples = Samples.opened(folder).view(most)
+    samples = Samples.open(folder).view(most)
     return samples, Evaluation(_program(known), samples.plan)

@@ -7,6 +7,7 @@ runs that it has not seen, one by one (leave-one-out); below R2 = 0.9 it says th
 
 import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -25,6 +26,7 @@ from jaxclear.studies.sampling import all_values
 from jaxclear.studies.scrambling import scrambled_normal
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.result import GivenSample, given_sample
+from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import powers
 from jaxclear.studies.surface.response_surface import ResponseSurface
@@ -71,6 +73,7 @@ INSTEAD = "limits of jaxclear.design and jaxclear.reliability take it"  # what h
 
 
 @answering
+@stored("a response surface")
 def surface(
     problem: AbstractProblem,
     sample: int | GivenSample | None = None,
@@ -79,6 +82,7 @@ def surface(
     over: Region = 1.0,
     slopes: bool = False,
     seed: int = 0,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> ResponseSurface:
     """A polynomial surface through a few runs of a problem.

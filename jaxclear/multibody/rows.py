@@ -1,0 +1,176 @@
+"""Unit forces, and what acts along them by the element that gives it.
+
+A direction is a unit force at one or more places: a force on the coordinate of a link, or a wrench
+between two markers. Its rate, its Jacobian row and the wrenches on the links follow by virtual
+power. Whatever acts but contacts is a row, so reports are sums over rows.
+"""
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.pose import Pose
+from jaxclear.multibody import kinematics, tree
+from jaxclear.multibody.kinematics import JacobianRow
+from jaxclear.multibody.loops import Closure
+from jaxclear.multibody.system import System
+from jaxclear.multibody.tree import NOTHING, Motion, Wrench
+
+
+class OnLink(NamedTuple):
+    """A force on the single coordinate of a link, of this size."""
+
+    link: int
+    factor: Any = 1
+
+
+class OnClosure(NamedTuple):
+    """A wrench on the child of a closure about its marker, in the parent marker's axes, times a
+    factor, and its opposite on the parent; `joint`: the connection between these markers (None:
+    they are no joint's)."""
+
+    closure: Closure
+    pose: Pose
+    wrench: Wrench
+    joint: str | None = None
+    factor: Any = 1
+
+
+class Direction(NamedTuple):
+    """A unit force: what it is at each place where it acts."""
+
+    places: tuple[OnLink | OnClosure, ...]
+
+    def times(self, factor: Any) -> "Direction":
+        """The direction of a quantity that is `factor` times as large by unit motion."""
+        return Direction(
+            tuple(place._replace(factor=sp.mul(factor, place.factor)) for place in self.places)
+        )
+
+    def jacobian(self, system: System, motions: tuple[Motion, ...]) -> JacobianRow:
+        """Its rate by the free speeds; none of a coordinate that a drive prescribes."""
+        row: JacobianRow = {}
+        for place in self.places:
+            entries: JacobianRow = {}
+            if isinstance(place, OnClosure):
+                power = lambda _, *moving, on=place.wrench: (_power(on, *moving),)
+                ends = place.closure, place.pose
+                (entries,) = kinematics.relative_jacobian(system, motions, *ends, power)
+            elif motions[place.link].columns:
+                entries = {system.topology.branches[place.link].speeds.start: 1}
+            for j, entry in entries.items():
+                row[j] = sp.add(row.get(j, 0), sp.mul(place.factor, entry))
+        return row
+
+
+def _power(wrench: Wrench, velocity: sp.Vec, spin: sp.Vec) -> Any:
+    return sp.add(sp.dot(wrench.force, velocity), sp.dot(wrench.torque, spin))
+
+
+class CoordinateReading(NamedTuple):
+    """The coordinate of a joint or motor at an instant: its `position` [rad, m] and `speed`, and
+    the direction of a force along it."""
+
+    position: Any
+    speed: Any
+    direction: Direction
+
+
+class Row(NamedTuple):
+    """A force [N, N m] along a direction, and the element that gives it."""
+
+    owner: str
+    direction: Direction
+    force: Any
+
+
+class ActingForces(NamedTuple):
+    """What acts so far: wrenches on links, forces on their coordinates, and the rows among it."""
+
+    wrenches: list[Wrench]
+    coordinate_forces: list[tuple]
+    rows: list[Row]
+
+    def add(self, owner: str, direction: Direction, force: Any) -> None:
+        """Adds a force along a direction. Drives take what acts on coordinates that they
+        prescribe (`forces_on_drives`)."""
+        self.rows.append(Row(owner, direction, force))
+        add_wrenches(self.wrenches, self.rows[-1])
+        for link, size in _on_links(self.rows[-1]):
+            if self.coordinate_forces[link]:
+                self.coordinate_forces[link] = (sp.add(self.coordinate_forces[link][0], size),)
+
+
+def add_wrenches(wrenches: list[Wrench], row: Row) -> None:
+    """Adds what a row does between markers to the wrenches on the links."""
+    for place in row.direction.places:
+        if isinstance(place, OnClosure):
+            add_action_and_reaction(wrenches, place.closure, place.pose, *_sized(row, place))
+
+
+def wrench_in_joint(rows: Iterable[Row], joint: str) -> Wrench:
+    """The sum of rows in a joint, on its child about its marker, in the parent marker's axes."""
+    total = NOTHING
+    for row in rows:
+        for place in row.direction.places:
+            if isinstance(place, OnClosure) and place.joint == joint:
+                total = sum_wrenches(total, _sized(row, place))
+    return total
+
+
+def forces_on_drives(motions: tuple[Motion, ...], rows: Iterable[Row]) -> dict[int, Any]:
+    """Sums of rows along coordinates that drives prescribe, by link."""
+    found: dict[int, Any] = {}
+    for row in rows:
+        for link, size in _on_links(row):
+            if motions[link].prescribed:
+                found[link] = sp.add(found.get(link, 0), size)
+    return found
+
+
+def _on_links(row: Row) -> list[tuple[int, Any]]:
+    places = row.direction.places
+    return [(at.link, sp.mul(at.factor, row.force)) for at in places if isinstance(at, OnLink)]
+
+
+def _sized(row: Row, place: OnClosure) -> Wrench:
+    size = sp.mul(row.force, place.factor)
+    return Wrench(*(sp.scale(size, part) for part in place.wrench))
+
+
+def add_action_and_reaction(
+    wrenches: list[Wrench], closure: Closure, pose: Pose, force: sp.Vec, torque: sp.Vec
+) -> None:
+    """Add a wrench on the closure's child about its marker, in the parent marker's axes, and its
+    opposite on the parent.
+    """
+    parent = None if closure.parent_link is None else closure.parent
+    child = None if closure.child_link is None else closure.child
+    on_child, on_parent = action_and_reaction(parent, child, pose, force, torque)
+    for link, wrench in ((closure.child_link, on_child), (closure.parent_link, on_parent)):
+        if link is not None:
+            wrenches[link] = sum_wrenches(wrenches[link], wrench)
+
+
+def action_and_reaction(
+    parent: Pose | None, child: Pose | None, pose: Pose, force: sp.Vec, torque: sp.Vec
+) -> tuple[Any, Any]:
+    """Wrenches on the links of the child's marker and of the parent's, in their axes; None where
+    that is the ground."""
+    on_child = on_parent = None
+    if child is not None:
+        turned = (
+            sp.apply_transposed(pose.rotation, force),
+            sp.apply_transposed(pose.rotation, torque),
+        )
+        on_child = tree.transform_wrench(child, Wrench(*turned))
+    if parent is not None:
+        moment = sp.plus(torque, sp.cross(pose.translation, force))
+        back = Wrench(tuple(sp.neg(x) for x in force), tuple(sp.neg(x) for x in moment))
+        on_parent = tree.transform_wrench(parent, back)
+    return on_child, on_parent
+
+
+def sum_wrenches(a: Wrench, b: Wrench) -> Wrench:
+    """The sum of two wrenches about the same point."""
+    return Wrench(sp.plus(a.force, b.force), sp.plus(a.torque, b.torque))
