@@ -124,6 +124,8 @@ INNER = {
 INNER |= {"RecordedProblem", "StateGroup"}
 # What problems of a mechanism have in common.
 INNER |= {"AbstractMechanismProblem"}
+# What a beam becomes in a mechanism.
+INNER |= {"Elasticity", "Piece"}
 # Laws of which a number says which acts, in the sample of an identification; what sensors are.
 INNER |= {"ChosenDissipation", "ChosenFriction", "AbstractSignal"}
 # A load as steps see it that find its force themselves.

@@ -1,7 +1,7 @@
 """What acts on the coordinates of joints and motors: what it is asked, and what it answers."""
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -143,6 +143,14 @@ class AbstractStateLoad(AbstractLoad):
         """Inertia [kg m^2] that moves with its only coordinate and with nothing else; None unless
         overridden. Only a joint that the tree carries can have some."""
         return None
+
+    def of_bodies(self, bodies: Mapping[str, Any]) -> "AbstractStateLoad":
+        """The load with numbers of the mechanism's bodies; itself unless overridden.
+
+        Args:
+            bodies: dictionary of the bodies by name.
+        """
+        return self
 
     def resistance(self) -> list[tuple[Scalar, Scalar]] | None:
         """Stiffness [N m/rad, N/m] and damping [N m s/rad, N s/m] of each of its coordinates, where

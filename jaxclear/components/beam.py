@@ -58,14 +58,14 @@ class Beam(AbstractQuantified):
     the length is not, as it decides on which piece a marker lies (vary the markers).
 
     Args:
-        length: [m], above 0.
-        section: one of `jaxclear.section`.
+        length: length [m], > 0.
+        section: part of `jaxclear.section`.
         material: a `Material`; needed unless the section is `section.Properties`.
-        density: [kg/m^3], above 0; needed with the material.
-        segments: number of elements, at least 2; 8 by default. Steps that resolve the springs
+        density: density [kg/m^3], > 0; needed with the material.
+        segments: number of elements, >= 2; 8 by default. Steps that resolve the springs
             shorten with their square: `integrator.ImplicitStep` need not resolve them.
         damping: ratio to the critical damping of the first bending mode of the beam on pins at both
-            ends [-], at least 0; damping is proportional to stiffness, so that of other modes is
+            ends [-], >= 0; damping is proportional to stiffness, so that of other modes is
             proportional to their frequency. None by default: no damping.
         space: whether it bends in two planes and twists; False by default: it bends about z alone.
         stretches: whether it stretches as well; False by default.
@@ -111,7 +111,11 @@ class Beam(AbstractQuantified):
         return ("stretch",) * self.stretches + in_space
 
     def hinges(self, name: str) -> tuple[Hinge, ...]:
-        """The hinges from start to end of a beam of this name."""
+        """The hinges from start to end.
+
+        Args:
+            name: name of the beam.
+        """
         found, element = [], self.length / self.segments
         for i in range(self.segments):
             kinds = self._kinds[:: -1 if i % 2 else 1]
@@ -125,7 +129,11 @@ class Beam(AbstractQuantified):
         return [0.0, *(hinge.place for hinge in self.hinges("")), self.length]
 
     def piece(self, index: int) -> Body:
-        """A rigid piece, whose frame lies at its start."""
+        """A rigid piece, whose frame lies at its start.
+
+        Args:
+            index: which one, an integer from 0.
+        """
         start, end = self.ends()[index : index + 2]
         size = end - start
         mass, about_y, about_z = self.section.inertia(self.density)
@@ -170,7 +178,7 @@ class Elasticity(AbstractStateLoad):
     hinges: tuple[Hinge, ...] = eqx.field(static=True)
     springs: dict[str, tuple] | None = None
 
-    def of(self, bodies: Mapping[str, Any]) -> "Elasticity":
+    def of_bodies(self, bodies: Mapping[str, Any]) -> "Elasticity":
         """With stiffness and damping of each kind of hinge, by the numbers of its beam."""
         return Elasticity(self.name, self.hinges, bodies[self.name].springs())
 
@@ -191,10 +199,10 @@ class Elasticity(AbstractStateLoad):
         return CoordinateEffect(forces, (), stored, lost, 0)
 
 
-def hinge_names(loads: Mapping[str, Any]) -> tuple[str, ...]:
-    """The joints of a mechanism under these loads that are hinges of beams."""
-    elastic = [own for own in loads.values() if isinstance(own, Elasticity)]
-    return tuple(name for own in elastic for name in own.coordinates())
+def parts_of_beams(loads: Mapping[str, Any]) -> tuple[str, ...]:
+    """The names of hinges of beams and of their elasticity in a mechanism under these loads."""
+    elastic = {name: own for name, own in loads.items() if isinstance(own, Elasticity)}
+    return (*elastic, *(joint for own in elastic.values() for joint in own.coordinates()))
 
 
 def piece_name(beam: str, index: int) -> str:

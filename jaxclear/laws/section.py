@@ -5,11 +5,12 @@ The axis of the beam is x; y and z are the principal axes of the section through
 
 import math
 from abc import abstractmethod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
 from jaxclear.ground.argument_errors import nothing_else
+from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.laws.law import check_increasing
 from jaxclear.laws.material import Material
@@ -32,17 +33,28 @@ class AbstractSection(AbstractQuantified):
 
     @abstractmethod
     def rigidity(self, material: Material | None) -> Rigidity:
-        """Its stiffness, of this material."""
+        """Its stiffness.
+
+        Args:
+            material: the material; None where the stiffness is given.
+        """
 
     @abstractmethod
     def inertia(self, density: Scalar | None) -> tuple[Scalar, Scalar, Scalar]:
-        """Mass [kg/m] and moments of inertia about y and z [kg m] of a unit of length, of this
-        density [kg/m^3]."""
+        """Mass [kg/m] and moments of inertia about y and z [kg m] of a unit of length.
+
+        Args:
+            density: [kg/m^3]; None where the mass is given.
+        """
 
     @abstractmethod
-    def outer_fibre(self) -> tuple[Scalar, Scalar] | None:
-        """Distances [m] along y and z from the centroid to the outer fibre; None where the shape
-        is not given."""
+    def outer_strain(self, about_z: Any, about_y: Any) -> Any:
+        """Largest strain of bending [-], None where the shape is not given.
+
+        Args:
+            about_z: curvature about z [1/m].
+            about_y: curvature about y [1/m].
+        """
 
 
 class AbstractShape(AbstractSection):
@@ -68,7 +80,7 @@ class Circle(AbstractShape):
     """A full circle.
 
     Args:
-        diameter: [m], above 0.
+        diameter: [m], > 0.
     """
 
     diameter: Scalar = quantity(unit="m", meaning="diameter", above=0)
@@ -77,16 +89,16 @@ class Circle(AbstractShape):
         second = math.pi * self.diameter**4 / 64
         return math.pi * self.diameter**2 / 4, second, second, 2 * second
 
-    def outer_fibre(self):
-        return self.diameter / 2, self.diameter / 2
+    def outer_strain(self, about_z, about_y):
+        return 0.5 * self.diameter * safe_sqrt(about_z**2 + about_y**2)
 
 
 class Tube(AbstractShape):
     """A circular tube.
 
     Args:
-        inner_diameter: [m], above 0 and below the outer one.
-        outer_diameter: [m], above 0.
+        inner_diameter: [m], > 0 and below the outer one.
+        outer_diameter: [m], > 0.
     """
 
     inner_diameter: Scalar = quantity(unit="m", meaning="inner diameter", above=0)
@@ -100,16 +112,16 @@ class Tube(AbstractShape):
         area = math.pi * (self.outer_diameter**2 - self.inner_diameter**2) / 4
         return area, second, second, 2 * second
 
-    def outer_fibre(self):
-        return self.outer_diameter / 2, self.outer_diameter / 2
+    def outer_strain(self, about_z, about_y):
+        return 0.5 * self.outer_diameter * safe_sqrt(about_z**2 + about_y**2)
 
 
 class Rectangle(AbstractShape):
     """A rectangle.
 
     Args:
-        width: along z [m], above 0.
-        height: along y [m], in the plane of bending of a planar beam, above 0.
+        width: along z [m], > 0.
+        height: along y [m], in the plane of bending of a planar beam, > 0.
 
     Source: of the torsion constant, Young, Budynas & Sadegh 2012, Roark's Formulas for Stress and
     Strain, 8th ed., table 10.7.
@@ -125,8 +137,8 @@ class Rectangle(AbstractShape):
         torsion = long * short**3 * (1 / 3 - 0.21 * slender * (1 - slender**4 / 12))
         return width * height, height * width**3 / 12, width * height**3 / 12, torsion
 
-    def outer_fibre(self):
-        return self.height / 2, self.width / 2
+    def outer_strain(self, about_z, about_y):
+        return 0.5 * (self.height * abs(about_z) + self.width * abs(about_y))
 
 
 class Properties(AbstractSection):
@@ -134,12 +146,12 @@ class Properties(AbstractSection):
     as thin as a line where it turns.
 
     Args:
-        EI: bending stiffness about z [N m^2], above 0.
-        mass_per_length: [kg/m], above 0.
-        EI_y: bending stiffness about y [N m^2], above 0; that about z by default.
-        GJ: stiffness of twist [N m^2], above 0; needed in space.
-        EA: stiffness of stretching [N], above 0; needed where a beam stretches.
-        turning_inertia: polar moment of inertia of a unit of length about x [kg m], above 0; needed
+        EI: bending stiffness about z [N m^2], > 0.
+        mass_per_length: [kg/m], > 0.
+        EI_y: bending stiffness about y [N m^2], > 0; that about z by default.
+        GJ: stiffness of twist [N m^2], > 0; needed in space.
+        EA: stiffness of stretching [N], > 0; needed where a beam stretches.
+        turning_inertia: polar moment of inertia of a unit of length about x [kg m], > 0; needed
             in space.
     """
 
@@ -159,5 +171,5 @@ class Properties(AbstractSection):
         half = 0.0 if self.turning_inertia is None else self.turning_inertia / 2
         return self.mass_per_length, half, half
 
-    def outer_fibre(self):
+    def outer_strain(self, about_z, about_y):
         return None

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxclear.components.beam import Beam, Elasticity, Piece, hinge_names, with_pieces
+from jaxclear.components.beam import Beam, Piece, parts_of_beams, with_pieces
 from jaxclear.components.body import Body, Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import AbstractCoupling
@@ -86,12 +86,12 @@ class Bodies(Parts):
     """Bodies, of which pieces of beams are read from the numbers of their beam."""
 
     def __getitem__(self, name: str) -> Any:
-        body = super().__getitem__(name)
+        body = dict.__getitem__(self, name)
         return self[body.beam].piece(body.index) if isinstance(body, Piece) else body
 
     def beam_of(self, name: str) -> str:
         """The name of the beam of which a body is a piece; its own elsewhere."""
-        body = super().__getitem__(name)
+        body = dict.__getitem__(self, name)
         return body.beam if isinstance(body, Piece) else name
 
     def get(self, name: str, default: Any = None) -> Any:
@@ -141,12 +141,8 @@ def in_words(mechanism: Any) -> str:
         ("speeds", lambda name, values: _coordinates(mechanism, name, values, "/s")),
     ):
         given = getattr(mechanism, part)
-        hidden = hinge_names(mechanism.loads) if part == "connections" else ()
-        given = {
-            n: x
-            for n, x in dict.items(given)
-            if not isinstance(x, (Elasticity, Piece)) and n not in hidden
-        }
+        hidden = parts_of_beams(mechanism.loads)
+        given = {n: x for n, x in dict.items(given) if not isinstance(x, Piece) and n not in hidden}
         if given:
             width = max(map(len, given))
             lines += [part, *(f"  {n:<{width}}  {entry(n, x)}".rstrip() for n, x in given.items())]
@@ -303,7 +299,7 @@ class Mechanism(AbstractQuantified):
         validation.check_parts(*parts)
         validation.check_finite("the mechanism", self.given)
         self.bodies, self.connections, self.loads, self.couplings = _unshared(parts)
-        hinges = hinge_names(self.loads)
+        hinges = parts_of_beams(self.loads)
         self.topology = grow(self.bodies, self.connections, self.couplings, hinges)
         usual = isinstance(stabilisation, str) and stabilisation == "default"
         self.stabilisation = AsNeeded() if usual else stabilisation  # type: ignore[assignment]

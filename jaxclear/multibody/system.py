@@ -12,7 +12,6 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxclear.components.beam import Elasticity
 from jaxclear.components.body import GROUND
 from jaxclear.components.clearance import AbstractClearance, ContactLaws
 from jaxclear.components.coupling import (
@@ -220,9 +219,9 @@ def acting_in(mechanism: Mechanism) -> dict[str, Any]:
     behind its joints."""
     ends, found = motor_ends(mechanism), {}
     for name, load in mechanism.loads.items():
-        if isinstance(load, Elasticity):
-            load = load.of(mechanism.bodies)
-        found[name] = load.behind(ends) if isinstance(load, AbstractStateLoad) else load
+        if isinstance(load, AbstractStateLoad):
+            load = load.of_bodies(mechanism.bodies).behind(ends)
+        found[name] = load
     own = mechanism.couplings.items()
     return found | {n: c for n, c in own if isinstance(c, AbstractForceCoupling)}
 

@@ -1,29 +1,24 @@
 """What a beam does over a run: how it bends, and what its outer fibre bears."""
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.components.beam import Beam, piece_name
 from jaxclear.ground.arguments import check_name
-from jaxclear.ground.numerics import safe_sqrt
-from jaxclear.laws.section import Rectangle
-
-if TYPE_CHECKING:
-    from jaxclear.results.trajectory import Trajectory
 
 LINES = ("chord", "start")
 
 
-def _beam(run: "Trajectory", name: str) -> Beam:
+def _beam(run: Any, name: str) -> Beam:
     beams = {n: own for n, own in run.mechanism.bodies.items() if isinstance(own, Beam)}
     check_name("beam", name, beams, " in this mechanism")
     return beams[name]
 
 
 def deflection(
-    run: "Trajectory", name: str, relative_to: Literal["chord", "start"]
+    run: Any, name: str, relative_to: Literal["chord", "start"]
 ) -> Float[Array, "time place 3"]:
     """See `Trajectory.deflection`."""
     beam = _beam(run, name)
@@ -43,21 +38,18 @@ def deflection(
     return seen - jnp.stack([jnp.asarray(ends), *jnp.zeros((2, len(ends)))], axis=-1)
 
 
-def stress(run: "Trajectory", name: str) -> Float[Array, "time element"]:
+def stress(run: Any, name: str) -> Float[Array, "time element"]:
     """See `Trajectory.stress`."""
     beam = _beam(run, name)
-    fibre, material = beam.section.outer_fibre(), beam.material
-    if fibre is None or material is None:
-        raise ValueError(
-            f'the beam "{name}" has a section given by its stiffness, without an outer fibre; '
-            "give its shape, such as jaxclear.section.Circle, to read its stress."
-        )
     element = beam.length / beam.segments
     strain: dict[str, Any] = {"bend_y": 0.0, "bend_z": 0.0, "stretch": 0.0}
     for kind in {hinge.kind for hinge in beam.hinges(name)} & set(strain):
         joints = [hinge.joint for hinge in beam.hinges(name) if hinge.kind == kind]
         strain[kind] = jnp.stack([run.coordinate(joint) for joint in joints], axis=1) / element
-    about_z, about_y = fibre[0] * strain["bend_z"], fibre[1] * strain["bend_y"]
-    corner = isinstance(beam.section, Rectangle)
-    bending = abs(about_z) + abs(about_y) if corner else safe_sqrt(about_z**2 + about_y**2)
-    return material.young_modulus * (bending + abs(strain["stretch"]))
+    bending = beam.section.outer_strain(strain["bend_z"], strain["bend_y"])
+    if bending is None or beam.material is None:
+        raise ValueError(
+            f'the beam "{name}" has a section given by its stiffness, without an outer fibre; '
+            "give its shape, such as jaxclear.section.Circle, to read its stress."
+        )
+    return beam.material.young_modulus * (bending + abs(strain["stretch"]))

@@ -305,8 +305,9 @@ class LargestDeflection(AbstractResponse):
     along the beam.
 
     Args:
-        beam: its name.
-        relative_to: as of `Trajectory.deflection`; "chord" by default.
+        beam: name of the beam.
+        relative_to: word for the line, as of `Trajectory.deflection`; "chord" by default.
+        unit: unit of the response; "m" by default.
     """
 
     beam: str = eqx.field(static=True)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxclear.components.beam import hinge_names
+from jaxclear.components.beam import parts_of_beams
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.wording import described
@@ -185,7 +185,7 @@ def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, P
     """What every body, and the ground, is drawn by."""
     ends: dict[str, list[np.ndarray]] = {name: [] for name in (GROUND, *run.mechanism.bodies)}
     joints: dict[str, dict[str, Triangles]] = {name: {} for name in ends}
-    hinges = hinge_names(run.mechanism.loads)
+    hinges = parts_of_beams(run.mechanism.loads)
     for name, connection in run.mechanism.connections.items():
         outer, inner = _joint(connection, size, _travel(run, name))
         for marker, part in ((connection.parent, outer), (connection.child, inner)):

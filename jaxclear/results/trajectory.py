@@ -395,9 +395,9 @@ class Trajectory(AbstractShown):
         """How far the axis of a `Beam` lies from a straight line.
 
         Args:
-            name: of the beam.
-            relative_to: the line through both ends ("chord", the default), or that along which the
-                beam starts ("start").
+            name: name of the beam.
+            relative_to: word for the line: through both ends ("chord", the default), or along
+                which the beam starts ("start").
 
         Returns:
             [m], in axes along and across that line, by saving time, place along the beam
@@ -413,7 +413,7 @@ class Trajectory(AbstractShown):
         """Largest normal stress in the outer fibre of a `Beam`, by bending and stretching.
 
         Args:
-            name: of the beam.
+            name: name of the beam.
 
         Returns:
             Its size [Pa], by saving time and element, in the middle of each.

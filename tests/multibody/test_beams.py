@@ -185,8 +185,7 @@ def test_a_rod_that_bends_stands_in_the_place_of_a_rigid_one():
     end = run.marker("rod", (0.12, 0.0)).position
     np.testing.assert_allclose(end, run.marker("rod 5", (0.015, 0.0)).position, atol=1e-15)
     # Its numbers are leaves, and parts can be exchanged.
-    names = [name for name in rig.parameters().index] if hasattr(rig, "parameters") else []
-    assert any("section.diameter" in str(name) for name in names)
+    assert 'bodies["rod"].section.diameter' in str(rig.parameters())
     stiff = rig.with_body("rod", eqx.tree_at(lambda own: own.section.diameter, rod, 12e-3))
     assert stiff.bodies["rod 3"].mass == pytest.approx(4 * rig.bodies["rod 3"].mass)
     pulled = rig.with_load("pull", jc.load.Force(jc.Marker("rod", (0.06, 0.0)), (0.0, 1.0)))
