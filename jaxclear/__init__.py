@@ -53,10 +53,10 @@ try:
     from jaxclear.laws.material import Material
     from jaxclear.multibody.assemblies import assemblies
     from jaxclear.multibody.assembly import assemble
-    from jaxclear.multibody.heated import heated
     from jaxclear.multibody.loops import Baumgarte, Projection
     from jaxclear.multibody.magnitudes import UnusualMagnitude
     from jaxclear.multibody.mechanism import Mechanism
+    from jaxclear.multibody.thermal_expansion import apply_thermal_expansion
     from jaxclear.native.as_written import remember
     from jaxclear.results import response, signal
     from jaxclear.results.pointing_error import pointing_error
@@ -119,6 +119,7 @@ __all__ = [
     "Variable",
     "Wearing",
     "advise",
+    "apply_thermal_expansion",
     "assemble",
     "assemblies",
     "campaign",
@@ -136,7 +137,6 @@ __all__ = [
     "flank",
     "formulation",
     "friction",
-    "heated",
     "identify",
     "integrator",
     "joint",
@@ -203,7 +203,7 @@ if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> Any:
         if name not in _LATER:
-            _refused(name)
+            return _refused(name)
         later = importlib.import_module("jaxclear.offered_later")
         globals().update((one, getattr(later, one)) for one in _LATER)
         _LATER.clear()

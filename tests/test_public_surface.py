@@ -15,7 +15,7 @@ from types import ModuleType
 import pytest
 
 import jaxclear
-from jaxclear.ground.argument_errors import REMOVED
+from jaxclear.ground.argument_errors import REMOVED, RENAMED
 from jaxclear.ground.quantity import AbstractQuantified
 
 PINNED = Path(__file__).parent / "refdata" / "public_surface.json"
@@ -179,6 +179,23 @@ def test_a_removed_name_says_what_to_write_instead(path):
     place, _, name = path.rpartition(".")
     with pytest.raises(AttributeError, match=re.escape(f"any more: {REMOVED[path]}.")):
         getattr(importlib.import_module(place), name)
+
+
+@pytest.mark.parametrize("path", RENAMED)
+def test_an_old_name_works_and_warns_of_the_new_one(path):
+    place, _, name = path.rpartition(".")
+    with pytest.warns(FutureWarning, match=re.escape(f"called {place}.{RENAMED[path]} now")):
+        renamed = getattr(importlib.import_module(place), name)
+    assert renamed is getattr(importlib.import_module(place), RENAMED[path])
+
+
+def test_an_old_argument_works_and_warns_of_the_new_one():
+    with pytest.warns(
+        FutureWarning, match=r"most_steps of integrator.Adaptive is called max_steps"
+    ):
+        assert jaxclear.integrator.Adaptive(most_steps=7).max_steps == 7
+    with pytest.raises(TypeError, match="Adaptive has no argument"):
+        jaxclear.integrator.Adaptive(most_sweeps=7)
 
 
 def test_completion_shows_public_names_alone_and_families_are_imported_by_name():

@@ -234,7 +234,7 @@ def test_a_run_of_a_scene_is_kept_and_reported(here, capsys):
 
 @pytest.mark.slow
 def test_a_run_that_ends_early_is_kept_and_ends_with_code_1(here, capsys):
-    short = pendulum(integrator=jc.integrator.Adaptive(most_steps=10))
+    short = pendulum(integrator=jc.integrator.Adaptive(max_steps=10))
     jc.write_scene(short, here / "short.yaml")
     with pytest.raises(SystemExit) as ended:
         main(["run", "short.yaml", "--quiet"])

@@ -154,7 +154,7 @@ def contact_rows(count: int, alone: int, batch: int, repeats: int):
     """Spatial friction, at most 200 sweeps."""
     data = contacts(count, batch)
     few, many = (tuple(jnp.asarray(part[:size]) for part in data) for size in (alone, batch))
-    solver = ProjectedGaussSeidel(most_sweeps=200)
+    solver = ProjectedGaussSeidel(max_sweeps=200)
     solve = lambda *p: solver.solve(FrictionContact(*p)).residual
     one_by_one = eqx.filter_jit(lambda *p: jax.lax.map(lambda q: solve(*q), p))
     together = eqx.filter_jit(jax.vmap(solve))

@@ -161,7 +161,7 @@ def sweeps(count: int = 2, number: int = 64) -> Callable[[], Any]:
     half = rng.normal(size=(number, n, n))
     parts = half @ half.transpose(0, 2, 1), rng.normal(size=(number, n))
     data = tuple(map(jnp.asarray, (*parts, rng.uniform(0.1, 0.5, (number, count)))))
-    method = library.ProjectedGaussSeidel(most_sweeps=200)
+    method = library.ProjectedGaussSeidel(max_sweeps=200)
     solve = lambda p: method.solve(library.FrictionContact(*p)).residual
     go = eqx.filter_jit(lambda *p: jax.lax.map(solve, p))
     return lambda: go(*data)

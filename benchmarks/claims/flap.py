@@ -69,7 +69,7 @@ def main() -> None:
     tight = []
     for rtol in rtols:
         begun = time.process_time()
-        one = jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol, most_steps=MOST_STEPS)
+        one = jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol, max_steps=MOST_STEPS)
         run = simulated(one)
         tight.append((rtol, run, time.process_time() - begun))
     wanted = asked(tight[-1][1])

@@ -157,7 +157,7 @@ MISTAKES: list[tuple[str, Callable[[], Any]]] = [
     ("newton", lambda: jc.integrator.ImplicitStep(newton_iterations=0)),
     ("gamma", lambda: jc.integrator.MoreauJean(gamma=-1.0)),
     ("tolerance", lambda: jc.integrator.MoreauJean(tolerance=0.0)),
-    ("most_sweeps", lambda: jc.integrator.NonColliding(most_sweeps=0)),
+    ("max_sweeps", lambda: jc.integrator.NonColliding(max_sweeps=0)),
     # runs, studies
     ("integrator", lambda: short(rig(), integrator="rk4")),
     ("integrator", lambda: short(rig(), integrator=jc.integrator.Adaptive)),

@@ -97,11 +97,11 @@ class InteriorPoint(AbstractSolver):
 
     Args:
         kappa: product z_i w_i of the relaxed problem [unit of z times unit of w], > 0.
-        most_steps: largest number of iterations, a count, >= 1.
+        max_steps: largest number of iterations, a count, >= 1.
     """
 
     kappa: Scalar = quantity(1e-8, "1", above=0)
-    most_steps: int = count(100)
+    max_steps: int = count(100)
 
     def solve(self, problem: AbstractLinearProblem) -> Solution:
         check_double_precision()
@@ -110,7 +110,7 @@ class InteriorPoint(AbstractSolver):
         kappa = jax.lax.stop_gradient(self.kappa) / (small.z_scale * small.w_scale)
         finite = small.finite & jnp.all(jnp.isfinite(kappa))
         found, outcome, steps = _follow_path(
-            small.matrix, small.offset, jnp.where(finite, kappa, 1.0), self.most_steps
+            small.matrix, small.offset, jnp.where(finite, kappa, 1.0), self.max_steps
         )
         outcome = jnp.where(finite, outcome, Outcome.NOT_FINITE)
         kept = jax.lax.stop_gradient(jnp.where(small.finite, found, 0.0) * small.z_scale)
@@ -150,12 +150,12 @@ def _keep_relaxation_jvp(primals, tangents):
     return out, z_scale * jnp.linalg.solve(held, jnp.where(solved, right, 0.0))
 
 
-def _follow_path(matrix, offset, kappa, most_steps):
+def _follow_path(matrix, offset, kappa, max_steps):
     """(z, outcome, steps) of a scaled problem with a kappa for every row."""
 
     def running(carry):
         z, w, moved, steps = carry
-        return ~_arrived(matrix, offset, kappa, z, w) & moved & (steps < most_steps)
+        return ~_arrived(matrix, offset, kappa, z, w) & moved & (steps < max_steps)
 
     def improve(carry):
         z, w, _, steps = carry

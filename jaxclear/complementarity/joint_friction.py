@@ -216,14 +216,14 @@ class BoxedGaussSeidel(AbstractSolver):
 
     Args:
         tolerance: change of friction relative to its bound at which to stop [1], > 0.
-        most_sweeps: largest number of sweeps over the joints [1], > 0.
+        max_sweeps: largest number of sweeps over the joints [1], > 0.
         relaxation: share of the bound over which the corners of the bounds are rounded [1], > 0
             (Chen & Harker 1993, SIAM J. Matrix Anal. Appl. 14, 1168, doi:10.1137/0614081); None:
             exact.
     """
 
     tolerance: Scalar = quantity(1e-13, "1", above=0)
-    most_sweeps: Scalar = quantity(1000.0, "1", above=0)
+    max_sweeps: Scalar = quantity(1000.0, "1", above=0)
     relaxation: Scalar | None = quantity(None, "1", above=0)
 
     def solve(self, problem: JointFriction) -> Solution:
@@ -249,7 +249,7 @@ class BoxedGaussSeidel(AbstractSolver):
             return Iterate(start, jnp.zeros(()), jnp.zeros((), int))
 
         def unfinished(carry):
-            return (carry[2] > self.tolerance) & (carry[3] < self.most_sweeps)
+            return (carry[2] > self.tolerance) & (carry[3] < self.max_sweeps)
 
         def improve(carry):
             before, total, last, sweeps = carry

@@ -52,18 +52,18 @@ class ProjectedGaussSeidel(AbstractSolver):
     """The solver of `FrictionContact`, planar or spatial.
 
     Converges for symmetric positive semidefinite W without friction (slowly, perhaps beyond
-    `most_sweeps`, where ranks are deficient); with friction nearly always where contacts are not
+    `max_sweeps`, where ranks are deficient); with friction nearly always where contacts are not
     too redundant. Derivatives of `solve` keep the state of every contact. Between two states they
     are one-sided: a contact that touches without force stays open, one at the edge of its cone
     without slip sticks. Of redundant contacts they are the least.
 
     Args:
         tolerance: residual relative to the largest velocity at which to stop [1], > 0.
-        most_sweeps: largest number of sweeps over the contacts [1], > 0.
+        max_sweeps: largest number of sweeps over the contacts [1], > 0.
     """
 
     tolerance: Scalar = quantity(1e-12, "1", above=0)
-    most_sweeps: Scalar = quantity(1000.0, "1", above=0)
+    max_sweeps: Scalar = quantity(1000.0, "1", above=0)
 
     def solve(self, problem: FrictionContact) -> Solution:
         check_double_precision()
@@ -118,7 +118,7 @@ class ProjectedGaussSeidel(AbstractSolver):
             guess = [x / unit for x in problem.split(jnp.where(problem.acts, start, 0.0))]
         first = _sweep(scaled, tuple(guess)) if sweep else tuple(guess)
         found, residual, sweeps = _sweep_until(
-            scaled, first, self.most_sweeps, self.tolerance, in_kernel
+            scaled, first, self.max_sweeps, self.tolerance, in_kernel
         )
         reaction = jnp.where(problem.acts, jnp.concatenate(found) * unit, 0.0)
         return Iterate(reaction, residual, sweeps)
@@ -146,13 +146,13 @@ def _sweep(problem: Scaled, r: tuple) -> tuple:
 
 
 def _sweep_until(
-    problem: Scaled, start: tuple, most_sweeps: Any, tolerance: Any, in_kernel: bool
+    problem: Scaled, start: tuple, max_sweeps: Any, tolerance: Any, in_kernel: bool
 ) -> tuple[tuple, Array, Array]:
     """(reactions by contact, residual, sweeps)."""
 
     def unfinished(carry):
         _, left, _, sweeps = carry
-        return (left > tolerance) & (sweeps < most_sweeps)
+        return (left > tolerance) & (sweeps < max_sweeps)
 
     def improve(carry):
         r, _, best, sweeps = carry

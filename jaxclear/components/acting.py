@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 
 
@@ -212,6 +214,22 @@ class AbstractStateLoad(AbstractLoad):
         set-valued, and do not ask for its `effect`."""
         return None
 
+    def smooth_force(
+        self, time: Scalar, position: Scalar, speed: Scalar
+    ) -> tuple[Any, Any, Any, Any]:
+        """What a load with `sides` or `dry_friction` does beside these; nothing unless overridden.
+        Integrators that find the force of these themselves ask for it in place of `effect`.
+
+        Args:
+            time: time [s].
+            position: its only coordinate [rad; m for a sliding joint].
+            speed: speed of the coordinate [rad/s; m/s for a sliding joint].
+
+        Returns:
+            generalised force [N m, N], stored energy [J], dissipated power [W], external power [W].
+        """
+        return 0, 0, 0, 0
+
     def needs_inertia(self) -> bool:
         """Whether numbers of it follow from the inertia along its only coordinate where a run
         starts; not unless overridden."""
@@ -247,6 +265,91 @@ class AbstractStateLoad(AbstractLoad):
             the load under it.
         """
         return self
+
+
+class JointMotion(NamedTuple):
+    """Motion of a joint at an instant, in the axes of the parent's marker; in a joint with
+    clearance the child's marker is the journal's, the parent's the bearing's.
+
+    Args:
+        pose: pose of the child's marker in the parent's, a `Pose` (rotation, translation [m]).
+        velocity: velocity of the child's marker as seen from the parent's [m/s].
+        spin: angular velocity as seen from there [rad/s].
+    """
+
+    pose: Pose
+    velocity: sp.Vec
+    spin: sp.Vec
+
+
+class JointEffect(NamedTuple):
+    """Force of a load in a joint at an instant, in the axes of the parent's marker.
+
+    Args:
+        force: force on the child [N]; its opposite acts on the parent.
+        torque: torque on the child about its marker [N m].
+        rates: rates of its states, a tuple in their order.
+        stored: energy stored in it [J].
+        dissipated: power lost in it [W]; None: all that force and torque take from the motion.
+        external: power that enters the mechanism through it [W].
+    """
+
+    force: sp.Vec
+    torque: sp.Vec = sp.ZERO
+    rates: tuple = ()
+    stored: Any = 0
+    dissipated: Any = None
+    external: Any = 0
+
+
+class AbstractJointLoad(AbstractStateLoad):
+    """Acts between the two parts of a joint by their relative pose and motion: a film in the gap of
+    a bearing, a seal, a bushing.
+
+    The joint is any connection, ideal or with clearance, of the tree or closing a loop.
+    `run.contact` and `run.reaction` of the joint contain the load; `run.reaction` by the load's
+    name is the load alone. Every integrator takes its force at an instant: it has no law over a
+    step, so steps resolve its stiffness and damping.
+
+    Args:
+        connection: name of the joint.
+    """
+
+    connection: eqx.AbstractVar[str]
+
+    @abstractmethod
+    def act(self, time: Scalar, motion: JointMotion, states: tuple) -> JointEffect:
+        """Force of the load at an instant.
+
+        Args:
+            time: time [s].
+            motion: motion of the joint, a `JointMotion`.
+            states: values of its states, a tuple in their order.
+
+        Returns:
+            a `JointEffect`.
+        """
+
+    def states(self):
+        return ()
+
+    def coordinates(self):
+        return ()
+
+    def effect(self, time, positions, speeds, states):
+        (motion,) = positions
+        effect = self.act(time, motion, states)
+        lost = effect.dissipated
+        if lost is None:
+            taken = sp.dot(effect.force, motion.velocity), sp.dot(effect.torque, motion.spin)
+            lost = sp.neg(sp.add(*taken))
+        wrench = (tuple(effect.force), tuple(effect.torque))
+        return CoordinateEffect(wrench, effect.rates, effect.stored, lost, effect.external)
+
+
+def acts_on_coordinates(load: AbstractLoad) -> bool:
+    """Whether it is a load on coordinates of joints or motors."""
+    return isinstance(load, AbstractStateLoad) and not isinstance(load, AbstractJointLoad)
 
 
 class AbstractCoordinateLoad(AbstractStateLoad):

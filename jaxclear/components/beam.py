@@ -262,7 +262,7 @@ def on_piece(bodies: Mapping[str, Any], part: Any) -> Any:
             f'a marker on the beam "{part.body}" lies at x = {part.at[0]} m; it must be a number '
             f"from 0 to its length {ends[-1]:g} m."
         )
-    index = int(np.searchsorted(ends[1:-1], place, side="right"))
+    index = int(np.searchsorted(ends[1:-1], place))
     if not index:
         return part
     at = (part.at[0] - ends[index], *part.at[1:])

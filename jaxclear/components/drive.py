@@ -23,7 +23,15 @@ from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.numerics import smooth_step
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
 
-__all__ = ["AbstractDrive", "ConstantSpeed", "Harmonic", "Held", "Position", "RampUp", "Speed"]
+__all__ = [
+    "AbstractDrive",
+    "ConstantPosition",
+    "ConstantSpeed",
+    "Harmonic",
+    "Position",
+    "RampUp",
+    "Speed",
+]
 __getattr__, __dir__ = nothing_else("jaxclear.drive", __all__)
 
 
@@ -57,7 +65,7 @@ class ConstantSpeed(AbstractDrive):
         return self.start + self.speed * time, self.speed, 0
 
 
-class Held(AbstractDrive):
+class ConstantPosition(AbstractDrive):
     """A coordinate that does not move: q = position.
 
     Args:

@@ -19,9 +19,12 @@ import numpy as np
 
 from jaxclear.components.acting import (
     AbstractCoordinateLoad,
+    AbstractJointLoad,
     AbstractLoad,
     AbstractStateLoad,
     CoordinateEffect,
+    JointEffect,
+    JointMotion,
     LoadState,
     MotorEnd,
     Side,
@@ -45,6 +48,7 @@ from jaxclear.ground.quantity import Scalar, concrete, quantity, vector
 __all__ = [
     "AbstractBodyLoad",
     "AbstractCoordinateLoad",
+    "AbstractJointLoad",
     "AbstractLoad",
     "AbstractStateLoad",
     "Action",
@@ -52,7 +56,9 @@ __all__ = [
     "Effect",
     "Force",
     "Gravity",
+    "JointEffect",
     "JointFriction",
+    "JointMotion",
     "JointSpring",
     "JointStop",
     "JointTorque",

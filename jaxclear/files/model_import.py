@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxclear.components.body import Connection
-from jaxclear.components.drive import Held
+from jaxclear.components.drive import ConstantPosition
 from jaxclear.components.load import Gravity
 from jaxclear.files.model_loads import STOPS, gives_way, loads_of
 from jaxclear.files.model_tree import HERE, Tree, equalities_of, rotation_of
@@ -75,9 +75,9 @@ def read_mjcf(
     slides a `JointSpring`, armature a `RotorInertia`, dry friction a `JointFriction` (it holds what
     is driven by less; in MuJoCo it creeps), limits a `JointStop`. Active equalities `connect` and
     `weld` are `Spherical` and `Fixed` joints that close loops, linear ones between joints (URDF's
-    `mimic`) a `Ratio`; a joint with an equality of its own is driven (`drive.Held`). Welded bodies
-    without inertia become part of their parent. Several joints of one body get bodies between them,
-    of 1e-12 of its mass. `read_shapes` reads geometries.
+    `mimic`) a `Ratio`; a joint with an equality of its own is driven (`drive.ConstantPosition`).
+    Welded bodies without inertia become part of their parent. Several joints of one body get bodies
+    between them, of 1e-12 of its mass. `read_shapes` reads geometries.
 
     A `NotImported` warning names what is missing: contacts, actuators, tendons, other equalities, a
     reference configuration that is not kept, and the above of balls and free joints. An
@@ -141,7 +141,7 @@ def _held(connections: dict[str, Connection], places: dict[str, float]) -> dict[
     for name, place in places.items():
         own = connections[name]
         joint: Any = own.joint
-        held = dataclasses.replace(joint, drive=Held(place))
+        held = dataclasses.replace(joint, drive=ConstantPosition(place))
         found[name] = Connection(held, own.parent, own.child)
     return found
 

@@ -40,6 +40,11 @@ from jaxclear.files.forms import (
     refuse,
 )
 from jaxclear.files.text import Misread, Node, misread, plain_text
+from jaxclear.ground.argument_errors import (
+    RENAMED,
+    warn_of_renaming,
+    with_new_arguments,
+)
 from jaxclear.ground.quantity import members_of_union
 from jaxclear.ground.wording import described, listed, public_name, unknown
 from jaxclear.integrators.adaptive import Adaptive
@@ -428,6 +433,7 @@ class Called(NamedTuple):
 def _built(called: Called, given: dict, node: Node, path: str, folder: Path) -> Any:
     """What a class or function, told by its name and arguments, makes of what is given."""
     name, build, known = called
+    given = with_new_arguments(name, known, given)
     code = [word for word, own in known.items() if own.needed and own.form is None]
     if code:
         raise misread(
@@ -471,6 +477,8 @@ def _inner(path: str, word: str) -> str:
 def _known(word: str, node: Node, known: dict, made: dict, path: str) -> Any:
     """The class, or the name of the function, that a word names."""
     place, _, last = word.removeprefix("jaxclear.").rpartition(".")
+    old = next((p for p in RENAMED if p.endswith(f"{place}.{last}")), None)
+    last = last if old is None else warn_of_renaming(old)
     fits = lambda thing: not place or public_name(thing) == f"{place}.{last}"
     if last in made and fits(made[last][0]):
         return last

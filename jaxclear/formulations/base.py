@@ -16,7 +16,7 @@ from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import concrete
 from jaxclear.multibody.contact_point import JointReport
-from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.forces import Forces, wrench_of_joint_loads
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import System, prepare
@@ -33,8 +33,8 @@ class ContactReport(NamedTuple):
         slip_speed: sliding speed of each contact [m/s], a tuple.
         traction: size of the friction force of each contact [N], a tuple.
         place: place of touch of each contact [m], a tuple.
-        force: force on the journal (the child) [N].
-        torque: torque on the journal about its marker [N m].
+        force: force on the journal (the child), of its contacts and of loads in the joint [N].
+        torque: their torque on the journal about its marker [N m].
         ends: where the gap carries, of a joint that always touches, a tuple of `CarryingEnd`.
     """
 
@@ -170,8 +170,9 @@ def clearance_contact(instant: Instant, report: JointReport, name: str) -> Conta
     Returns:
         a `ContactReport`.
     """
-    pose = instant.pose(name)
-    points = report.points
+    pose, points = instant.pose(name), report.points
+    place = (instant.model.system, instant.motions, name, instant.time, instant.followed)
+    loads = wrench_of_joint_loads(*place)
     return ContactReport(
         pose.translation,
         sp.transpose(pose.rotation)[2],
@@ -180,8 +181,8 @@ def clearance_contact(instant: Instant, report: JointReport, name: str) -> Conta
         tuple(point.slip_speed for point in points),
         tuple(point.traction for point in points),
         tuple(point.place for point in points),
-        report.force,
-        report.torque,
+        sp.plus(report.force, loads.force),
+        sp.plus(report.torque, loads.torque),
     )
 
 

@@ -47,13 +47,13 @@ class NonCollidingSettings(NamedTuple):
     its bound, and the width over which friction is rounded at its bound, relative to it (None:
     exact)."""
 
-    most_sweeps: Any
+    max_sweeps: Any
     tolerance: Any
     relaxation: Any | None
 
     def solver(self) -> BoxedGaussSeidel:
         """What finds the friction."""
-        return BoxedGaussSeidel(self.tolerance, self.most_sweeps, self.relaxation)
+        return BoxedGaussSeidel(self.tolerance, self.max_sweeps, self.relaxation)
 
 
 def _carried(joints, response: FrictionResponse) -> Callable:

@@ -26,7 +26,7 @@ from jaxclear.multibody import kinematics
 from jaxclear.multibody.forces import Forces, as_pressed, read_coordinate
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.rows import ActingForces, forces_on_drives
+from jaxclear.multibody.rows import ActingForces, Row, forces_on_drives
 from jaxclear.multibody.state import Followed, unpack_motion
 from jaxclear.multibody.system import System, Transmission, coordinate_loads
 from jaxclear.multibody.transmissions import Pressing, row_of, twist_direction, twist_of
@@ -44,7 +44,7 @@ class OverStep(AbstractCoordinateLoad):
     load: AbstractStateLoad
 
     def force(self, time, position, speed):
-        return 0, 0, 0, 0
+        return self.load.smooth_force(time, position, speed)
 
     def reads_position(self):
         return self.load.reads_position()
@@ -212,10 +212,10 @@ def with_loads(system: System, forces: Forces, given: dict[str, Any]) -> Forces:
     for name, own in every.items():
         if not own.flank:
             reading = read_coordinate(system, motions, own.on, forces.followed)
-            acting.add(name, reading.direction, given[name])
+            acting.add(Row(own.on, reading.direction, given[name]))
             continue
         flanks, torque = system.flanks[own.on], -given[name]
-        acting.add(own.on, twist_direction(motions, flanks), given[name] / flanks.scale)
+        acting.add(Row(own.on, twist_direction(motions, flanks), given[name] / flanks.scale))
         twist, none = twist_of(system, motions, flanks), (0.0, 0.0)
         torques = positive_part(torque), positive_part(-torque)
         pressing[own.on] = Pressing(torque, None, 0.0, 0.0, twist, none, none, torques)

@@ -23,6 +23,7 @@ from jaxclear.formulations.permanent_reactions import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
+from jaxclear.multibody.forces import wrench_of_joint_loads
 from jaxclear.multibody.system import System
 
 
@@ -89,6 +90,8 @@ def report(
     slips = tuple(sp.mul(joint.arm, x) for x in speeds)
     sliding = [slid(joint, slips if len(slips) > 1 else slips[0], c.place) for c in found]
     offset, axis = _offset_and_axis(ends)
+    place = (instant.model.system, instant.motions, held.name, instant.time, instant.followed)
+    loads = wrench_of_joint_loads(*place)
     return ContactReport(
         offset,
         axis,
@@ -97,8 +100,8 @@ def report(
         sp.stack(sliding),
         jnp.abs(sp.stack([contact.friction for contact in found])),
         jnp.stack([sp.stack(contact.place) for contact in found]),
-        sp.stack(reaction.force),
-        sp.stack(reaction.torque),
+        sp.stack(sp.plus(reaction.force, loads.force)),
+        sp.stack(sp.plus(reaction.torque, loads.torque)),
         ends,
     )
 

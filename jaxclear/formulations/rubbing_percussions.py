@@ -129,7 +129,7 @@ def searched(
 
     def unfinished(carry):
         _, _, left, sweeps = carry
-        return (left > settings.tolerance) & (sweeps < settings.most_sweeps)
+        return (left > settings.tolerance) & (sweeps < settings.max_sweeps)
 
     first = (start, respond(start / h), jnp.asarray(jnp.inf), jnp.zeros((), int))
     z, _, left, _ = jax.lax.while_loop(unfinished, improve, first)

@@ -71,7 +71,7 @@ class MoreauJeanSettings(NamedTuple):
 
     theta: Any
     gamma: Any
-    most_sweeps: Any
+    max_sweeps: Any
     tolerance: Any
     project: bool
     gentle: bool = False
@@ -79,7 +79,7 @@ class MoreauJeanSettings(NamedTuple):
 
     def solver(self) -> ProjectedGaussSeidel:
         """What finds the percussions."""
-        return ProjectedGaussSeidel(self.tolerance, self.most_sweeps)
+        return ProjectedGaussSeidel(self.tolerance, self.max_sweeps)
 
 
 class Spring(NamedTuple):

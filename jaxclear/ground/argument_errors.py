@@ -9,12 +9,14 @@ import functools
 import importlib.util
 import inspect
 import re
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Container
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import equinox as eqx
 
+from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import as_typed, described, final_members, listed, meant, public_name
 
 if TYPE_CHECKING:
@@ -41,6 +43,33 @@ REMOVED = {
     f"jaxclear.cost.{name}": "give the cost as a function of (nominal, tolerance)"
     for name in ("Exponential", "ReciprocalExponential", "ReciprocalPower", "ReciprocalSquared")
 }
+# Names that have changed, by the old ones; these work for one version and warn.
+RENAMED = {
+    "jaxclear.coupling.Hold": "Latch",
+    "jaxclear.drive.Held": "ConstantPosition",
+    "jaxclear.heated": "apply_thermal_expansion",
+}
+
+RENAMED_ARGUMENTS = {"most_steps": "max_steps", "most_sweeps": "max_sweeps"}
+
+
+def with_new_arguments(owner: str, known: Container[str], given: dict) -> dict:
+    """Arguments with their new names; warns of old ones, of which the `owner` is known."""
+    for old, new in RENAMED_ARGUMENTS.items():
+        if old in given and old not in known and new in known:
+            sentence = (
+                f"{old} of {owner} is called {new} now; the old name goes in the next version."
+            )
+            warn(sentence, FutureWarning)
+            given = {new if name == old else name: value for name, value in given.items()}
+    return given
+
+
+def warn_of_renaming(path: str) -> str:
+    """The new name for an old one, such as "jaxclear.drive.Held"."""
+    new = f"{path.rpartition('.')[0]}.{RENAMED[path]}"
+    warn(f"{path} is called {new} now; the old name goes in the next version.", FutureWarning)
+    return RENAMED[path]
 
 
 class AnsweringMeta(ModuleMeta):
@@ -61,6 +90,8 @@ class AnsweringMeta(ModuleMeta):
                 f"{public_name(cls)} is what a family has in common and cannot be built; it needs "
                 f"a class of its own{''.join(f', such as {one}' for one in members)}."
             )
+        if not kwargs.keys().isdisjoint(RENAMED_ARGUMENTS):
+            kwargs = with_new_arguments(public_name(cls), cls.__dataclass_fields__, kwargs)
         try:
             return ModuleMeta.__call__(cls, *args, **kwargs)
         except TypeError:
@@ -170,12 +201,14 @@ def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
 
 def nothing_else(
     module: str, offered: list[str]
-) -> tuple[Callable[[str], NoReturn], Callable[[], list[str]]]:
-    """The `__getattr__` and `__dir__` of a module: for any name beyond those offered, a sentence;
-    what completes a name that is being typed shows these alone."""
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """The `__getattr__` and `__dir__` of a module: for any name beyond those offered, a sentence,
+    for an old one what has the new; what completes a name that is being typed shows these alone."""
 
-    def refuse(name: str) -> NoReturn:
+    def refuse(name: str) -> Any:
         path = f"{module} has no {name!r}"
+        if f"{module}.{name}" in RENAMED:
+            return getattr(sys.modules[module], warn_of_renaming(f"{module}.{name}"))
         if name.startswith("__"):
             raise AttributeError(f"{path}.")
         if f"{module}.{name}" in REMOVED:

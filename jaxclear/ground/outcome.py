@@ -56,7 +56,7 @@ class Unknown(AbstractOutcome):
     )
     UNRESOLVED = (
         3,
-        "the steps that it asks for are too many or too short: allow Adaptive more most_steps, or "
+        "the steps that it asks for are too many or too short: allow Adaptive more max_steps, or "
         "take jaxclear.sensitivity.",
     )
     PARTED = (

@@ -105,7 +105,7 @@ class Adaptive(AbstractIntegrator):
         rtol: relative local error of coordinates and speeds [1], >= 0 and < 1.
         atol: absolute local error of coordinates [m, rad] and speeds [m/s, rad/s], > 0.
         largest_step: largest step [s], > 0; no bound by default.
-        most_steps: largest number of steps between saving times or wear updates, >= 1.
+        max_steps: largest number of steps between saving times or wear updates, >= 1.
         breaks: further times at which steps end [s], an array; none by default.
     """
 
@@ -118,7 +118,7 @@ class Adaptive(AbstractIntegrator):
     rtol: Scalar = quantity(1e-7, "1", at_least=0, below=1, kw_only=True)
     atol: Scalar = quantity(1e-9, "1", above=0, kw_only=True)
     largest_step: Scalar | None = quantity(None, "s", above=0, kw_only=True)
-    most_steps: int = count(200_000, kw_only=True)
+    max_steps: int = count(200_000, kw_only=True)
     breaks: Any = eqx.field(default=None, kw_only=True, converter=_as_times)
 
     @property
@@ -299,7 +299,7 @@ class Adaptive(AbstractIntegrator):
         """Where a solver ends, and why where that is before the end; of its own steps each is
         `ended(state, args)`. `ends`: of the coordinates and of the speeds in a state."""
         if stepped_by_hand(self.solver) is not None:
-            given = term, solver, controller, span, state, args, self.most_steps, ended, ends
+            given = term, solver, controller, span, state, args, self.max_steps, ended, ends
             found = solve(*given)
             short = jnp.where(found.time < span[1], Outcome.TOO_MANY_STEPS, Outcome.REACHED)
             return found, jnp.where(found.too_small, Outcome.STEP_TOO_SMALL, short)
@@ -314,7 +314,7 @@ class Adaptive(AbstractIntegrator):
             args=args,
             stepsize_controller=controller,
             saveat=diffrax.SaveAt(t1=True, solver_state=solver is not self.solver),
-            max_steps=self.most_steps,
+            max_steps=self.max_steps,
             adjoint=diffrax.ForwardMode(),
             throw=False,
         )

@@ -46,7 +46,7 @@ class Outcome(AbstractOutcome):
     LAWS_NOT_MET = (
         5,
         "The laws of contact or friction were not met: the sweeps over the joints were used up far "
-        "from their solution. Allow more of them (most_sweeps); joints that lock themselves "
+        "from their solution. Allow more of them (max_sweeps); joints that lock themselves "
         "may have no solution there.",
     )
     UNASSEMBLED = 6, "The mechanism cannot be assembled."

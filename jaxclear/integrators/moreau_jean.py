@@ -297,7 +297,7 @@ class MoreauJean(AbstractIntegrator):
         theta: weight of a step's end in its mean speed [1], >= 0 and <= 1; 1/2 conserves the energy
             of smooth motion.
         gamma: share of a step within which a gap must close to count as closed [1], >= 0.
-        most_sweeps: largest number of sweeps over the contacts in a step [1], >= 1; where they end
+        max_sweeps: largest number of sweeps over the contacts in a step [1], >= 1; where they end
             far from the laws, the run ends and says so.
         tolerance: residual of the contact laws relative to the largest velocity at which sweeps end
             [1], > 0.
@@ -314,7 +314,7 @@ class MoreauJean(AbstractIntegrator):
     step: Scalar = quantity(1e-4, "s", above=0)
     theta: Scalar = quantity(0.5, "1", at_least=0, at_most=1, kw_only=True)
     gamma: Scalar = quantity(0.5, "1", at_least=0, kw_only=True)
-    most_sweeps: Scalar = quantity(200.0, "1", at_least=1, kw_only=True)
+    max_sweeps: Scalar = quantity(200.0, "1", at_least=1, kw_only=True)
     tolerance: Scalar = quantity(1e-12, "1", above=0, kw_only=True)
     project: bool = eqx.field(static=True, default=True, kw_only=True)
 
@@ -365,7 +365,7 @@ class MoreauJean(AbstractIntegrator):
     @property
     def _settings(self):
         return MoreauJeanSettings(
-            self.theta, self.gamma, self.most_sweeps, self.tolerance, self.project
+            self.theta, self.gamma, self.max_sweeps, self.tolerance, self.project
         )
 
     def known_states(self, model, times, states, end, warm_start):

@@ -38,7 +38,7 @@ class NonColliding(AbstractIntegrator):
 
     Args:
         step: largest step [s], > 0.
-        most_sweeps: largest number of sweeps over the joints in a step [1], >= 1; where they end
+        max_sweeps: largest number of sweeps over the joints in a step [1], >= 1; where they end
             far from the laws (a guide about to lock itself), the run ends and says so.
         tolerance: change of a joint's friction relative to its bound at which sweeps end [1], > 0.
         relaxation: share of the bound over which Coulomb's law is rounded [1], > 0: a joint then
@@ -53,7 +53,7 @@ class NonColliding(AbstractIntegrator):
     pathwise: ClassVar = True
     projects: ClassVar = True
     step: Scalar = quantity(1e-3, "s", above=0)
-    most_sweeps: Scalar = quantity(20_000.0, "1", at_least=1, kw_only=True)
+    max_sweeps: Scalar = quantity(20_000.0, "1", at_least=1, kw_only=True)
     tolerance: Scalar = quantity(1e-13, "1", above=0, kw_only=True)
     relaxation: Scalar | None = quantity(None, "1", above=0, kw_only=True)
     regularised: bool = eqx.field(static=True, default=False, kw_only=True)
@@ -88,7 +88,7 @@ class NonColliding(AbstractIntegrator):
         return self.formulation.warm_start(model)
 
     def advance(self, model, interval, state, warm_start):
-        settings = NonCollidingSettings(self.most_sweeps, self.tolerance, self.relaxation)
+        settings = NonCollidingSettings(self.max_sweeps, self.tolerance, self.relaxation)
 
         def step(time_step, state, last):
             end, last = self.formulation.step(model, time_step, state, last, settings)

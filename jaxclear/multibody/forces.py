@@ -14,10 +14,12 @@ import jax.numpy as jnp
 from jaxclear.components.coupling import AbstractForceCoupling
 from jaxclear.components.load import (
     AbstractBodyLoad,
+    AbstractJointLoad,
     AbstractStateLoad,
     Action,
     CoordinateEffect,
     Effect,
+    JointMotion,
     MarkerMotion,
 )
 from jaxclear.ground import sparse as sp
@@ -37,6 +39,7 @@ from jaxclear.multibody.rows import (
     action_and_reaction,
     forces_on_drives,
     sum_wrenches,
+    wrench_in_joint,
 )
 from jaxclear.multibody.state import Followed
 from jaxclear.multibody.system import System, body_loads, coordinate_loads
@@ -44,7 +47,6 @@ from jaxclear.multibody.transmissions import Pressing, twist_direction
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
 
 AXIS: sp.Vec = (0, 0, 1)
-PARTS = ("position", "speed")
 
 
 class Forces(NamedTuple):
@@ -119,23 +121,22 @@ def applied_forces(
             external = sp.add(external, effect.external)
     acting = ActingForces(wrenches, [(0,) * len(motion.columns) for motion in motions], [])
     rates: dict[str, tuple] = {}
-    for name, held in coordinate_loads(system):
-        readings = [read_coordinate(system, motions, x, followed) for x in held.coordinates()]
-        found = _effect_at(system, motions, name, readings, time, followed)
-        for reading, force in zip(readings, found.forces, strict=True):
-            acting.add(name, reading.direction, force)
+    for name, _ in coordinate_loads(system):
+        found, rows = load_rows(system, motions, name, time, followed)
+        for row in rows:
+            acting.add(row)
         rates |= {name: found.rates} if found.rates else {}
         stored, damping = sp.add(stored, found.stored), sp.add(damping, found.dissipated)
         external = sp.add(external, found.external)
     pressed = pressing_of(system, motions, followed)
     for name, giving in system.transmissions.items():
         torque = pressed[name].torque
-        acting.add(name, twist_direction(motions, giving), -torque / giving.scale)
+        acting.add(Row(name, twist_direction(motions, giving), -torque / giving.scale))
         moved = (pressed[name].end_rate,) if giving.has_twist else ()
         rubbed = _friction_of_coupling(system, motions, name, torque, followed)
         if rubbed is not None:
             direction, friction, speed, rate = rubbed
-            acting.add(name, direction, friction)
+            acting.add(Row(name, direction, friction))
             moved, damping = (*moved, rate), sp.add(damping, -friction * speed)
         rates |= {name: moved} if moved else {}
         stored, damping = (
@@ -144,10 +145,19 @@ def applied_forces(
         )
     for link, force in forces_on_drives(motions, acting.rows).items():
         external = sp.sub(external, sp.mul(force, motions[link].speeds[0]))
-    links = (tuple(acting.wrenches), tuple(acting.coordinate_forces))
-    energies = (stored, damping, external)
-    rows = tuple(acting.rows)
-    return Forces(motions, reports, *links, *energies, rows, followed, rates, pressed)
+    return Forces(
+        motions,
+        reports,
+        tuple(acting.wrenches),
+        tuple(acting.coordinate_forces),
+        stored,
+        damping,
+        external,
+        tuple(acting.rows),
+        followed,
+        rates,
+        pressed,
+    )
 
 
 def _of_bearings(
@@ -258,29 +268,51 @@ def as_pressed(
     return load.under(force_of(system, motions, name, time, followed))
 
 
-def coordinate_effect(
+def load_rows(
     system: System, motions: tuple[Motion, ...], name: str, time: Any, followed: Followed
-) -> CoordinateEffect:
-    """What a load on coordinates, or a coupling that is a force, does at an instant."""
-    names = system.loads[name].coordinates()
-    readings = [read_coordinate(system, motions, each, followed) for each in names]
-    return _effect_at(system, motions, name, readings, time, followed)
-
-
-def _effect_at(
-    system: System,
-    motions: tuple[Motion, ...],
-    name: str,
-    readings: list[CoordinateReading],
-    time: Any,
-    followed: Followed,
-) -> CoordinateEffect:
-    """The same where its coordinates are read."""
+) -> tuple[CoordinateEffect, list[Row]]:
+    """What a load on coordinates or in a joint, or a coupling that is a force, does at an
+    instant."""
     load = system.loads[name]
     states = states_of(name, load, followed)
     pressed = as_pressed(system, motions, load, time, followed)
-    positions, speeds = (tuple(getattr(x, part) for x in readings) for part in PARTS)
-    return pressed.effect(time, positions, speeds, states)
+    positions, speeds, directions = read_load(system, motions, load, name, followed)
+    effect = pressed.effect(time, positions, speeds, states)
+    if isinstance(load, AbstractJointLoad):
+        closure, (motion,) = system.load_closures[name], positions
+        place = OnClosure(closure, motion.pose, Wrench(*effect.forces), load.connection)
+        return effect, [Row(name, Direction((place,)), 1)]
+    forces = zip(directions, effect.forces, strict=True)
+    return effect, [Row(name, direction, force) for direction, force in forces]
+
+
+def read_load(
+    system: System,
+    motions: tuple[Motion, ...],
+    load: AbstractStateLoad,
+    name: str,
+    followed: Followed,
+) -> tuple[tuple, tuple, tuple]:
+    """Positions and speeds that a load reads, and the directions of its forces; of a load in a
+    joint the joint's motion is the position, and the rest is empty."""
+    if isinstance(load, AbstractJointLoad):
+        relative = kinematics.relative_motion(system.load_closures[name], motions)[2]
+        return (JointMotion(*relative),), (), ()
+    every = [read_coordinate(system, motions, place, followed) for place in load.coordinates()]
+    positions, speeds, directions = (tuple(own[part] for own in every) for part in range(3))
+    return positions, speeds, directions
+
+
+def wrench_of_joint_loads(
+    system: System, motions: tuple[Motion, ...], joint: str, time: Any, followed: Followed
+) -> Wrench:
+    """The sum of the loads in a joint, on its child about its marker, in the parent marker's
+    axes."""
+    rows: list[Row] = []
+    for name in system.load_closures:
+        if system.loads[name].connection == joint:
+            rows += load_rows(system, motions, name, time, followed)[1]
+    return wrench_in_joint(rows, joint)
 
 
 def force_of(
@@ -291,7 +323,7 @@ def force_of(
     if name in system.transmissions:
         return -jnp.asarray(pressing_of(system, motions, followed)[name].torque, float)
     load = system.loads[name]
-    effect = coordinate_effect(system, motions, name, time, followed)
+    effect, _ = load_rows(system, motions, name, time, followed)
     coupled = isinstance(load, AbstractForceCoupling)
     return jnp.asarray(load.transmitted(effect) if coupled else effect.forces[0], float)
 

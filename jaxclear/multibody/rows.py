@@ -91,12 +91,12 @@ class ActingForces(NamedTuple):
     coordinate_forces: list[tuple]
     rows: list[Row]
 
-    def add(self, owner: str, direction: Direction, force: Any) -> None:
-        """Adds a force along a direction. Drives take what acts on coordinates that they
-        prescribe (`forces_on_drives`)."""
-        self.rows.append(Row(owner, direction, force))
-        add_wrenches(self.wrenches, self.rows[-1])
-        for link, size in _on_links(self.rows[-1]):
+    def add(self, row: Row) -> None:
+        """Adds a row. Drives take what acts on coordinates that they prescribe
+        (`forces_on_drives`)."""
+        self.rows.append(row)
+        add_wrenches(self.wrenches, row)
+        for link, size in _on_links(row):
             if self.coordinate_forces[link]:
                 self.coordinate_forces[link] = (sp.add(self.coordinate_forces[link][0], size),)
 

@@ -21,7 +21,13 @@ from jaxclear.components.coupling import (
     Efficiency,
 )
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Revolute
-from jaxclear.components.load import AbstractBodyLoad, AbstractStateLoad, Gravity, MotorEnd
+from jaxclear.components.load import (
+    AbstractBodyLoad,
+    AbstractJointLoad,
+    AbstractStateLoad,
+    Gravity,
+    MotorEnd,
+)
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_many
 from jaxclear.ground.pose import REST, Pose
@@ -120,9 +126,9 @@ class Geared(eqx.Module):
 class System(eqx.Module):
     """Links in the topology's order, loop closures and the joints that make them, clearance joints,
     couplings that give, and loads; `measured`: joints outside the tree on whose coordinate loads
-    act; `geared`: motors that turn with a joint; `flanks`: couplings whose play is between rigid
-    ones. `arm` [m]: the longest, where rows of loops depend
-    on each other; None elsewhere.
+    act; `load_closures`: markers between which loads in joints act, by load; `geared`: motors that
+    turn with a joint; `flanks`: couplings whose play is between rigid ones. `arm` [m]: the longest,
+    where rows of loops depend on each other; None elsewhere.
     """
 
     links: tuple[Link, ...]
@@ -135,6 +141,7 @@ class System(eqx.Module):
     gravity: sp.Vec
     arm: Any
     topology: Topology = eqx.field(static=True)
+    load_closures: dict[str, Closure] = eqx.field(default_factory=dict)
     transmissions: dict[str, Transmission] = eqx.field(default_factory=dict)
     geared: dict[str, Geared] = eqx.field(default_factory=dict)
     flanks: dict[str, Transmission] = eqx.field(default_factory=dict)
@@ -173,7 +180,7 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     bearings = {}
     for name, joint, own in zip(topology.clearances, joints, laws, strict=True):
         bearings[name] = Bearing(closure(name, joint.ideal_rows), joint, own)
-    loads, load_markers, gravity = {}, {}, sp.ZERO
+    loads, load_markers, load_closures, gravity = {}, {}, {}, sp.ZERO
     for name, load in acting_in(mechanism).items():
         if isinstance(load, Gravity):
             gravity = sp.vec3(load.acceleration)
@@ -183,6 +190,8 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
             load_markers[name] = tuple(
                 (topology.index(m.body), frames[m.body].after(m.pose())) for m in load.markers()
             )
+        if isinstance(load, AbstractJointLoad):
+            load_closures[name] = closure(load.connection, ())
     closing = tuple(mechanism.connections[name].joint for name in topology.closing)
     places = dict(zip(topology.closing, closures, strict=True))
     places |= {name: bearing.closure for name, bearing in bearings.items()}
@@ -198,7 +207,7 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
             transmissions[name] = Transmission(own, scale, coupling, end, slides)
     measured = _measured(mechanism, places)
     loaded = (loads, measured, load_markers, gravity)
-    behind = (transmissions, geared_motors(mechanism))
+    behind = (load_closures, transmissions, geared_motors(mechanism))
     system = System(tuple(links), closures, closing, bearings, *loaded, None, topology, *behind)
     return dataclasses.replace(system, arm=longest_arm(system)) if topology.depend else system
 

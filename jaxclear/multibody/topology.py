@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from jaxclear.components.acting import acts_on_coordinates
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import (
@@ -23,7 +24,6 @@ from jaxclear.components.coupling import (
 )
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Free, Planar, Revolute
 from jaxclear.components.joint.base import drive_of
-from jaxclear.components.load import AbstractStateLoad
 from jaxclear.ground.quantity import IF_ANY, numbers
 from jaxclear.ground.wording import listed
 
@@ -337,7 +337,7 @@ def moves_along(mechanism: Any, part: Any) -> bool:
     if isinstance(part, AbstractForceCoupling):
         place = part.along()
         return place is None or slides(mechanism, place)
-    if isinstance(part, AbstractStateLoad):
+    if acts_on_coordinates(part):
         return slides(mechanism, part.coordinates()[0])
     if not isinstance(part, AbstractCoupling):
         return False

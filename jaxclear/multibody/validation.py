@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.components.acting import acts_on_coordinates
 from jaxclear.components.beam import Beam
 from jaxclear.components.body import GROUND, Body, Connection, Marker
 from jaxclear.components.clearance import AbstractClearance
@@ -30,12 +31,15 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import (
     AbstractBodyLoad,
     AbstractCoordinateLoad,
+    AbstractJointLoad,
     AbstractLoad,
     AbstractStateLoad,
     Action,
     CoordinateEffect,
     Effect,
     Gravity,
+    JointEffect,
+    JointMotion,
     MarkerMotion,
 )
 from jaxclear.ground.arguments import check_name, expect
@@ -52,6 +56,7 @@ from jaxclear.multibody.topology import MOTOR, Topology, coordinate_joint, motor
 NUMBER = jax.ShapeDtypeStruct((), jnp.float64)
 VECTOR = (NUMBER,) * 3
 SEEN = MarkerMotion(Pose((VECTOR,) * 3, VECTOR), VECTOR, VECTOR)
+IN_JOINT = JointMotion(Pose((VECTOR,) * 3, VECTOR), VECTOR, VECTOR)
 ON_COORDINATE = ("generalised force", "stored energy", "dissipated power", "external power")
 MOTION = ("position", "speed", "acceleration")
 # Instants [s] at which rates are looked at, which no period divides; and how near they are.
@@ -88,7 +93,11 @@ def check_own_load(name: str, load: Any) -> None:
     """The same of a load and its effect, or force."""
     if not is_own(load):
         return
-    if isinstance(load, AbstractStateLoad) and not isinstance(load, AbstractCoordinateLoad):
+    if isinstance(load, AbstractJointLoad):
+        what, states = f'load "{name}", its act(time, motion, states),', load.states()
+        told = lambda *at: _in_joint(what, call_user(what, load.act, *at), states)
+        shape_of(told, NUMBER, IN_JOINT, (NUMBER,) * len(states))
+    elif isinstance(load, AbstractStateLoad) and not isinstance(load, AbstractCoordinateLoad):
         kind = "coupling" if isinstance(load, AbstractForceCoupling) else "load"
         what = f'{kind} "{name}", its effect(time, positions, speeds, states),'
         count, states = len(load.coordinates()), (NUMBER,) * len(load.states())
@@ -111,6 +120,15 @@ def _on_coordinates(what: str, effect: Any, load: Any) -> None:
     for part, names in wanted:
         _numbers(f"{what} the {part}", tuple(getattr(effect, part)), tuple(names))
     _numbers(what, effect[2:], CoordinateEffect._fields[2:])
+
+
+def _in_joint(what: str, effect: Any, states: tuple) -> None:
+    expect(effect, JointEffect, f"{what} returns what", "a jaxclear.load.JointEffect")
+    _numbers(f"{what} the force,", tuple(effect.force), "xyz")
+    _numbers(f"{what} the torque,", tuple(effect.torque), "xyz")
+    _numbers(f"{what} the rates", tuple(effect.rates), tuple(x.name for x in states))
+    lost = 0 if effect.dissipated is None else effect.dissipated
+    _numbers(what, (effect.stored, lost, effect.external), JointEffect._fields[3:])
 
 
 def is_own(part: Any) -> bool:
@@ -239,6 +257,8 @@ def _check_load(name: str, load: Any, bodies: dict, connections: dict, known: li
                 f'load "{name}" acts on "{GROUND}" alone, which nothing moves; put a marker of it '
                 f"on one of the bodies {listed(bodies)}."
             )
+    if isinstance(load, AbstractJointLoad):
+        check_name("joint", load.connection, connections, f' for load "{name}" to act in')
     if isinstance(load, AbstractStateLoad):
         for place in load.coordinates():
             _check_acts(name, place, bodies, connections, known)
@@ -267,7 +287,7 @@ def _check_pressed(name: str, load: AbstractStateLoad, loads: dict, couplings: d
     by = load.pressed_by()
     if by is None:
         return
-    acting = {n: own for n, own in loads.items() if isinstance(own, AbstractStateLoad)}
+    acting = {n: own for n, own in loads.items() if acts_on_coordinates(own)}
     check_name("load or coupling", by, [*acting, *couplings], f' to press load "{name}"')
     coupling, presser = couplings.get(by), acting.get(by)
     if coupling is not None and not (coupling.gives or isinstance(coupling, AbstractForceCoupling)):

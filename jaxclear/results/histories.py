@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 from jaxclear.components.body import Marker
 from jaxclear.components.clearance import SITUATIONS, AbstractClearance, situation
 from jaxclear.components.coupling import AbstractBodyCoupling
+from jaxclear.components.load import AbstractJointLoad
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
@@ -174,8 +175,9 @@ class ContactHistory(AbstractHistory):
         slip_speed: sliding speed at each contact [m/s], shape (time, contacts).
         traction: magnitude of friction at each contact [N], shape (time, contacts).
         place: point of contact [m], shape (time, contacts, 3).
-        force: force on the journal (the child) [N], shape (time, 3).
-        torque: torque on the journal about its marker [N m], shape (time, 3).
+        force: force on the journal (the child) of its contacts and of loads in the joint
+            (`load.AbstractJointLoad`) [N], shape (time, 3).
+        torque: their torque on the journal about its marker [N m], shape (time, 3).
         names: names of the contacts, in the order of the columns.
     """
 
@@ -350,14 +352,16 @@ def _contact_names(history, name, count):
 
 
 def reaction(history: StateHistory, name: str) -> ReactionHistory:
-    """Force and torque in a connection, or of a coupling of bodies."""
+    """Force and torque in a connection, or of a coupling of bodies, or of a load in a joint."""
     couplings = history.mechanism.couplings
     meshing = [
         n
         for n, coupling in couplings.items()
         if isinstance(coupling, AbstractBodyCoupling) and coupling.motor is None
     ]
-    check_name(name, [*history.mechanism.connections, *meshing], "joint")
+    loads = history.mechanism.loads.items()
+    in_joints = [n for n, own in loads if isinstance(own, AbstractJointLoad)]
+    check_name(name, [*history.mechanism.connections, *meshing, *in_joints], "joint")
     kind = "coupling" if name in couplings else "joint"
     unique = is_unique(history, name, f'the reaction of {kind} "{name}"')
     return dataclasses.replace(_reaction(history, name), unique=unique)
@@ -385,6 +389,8 @@ def is_unique(history: StateHistory, name: str, what: str) -> bool:
 def _reaction(history, name):
     def one(now):
         system, forces, solution = solved(history, now)
+        if name in system.load_closures and name not in history.mechanism.connections:
+            return _load_reaction(now, forces, name)
         if system.topology.branch_of(name) is not None:
             return _branch_reaction(now, forces, solution, name)
         return _closure_reaction(now, forces, solution, name)
@@ -402,7 +408,19 @@ def _branch_reaction(now, forces, solution, name):
     force, torque = sp.apply(rotation, wrench.force), sp.apply(rotation, wrench.torque)
     if branch.reversed:
         force, torque = (tuple(sp.neg(x) for x in part) for part in (force, torque))
+    for load in system.load_closures:
+        if system.loads[load].connection == name:
+            more, turned = _load_reaction(now, forces, load)
+            force, torque = sp.plus(force, more), sp.plus(torque, turned)
     return force, torque
+
+
+def _load_reaction(now, forces, load):
+    """Of a load in a joint."""
+    closure, joint = now.model.system.load_closures[load], now.model.system.loads[load].connection
+    wrench = wrench_in_joint([row for row in forces.rows if row.owner == load], joint)
+    rotation = kinematics.relative_motion(closure, now.motions)[0].parent_pose.rotation
+    return sp.apply(rotation, wrench.force), sp.apply(rotation, wrench.torque)
 
 
 def _closure_reaction(now, forces, solution, name):

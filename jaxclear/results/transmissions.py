@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxclear.components.acting import AbstractStateLoad
+from jaxclear.components.acting import acts_on_coordinates
 from jaxclear.components.clearance.backlash import middle_of
 from jaxclear.components.coupling import AbstractForceCoupling
 from jaxclear.formulations.loads_over_step import forces_of_means, impulse_of
@@ -18,7 +18,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.table import as_table
 from jaxclear.multibody import constraints
-from jaxclear.multibody.forces import coordinate_effect, force_of, pressing_of
+from jaxclear.multibody.forces import force_of, load_rows, pressing_of
 from jaxclear.multibody.system import coordinate_loads, scale_of
 from jaxclear.multibody.topology import motor_name
 from jaxclear.results.histories import (
@@ -109,7 +109,7 @@ def _coupling(history, name):
 def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
     """What a coupling transmits, or a drive or a load on a coordinate gives, over time [N m, N]."""
     mechanism = history.mechanism
-    loads = [n for n, x in mechanism.loads.items() if isinstance(x, AbstractStateLoad)]
+    loads = [n for n, load in mechanism.loads.items() if acts_on_coordinates(load)]
     known = (*mechanism.couplings, *mechanism.driven, *loads)
     check_name(name, known, "coupling, driven joint or load on a coordinate")
     if name in loads and name not in (*mechanism.couplings, *mechanism.driven):
@@ -126,10 +126,8 @@ def _of_load(history: StateHistory, name: str) -> Float[Array, " time"]:
     over each saving interval."""
 
     def one(now: Instant):
-        found = forces_of_means(now)
-        if impulse_of(name) in found:
-            return jnp.asarray(found[impulse_of(name)], float)
-        return force_of(now.model.system, now.motions, name, now.time, now.followed)
+        force = force_of(now.model.system, now.motions, name, now.time, now.followed)
+        return force + forces_of_means(now).get(impulse_of(name), 0.0)
 
     return over_time(history, one)
 
@@ -186,6 +184,6 @@ def _geared(history: StateHistory, now: Instant, name: str, found: tuple) -> Any
     force = -coupling.motor.inertia * faster
     for label, load in coordinate_loads(system):
         if motor in load.coordinates():
-            acts = coordinate_effect(system, now.motions, label, now.time, now.followed)
+            acts, _ = load_rows(system, now.motions, label, now.time, now.followed)
             force = sp.add(force, acts.forces[load.coordinates().index(motor)])
     return jnp.asarray(own.ratio * force, float)

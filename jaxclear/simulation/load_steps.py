@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.components.acting import AbstractStateLoad
+from jaxclear.components.acting import acts_on_coordinates
 from jaxclear.components.drive import AbstractDrive
 from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.joint.base import drive_of
@@ -252,9 +252,10 @@ def felt_along(run: Trajectory, integrator: AbstractIntegrator) -> LoadSteps:
 
     functions, times, ours = {}, run.time, __name__.partition(".")[0]
     known = not is_traced(run) and run.succeeded
-    for name, load in run.mechanism.loads.items():
+    loads: dict[str, Any] = dict(run.mechanism.loads)
+    for name, load in loads.items():
         own = type(load).__module__.partition(".")[0] != ours and known
-        if own and isinstance(load, AbstractStateLoad) and load.sampled_every() is None:
+        if own and acts_on_coordinates(load) and load.sampled_every() is None:
             read = lambda what, load=load: np.stack(
                 [np.ravel(what(x)) for x in load.coordinates()], 1
             )

@@ -7,6 +7,7 @@ than are allowed: springs of couplings and of friction that holds.
 import dataclasses
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -16,7 +17,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import constant
 from jaxclear.ground.wording import listed, public_name
 from jaxclear.integrators.checks import Outcome
-from jaxclear.multibody.forces import coordinate_effect, effect_of
+from jaxclear.multibody.forces import effect_of, load_rows
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import body_loads, coordinate_loads
 from jaxclear.multibody.validation import is_own
@@ -85,7 +86,7 @@ def _of_springs(mechanism: Mechanism) -> str:
     return (
         f"Steps under error control are as short as the springs of {listed(couplings + frictions)} "
         "vibrate, whatever the motion; integrator.ImplicitStep takes steps of the length that you "
-        f"give it.{holds} Or raise most_steps."
+        f"give it.{holds} Or raise max_steps."
     )
 
 
@@ -104,8 +105,8 @@ def _of_loads(history: StateHistory) -> str:
                 out[name] = sp.total(x for each in found.actions for x in (*each[1], *each[2]))
         for name, held in coordinate_loads(system):
             if is_own(held):
-                acts = coordinate_effect(system, now.motions, name, now.time, now.followed)
-                out[name] = sp.total(acts.forces)
+                acts, _ = load_rows(system, now.motions, name, now.time, now.followed)
+                out[name] = sp.total(jax.tree.leaves(acts.forces))
         return {name: jnp.asarray(x, float) for name, x in out.items()}
 
     seen = [history]

@@ -14,7 +14,7 @@ from jaxclear.components.load import AbstractStateLoad
 from jaxclear.formulations.model import Model
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody import kinematics
-from jaxclear.multibody.forces import read_coordinate
+from jaxclear.multibody.forces import read_load
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_followed, unpack_motion
 from jaxclear.multibody.system import System, coordinate_loads
@@ -66,8 +66,7 @@ def sampled(model: Model, time: Any, state: Float[Array, " n"]) -> Float[Array, 
     followed = unpack_followed(layout, entries)
     owners = [owner for owner, _ in layout.states]
     for name, load in sampled_loads(system).items():
-        readings = [read_coordinate(system, motions, x, followed) for x in load.coordinates()]
-        positions, speeds = (tuple(own[part] for own in readings) for part in (0, 1))
+        positions, speeds, _ = read_load(system, motions, load, name, followed)
         held = followed.states[name]
         found = load.sampled(time, positions, speeds, held)
         turns = time / load.sampled_every()

@@ -27,8 +27,8 @@ from jaxtyping import Array
 from jaxclear.components.acting import AbstractStateLoad
 from jaxclear.components.body import Connection
 from jaxclear.components.clearance import AbstractClearance, AbstractPermanentJoint
-from jaxclear.components.coupling import Hold, Motor
-from jaxclear.components.drive import Held
+from jaxclear.components.coupling import Latch, Motor
+from jaxclear.components.drive import ConstantPosition
 from jaxclear.components.joint.base import AbstractDrivenJoint, drive_of
 from jaxclear.formulations.permanent_reactions import Reaction, reaction_through
 from jaxclear.ground import factorisation
@@ -200,7 +200,7 @@ def _with_motors_held(
         total = own.total()
         found[motor] = HeldMotor(named[motor], -others[0].factor, 0.0 if total is None else total)
         given = {"play": own.play, "stiffness": own.stiffness, "damping": own.damping}
-        couplings[named[motor]] = Hold(str(first.joint), 0.0, **given)
+        couplings[named[motor]] = Latch(str(first.joint), 0.0, **given)
     if not found:
         return mechanism, {}
     acting = acting_in(mechanism)
@@ -231,7 +231,7 @@ def _held(name: str, joint: Any) -> Any:
             f'joint "{name}" is a {type(joint).__name__}, whose position cannot be held by one '
             "number; hold a revolute or a prismatic joint, or a journal or a slider."
         )
-    return eqx.tree_at(lambda j: j.drive, joint, Held(0.0), is_leaf=lambda x: x is None)
+    return eqx.tree_at(lambda j: j.drive, joint, ConstantPosition(0.0), is_leaf=lambda x: x is None)
 
 
 def shift(seat: tuple) -> Pose:

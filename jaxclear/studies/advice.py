@@ -47,8 +47,13 @@ PARTING = "Where single runs part, as chaotic ones do, ask for means over a samp
 
 
 class PilotSettings(AbstractQuantified):
-    """Which runs an advice is founded on: so many `copies`, the nominal values and others that
-    `seed` draws from the tolerances. More of them where the answer says that paths part."""
+    """The trial runs on which an advice is based.
+
+    Args:
+        copies: number of copies of the mechanism, the nominal one and others drawn from the
+            tolerances; 8 by default. Use more where the answer says that paths separate.
+        seed: seed that draws the copies; 0 by default.
+    """
 
     copies: int = count(8, "nominal and perturbed runs")
     seed: int = count(0, "seed that draws the copies", at_least=0)
@@ -336,13 +341,23 @@ def advise(
     pilot: PilotSettings | None = None,
     progress_bar: bool = False,
 ) -> Advice:
-    """The integrator that keeps `accuracy` in every response of a problem at the least work; see
-    `Advice`. It is what `Problem(accuracy=)` chooses from the nominal sample, asked of several
-    samples and of more methods; work is counted in evaluations of forces.
+    """Find the integrator that reaches an accuracy in every response at the least work.
 
-    `accuracy` [1]: largest error beside a response's root mean square over the copies. `pilot`: the
-    runs it is founded on. Raises
-    `ValueError` with a sentence for what cannot be asked, and where no run gives numbers.
+    It makes the choice of `Problem(accuracy=)` from several copies of the mechanism and more
+    methods. Work is counted in evaluations of forces.
+
+    Args:
+        problem: the `Problem`.
+        accuracy: largest error of a response, as a factor of its root mean square over the copies
+            [1]; 0.01 by default.
+        pilot: `PilotSettings` of the trial runs; None for the defaults.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Advice`.
+
+    Raises:
+        ValueError: if an argument is wrong, or no run gives numbers.
     """
     check_double_precision()
     expect(problem, Problem, "what advice is given on", "a jaxclear.Problem")

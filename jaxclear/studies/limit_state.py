@@ -27,27 +27,43 @@ MOST_CUTS = 1000
 
 
 class AbstractLimitState(AbstractQuantified):
-    """Tells samples that fail from those that do not, by their responses."""
+    """A condition on responses under which a sample fails.
+
+    A margin is positive where a limit holds and negative where it is exceeded.
+    """
 
     @abstractmethod
     def limits(self) -> tuple[Any, ...]:
-        """The limits on single responses that this one consists of."""
+        """The limits on single responses."""
 
     @abstractmethod
     def cut_sets(self) -> tuple[frozenset[int], ...]:
-        """Places among `limits` that fail the system where all of one set are broken."""
+        """Sets of indices of `limits` whose limits, exceeded together, make the system fail."""
 
     @abstractmethod
     def words(self) -> str:
         """What fails, such as "follower error above 0.00019"."""
 
     def margins(self, responses: dict[str, Array]) -> Float[Array, " limits"]:
-        """Margin of each limit in its response's unit, negative where it is broken."""
+        """Margins of all limits.
+
+        Args:
+            responses: responses by name, a dictionary.
+
+        Returns:
+            Margin of each limit in its response's unit, shape (limits,), negative where it is
+            exceeded.
+        """
         return jnp.stack([own.margin(responses) for own in self.limits()])
 
 
 class Above(AbstractLimitState):
-    """Fails where a response is above a threshold."""
+    """Failure where a response is above a threshold.
+
+    Args:
+        response: name of the response.
+        threshold: largest value that does not fail, in the response's unit.
+    """
 
     response: str = eqx.field(static=True)
     threshold: Scalar = quantity(unit=UNIT, meaning="largest value that does not fail")
@@ -56,6 +72,14 @@ class Above(AbstractLimitState):
         expect(self.response, str, "response of a limit", "the name of a response")
 
     def margin(self, responses):
+        """Threshold minus response.
+
+        Args:
+            responses: responses by name, a dictionary.
+
+        Returns:
+            The margin in the response's unit.
+        """
         return self.threshold - responses[self.response]
 
     def limits(self):
@@ -69,7 +93,12 @@ class Above(AbstractLimitState):
 
 
 class Below(AbstractLimitState):
-    """Fails where a response is below a threshold."""
+    """Failure where a response is below a threshold.
+
+    Args:
+        response: name of the response.
+        threshold: smallest value that does not fail, in the response's unit.
+    """
 
     response: str = eqx.field(static=True)
     threshold: Scalar = quantity(unit=UNIT, meaning="smallest value that does not fail")
@@ -78,6 +107,14 @@ class Below(AbstractLimitState):
         expect(self.response, str, "response of a limit", "the name of a response")
 
     def margin(self, responses):
+        """Response minus threshold.
+
+        Args:
+            responses: responses by name, a dictionary.
+
+        Returns:
+            The margin in the response's unit.
+        """
         return responses[self.response] - self.threshold
 
     def limits(self):
@@ -91,7 +128,14 @@ class Below(AbstractLimitState):
 
 
 class Series(AbstractLimitState):
-    """A system that fails where any of its parts fails, like a chain."""
+    """A system that fails where any of its parts fails, like a chain.
+
+    Args:
+        parts: the parts, each an `AbstractLimitState`.
+
+    Raises:
+        ValueError: if there are none, or one is something else.
+    """
 
     parts: tuple[AbstractLimitState, ...]
 
@@ -109,7 +153,14 @@ class Series(AbstractLimitState):
 
 
 class Parallel(AbstractLimitState):
-    """A system that fails only where all of its parts fail, like a rope of many strands."""
+    """A system that fails only where all of its parts fail, like a rope of many strands.
+
+    Args:
+        parts: the parts, each an `AbstractLimitState`.
+
+    Raises:
+        ValueError: if there are none, or one is something else.
+    """
 
     parts: tuple[AbstractLimitState, ...]
 

@@ -313,16 +313,32 @@ def monte_carlo(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> MonteCarlo:
-    """Responses over a random sample of the variables.
+    """Run a problem for a random sample of its variables.
 
-    `sampling`: "sobol" (scrambled, quasi-random) or "random". The sample consists of independent
-    `scramblings`, by default near its root and at most 8, whose differences tell the error of every
-    statistic. `accuracy`: half of the 95 % interval of each mean, as a share of the
-    response's root mean square [1], or by response in its unit; samples are then doubled until it
-    is reached, and `samples` are the most. `chunk`: samples run together, by
-    default what fits memory; all chunks share one compiled program. `verify`: the first 16 samples
-    are run again with finer steps, which tells `numerical_error` of every statistic. A sample that
-    fails is counted, named and kept; so is one whose run warns of its own numbers.
+    A failed sample does not stop the study; it is counted and keeps the reason of its failure.
+    Samples whose run gives warnings are counted too.
+
+    Args:
+        problem: the problem.
+        samples: number of samples; with `accuracy` the largest number. 1024 by default.
+        seed: seed of the random numbers; 0 by default.
+        sampling: name of the method, "sobol" (scrambled Sobol' points, default) or "random".
+        scramblings: number of independent subsets of the sample, whose differences give the error
+            of each statistic; by default about the square root of `samples`, at most 8.
+        accuracy: required half width of the 95 % interval of each mean, as a factor of the
+            response's root mean square [1], or a dictionary by response in its unit; the sample is
+            doubled until it is reached. None by default.
+        chunk: number of samples that run together; None (default) for what fits the memory.
+        verify: whether to repeat the first 16 samples with finer steps, which gives the numerical
+            error of each statistic; True by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `MonteCarlo`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     check_sampled(problem, samples, seed, sampling)
     check_flags("monte_carlo", verify=verify, progress_bar=progress_bar)

@@ -84,12 +84,24 @@ def screening(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> Screening:
-    """Which variables of a problem matter, by the method of Morris: `trajectories` times one run
-    more than there are variables.
+    """Find the variables that matter, by the method of Morris.
 
-    Trajectories are independent; intervals (95 %) come from the differences between them.
-    Correlated variables are moved by their own independent numbers. A move whose run failed is left
-    out. Raises `ValueError` for what cannot be asked.
+    It takes `trajectories` times (variables + 1) runs. Trajectories are independent; 95 % intervals
+    follow from their differences. Correlated variables are moved by their independent numbers. A
+    move with a failed run is left out.
+
+    Args:
+        problem: the problem.
+        trajectories: number of trajectories; 16 by default.
+        seed: seed of the random numbers; 0 by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Screening`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     check_sampled(problem, trajectories, seed)
     check_count("trajectories of screening", trajectories, at_least=2)

@@ -50,11 +50,18 @@ def as_marker(where: Any) -> Any:
 
 
 class AbstractSensor(AbstractSignal):
-    """An instrument: calling it with a run gives what there is to see, `sensed` what it shows.
+    """An instrument: called with a run it gives the ideal signal; `sensed` gives its reading.
 
-    `noise` [the signal's unit] standard deviation of white noise; `bandwidth` [Hz] of a first-order
-    low-pass; `gain` [1]; `delay` [s]; `sampling` [Hz] of its own. Each is a number, or a
-    `jaxclear.Dimension` where it is not known: it is then drawn for each run of a sample.
+    Its numbers are known, or a `jaxclear.Dimension` each, which is drawn for each run of a sample.
+    A signal passes low-pass, delay, gain, sampling, noise and resolution, in this order.
+
+    Args:
+        noise: standard deviation of white noise, in the signal's unit, >= 0; 0 by default.
+        bandwidth: cut-off frequency of the first-order low-pass [Hz], > 0; None (default) for none.
+        gain: factor of the signal [1]; 1 by default.
+        delay: time by which the signal lags [s], >= 0; 0 by default.
+        sampling: own sampling rate, values held in between [Hz], > 0; None (default) for that of
+            the record.
     """
 
     noise: Drawn = quantity(
@@ -79,20 +86,43 @@ class AbstractSensor(AbstractSignal):
 
     @abstractmethod
     def unit_in(self, mechanism: Any) -> str:
-        """Unit of its signal."""
+        """Unit of the signal.
+
+        Args:
+            mechanism: the `Mechanism` whose runs are read.
+
+        Returns:
+            The unit as text.
+        """
 
     def ideal(self) -> "AbstractSensor":
-        """The same place and direction, as an instrument that changes nothing."""
+        """The same sensor without noise, low-pass, delay and sampling, and with a gain of 1."""
         nothing = {"noise": 0.0, "bandwidth": None, "gain": 1.0, "delay": 0.0, "sampling": None}
         return dataclasses.replace(self, **nothing)
 
     def rounded(self, signals: np.ndarray) -> np.ndarray:
-        """Signals in steps of its resolution, if it has any."""
+        """Signals in steps of the resolution, if the sensor has any.
+
+        Args:
+            signals: an array in the signal's unit.
+
+        Returns:
+            An array of the same shape.
+        """
         return signals
 
     def sensed(self, signals: Any, rate: float, rng: np.random.Generator) -> np.ndarray:
-        """What it shows where the signals (runs, samples) are there, at `rate` [Hz]; numbers that
-        are not known, and the noise, are drawn for each run from `rng`."""
+        """Readings of the sensor.
+
+        Args:
+            signals: ideal signals in their unit, an array (runs, samples).
+            rate: sampling rate [Hz], > 0.
+            rng: random number generator, a `numpy.random.Generator`, for noise and numbers that are
+                not known.
+
+        Returns:
+            Readings, shape (runs, samples).
+        """
         found = np.atleast_2d(np.asarray(signals, float))
         runs, samples = found.shape
         draw = lambda value: _drawn(value, runs, rng)
@@ -146,12 +176,15 @@ _read_each = jax.jit(jax.vmap(_read))
 
 
 class Accelerometer(AbstractSensor):
-    """Specific force [m/s^2] along an `axis` ("x", "y", "z") of a `marker` (or of a body's frame):
-    acceleration less gravity, so that one at rest reads g upwards.
+    """Specific force along an axis of a marker [m/s^2]: acceleration minus gravity.
 
-    Each sample is the mean since the sample before, from the velocities at both: impacts between
-    two samples count in full, as through the filter before a converter, and no sampling misses
-    them. For instants take `Trajectory.marker(...).specific_force`.
+    At rest it reads g upwards. Each sample is the mean since the sample before, from the velocities
+    at both, so impacts between two samples count in full. For instants use
+    `Trajectory.marker(...).specific_force`. Further arguments are those of `AbstractSensor`.
+
+    Args:
+        marker: a `Marker`, or the name of a body, whose frame it then is.
+        axis: name of the marker's axis, "x" (default), "y" or "z".
     """
 
     marker: Marker = eqx.field(converter=as_marker)
@@ -173,8 +206,13 @@ class Accelerometer(AbstractSensor):
 
 
 class Gyroscope(AbstractSensor):
-    """Angular velocity [rad/s] about an `axis` ("x", "y", "z") of a `marker` (or of a body's
-    frame).
+    """Angular velocity about an axis of a marker [rad/s].
+
+    Further arguments are those of `AbstractSensor`.
+
+    Args:
+        marker: a `Marker`, or the name of a body, whose frame it then is.
+        axis: name of the marker's axis, "x", "y" or "z" (default).
     """
 
     marker: Marker = eqx.field(converter=as_marker)
@@ -193,8 +231,13 @@ class Gyroscope(AbstractSensor):
 
 
 class Displacement(AbstractSensor):
-    """Place [m] of a `marker` (or of a body's frame) along an `axis` ("x", "y", "z") of the
-    ground.
+    """Position of a marker along an axis of the ground [m].
+
+    Further arguments are those of `AbstractSensor`.
+
+    Args:
+        marker: a `Marker`, or the name of a body, whose frame it then is.
+        axis: name of the ground's axis, "x" (default), "y" or "z".
     """
 
     marker: Marker = eqx.field(converter=as_marker)
@@ -211,8 +254,14 @@ class Displacement(AbstractSensor):
 
 
 class ForceGauge(AbstractSensor):
-    """Force [N] in a `joint` on its child along an `axis` ("x", "y", "z") of the ground, at the
-    saving times; of a `coupling` or a driven joint with `axis=""` what it transmits [N, N m].
+    """Force in a joint on its child along an axis of the ground [N], at the saving times.
+
+    Further arguments are those of `AbstractSensor`.
+
+    Args:
+        joint: name of the joint; with `axis=""` of a coupling or driven joint.
+        axis: name of the ground's axis, "x" (default), "y" or "z"; "" for what a coupling or driven
+            joint transmits [N, N m].
     """
 
     joint: str = eqx.field(static=True)
@@ -232,8 +281,16 @@ class ForceGauge(AbstractSensor):
 
 
 class Encoder(AbstractSensor):
-    """Coordinate [rad, m] of a `joint` (number `index` of several), in steps of its `resolution`
-    [the same]."""
+    """Coordinate of a joint [rad, m].
+
+    Further arguments are those of `AbstractSensor`.
+
+    Args:
+        joint: name of the joint.
+        index: number of the coordinate, >= 0; 0 by default.
+        resolution: step of the reading, in the coordinate's unit [rad, m], > 0; None (default) for
+            none.
+    """
 
     joint: str = eqx.field(static=True)
     index: int = count(0, "number of the coordinate", at_least=0)
@@ -256,9 +313,15 @@ class Encoder(AbstractSensor):
 
 
 class Series(AbstractSensor):
-    """A series that the function of a `jaxclear.FunctionProblem` returns under this `name`, in its
-    own unit. `given`: whether it was given to the machine, as the motion of a drive, and is for
-    functions that make a problem of a record; it is not compared."""
+    """A series that the function of a `jaxclear.FunctionProblem` returns, in its own unit.
+
+    Further arguments are those of `AbstractSensor`.
+
+    Args:
+        name: name of the series.
+        given: whether it is an input of the machine, such as the motion of a drive, used by
+            functions that make a problem of a record and not compared; False by default.
+    """
 
     name: str = eqx.field(static=True)
     given: bool = eqx.field(static=True, default=False)

@@ -84,11 +84,22 @@ def sweep(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> Sweep:
-    """Responses at every point of a grid, in one compiled program.
+    """Run a problem at every point of a grid, in one compiled program.
 
-    `over`: the values of each variable to sweep, by its name, in its unit; the others stand at
-    their nominal values. A point that fails is kept and named, the others go on. Raises
-    `ValueError` for names that there are not, and for values that are no finite numbers.
+    A point that fails is recorded with its reason; the others are computed.
+
+    Args:
+        problem: the problem.
+        over: values of each variable to sweep, by its name, in its unit; the others have their
+            nominal values.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Sweep`.
+
+    Raises:
+        ValueError: if there is no such variable or values are not finite.
     """
     expect(problem, AbstractProblem, "what is swept", "a jaxclear.Problem")
     expect(over, Mapping, "over of sweep", "values by the names of variables")

@@ -14,8 +14,8 @@ from jaxclear.ground.arguments import check_number, expect
 from jaxclear.ground.quantity import Scalar, is_one_number, is_traced, quantity
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, meant
-from jaxclear.multibody.heated import heated
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.thermal_expansion import apply_thermal_expansion
 from jaxclear.multibody.topology import own_numbers
 from jaxclear.studies.base import AbstractVariable, one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
@@ -148,9 +148,14 @@ class Variable(AbstractMechanismVariable):
 
 @dataclasses.dataclass(frozen=True)
 class Heating:
-    """What a temperature does, for a `Condition` to act by: `heated(mechanism, rise, expansion)`
-    for a `rise` [K] above the drawing's. `expansion`: coefficient of linear expansion [1/K], one
-    for all, or by body. It is data: a scene file holds it, and no function of one's own.
+    """Thermal expansion by a temperature rise, as data: what a `Condition` acts by.
+
+    A scene file holds it. It calls `apply_thermal_expansion(mechanism, rise, expansion)`, `rise`
+    [K] above the temperature of the drawing.
+
+    Args:
+        expansion: coefficient of linear expansion [1/K], one number for all bodies and the ground,
+            or a dict by body.
     """
 
     expansion: float | tuple[tuple[str, float], ...]
@@ -173,7 +178,9 @@ class Heating:
     def __call__(self, mechanism: Mechanism, rise: Any) -> Mechanism:
         """The mechanism at this rise [K]."""
         own = self.expansion
-        return heated(mechanism, rise, dict(own) if isinstance(own, tuple) else own)
+        return apply_thermal_expansion(
+            mechanism, rise, dict(own) if isinstance(own, tuple) else own
+        )
 
 
 class Condition(AbstractMechanismVariable):

@@ -129,12 +129,27 @@ def worst_case(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> WorstCase:
-    """The least and largest value of every response over the box of the variables: to the ends of
-    distributions that have ends, and to `sigmas` [1] normal scores of others. `samples`: points
-    spread over the box to begin with; beside them all corners are asked, of up to ten variables.
+    """Find the smallest and largest value of every response over the box of the variables.
 
-    What cannot be built, or fails, is in no extreme: `failed` holds these points, and the print
-    counts them. It says nothing of how likely the worst is, which `jaxclear.monte_carlo` does.
+    The box reaches to the ends of distributions that have ends. Points that cannot be built or fail
+    are in no extreme; `failed` lists them. The probability of an extreme is the business of
+    `jaxclear.monte_carlo`.
+
+    Args:
+        problem: the problem.
+        samples: number of points spread over the box at first, besides all corners for up to ten
+            variables; 256 by default.
+        sigmas: half width of the box in standard normal scores for distributions without ends [1];
+            3 by default.
+        seed: seed of the random numbers; 0 by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `WorstCase`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     check_sampled(problem, samples, seed)
     check_number("sigmas of worst_case", sigmas, above=0)

@@ -39,7 +39,7 @@ PUBLISHED = {
 }
 CLOSE = REFERENCE["tolerance"]
 CONTACTS, BATCH = 4, 32
-SWEEPS = ProjectedGaussSeidel(most_sweeps=500)
+SWEEPS = ProjectedGaussSeidel(max_sweeps=500)
 SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -387,7 +387,7 @@ def test_a_failing_member_leaves_its_batch_alone():
             FrictionContact(np.eye(3), np.ones(3), [0.1])
         ),
         "for linear problems take InteriorPoint": lambda: SWEEPS.solve(LCP(np.eye(3), np.ones(3))),
-        "most_sweeps = 0; it must be above 0": lambda: ProjectedGaussSeidel(most_sweeps=0),
+        "max_sweeps = 0; it must be above 0": lambda: ProjectedGaussSeidel(max_sweeps=0),
     }.items(),
 )
 def test_bad_problems_are_refused_before_tracing(words, build):

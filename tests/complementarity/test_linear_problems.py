@@ -424,7 +424,7 @@ REFUSED = {
         np.ones((1, 2)), np.ones((2, 2)), np.ones(2)
     ),
     "Lemke has most_pivots = 0": lambda: Lemke(most_pivots=0),
-    "InteriorPoint has most_steps = 1.5": lambda: InteriorPoint(most_steps=1.5),
+    "InteriorPoint has max_steps = 1.5": lambda: InteriorPoint(max_steps=1.5),
     "InteriorPoint has kappa = 0; it must be above 0": lambda: InteriorPoint(0.0),
 }
 

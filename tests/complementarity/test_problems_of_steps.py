@@ -135,7 +135,7 @@ def test_boxes_in_closed_form():
         assert rounded.solved and abs(rounded.z[0] - expected) < 2e-3 * 0.2 * load
     frictionless = JointFriction([[1.0]], [1.0], (None,), lambda *_: [(load, 0, 0)], [0.0])
     assert BoxedGaussSeidel().solve(frictionless).z == 0.0
-    lost = BoxedGaussSeidel(most_sweeps=1.0).solve(problem)
+    lost = BoxedGaussSeidel(max_sweeps=1.0).solve(problem)
     assert lost.outcome == Outcome.LIMIT
 
 

@@ -121,7 +121,7 @@ def test_a_csv_file_gives_a_table(tmp_path):
 
 EXAMPLES = {
     "ConstantSpeed": jc.drive.ConstantSpeed(3.0, 0.2),
-    "Held": jc.drive.Held(0.7),
+    "ConstantPosition": jc.drive.ConstantPosition(0.7),
     "Harmonic": jc.drive.Harmonic(0.3, 2.0, 0.1, 0.05),
     "RampUp": jc.drive.RampUp(5.0, 0.4, 0.1),
     "Position": jc.drive.Position(lambda time: jnp.sin(3 * time) + time**3),

@@ -44,7 +44,7 @@ COUPLINGS = {
     "belt": jc.coupling.Belt("a", "b", 0.04, 0.02, pretension=10.0, **SOFT),
     "rack": jc.coupling.Rack("a", "r", 0.03, **SOFT),
     "ratio": jc.coupling.Ratio("b", "r", 20.0, **SOFT),
-    "hold": jc.coupling.Hold("b", 0.0, play=1e-3, **SOFT),
+    "hold": jc.coupling.Latch("b", 0.0, play=1e-3, **SOFT),
     "cam": jc.coupling.Cam("b", "r", lambda q: 1e-3 * jnp.sin(q), **SOFT),
     "one way": jc.coupling.OneWay("a", "b", **SOFT),
     "rope": jc.coupling.Rope(("a", "b"), (0.01, -0.01), **SOFT),

@@ -40,7 +40,7 @@ def test_a_held_ring_makes_the_carrier_turn_slower():
         | {"carrier": jc.Body(0.3, 3e-4), "planet": jc.Body(0.1, 2e-5)},
         {
             "S": jc.Connection(driven, "ground", "sun"),
-            "R": jc.Connection(jc.joint.Revolute(jc.drive.Held(0.0)), "ground", "ring"),
+            "R": jc.Connection(jc.joint.Revolute(jc.drive.ConstantPosition(0.0)), "ground", "ring"),
             "C": jc.Connection(TURN, "ground", "carrier"),
             "P": jc.Connection(TURN, jc.Marker("carrier", (0.045, 0.0)), jc.Marker("planet")),
         },

@@ -33,7 +33,7 @@ SPEEDS = st.sampled_from([0.0, 1e-6, 1.0, 1e3])
 # compiles it, and it is finite.
 ABORTS = "xla_cpu_use_multi_output_fusion" in os.environ.get("XLA_FLAGS", "")
 INTEGRATORS = {
-    "adaptive": jc.integrator.Adaptive(most_steps=300),
+    "adaptive": jc.integrator.Adaptive(max_steps=300),
     "fixed": jc.integrator.FixedStep(step=1e-6),
 }
 # Joints like others, or others with more: their runs go with the long tests.
@@ -152,7 +152,7 @@ def test_quantity_without_tolerance_that_is_no_number_ends_the_run():
 
 
 def test_too_few_steps_end_the_run():
-    few = jc.integrator.Adaptive(most_steps=3)
+    few = jc.integrator.Adaptive(max_steps=3)
     end = jc.simulate(
         pendulum(lambda time: jnp.sin(1e3 * time)), 1.0, integrator=few, save=3, throw=False
     )

@@ -124,15 +124,15 @@ def test_joints_of_a_loop_that_come_to_rest_together_do_so_in_steps_of_any_lengt
     jam = crank(jc.joint.PlainBearing, friction=jc.friction.Coulomb(mu_kinetic=0.5), radius=20e-3)
     ends = {}
     for step in (4.124626382901348e-06, 1e-5, 2.4244620170823306e-05, 3.455107294592218e-05, 1e-4):
-        steps = jc.integrator.NonColliding(step, most_sweeps=100.0)
+        steps = jc.integrator.NonColliding(step, max_sweeps=100.0)
         run = jc.simulate(jam, 0.06, integrator=steps, save=121, throw=False)
         assert run.succeeded, run.result
         ends[step] = float(run.speed("A")[-1])
     shortest, *others = ends.values()
     np.testing.assert_allclose(others, shortest, rtol=2e-3)
-    few = jc.integrator.NonColliding(1e-5, most_sweeps=2.0)
+    few = jc.integrator.NonColliding(1e-5, max_sweeps=2.0)
     run = jc.simulate(jam, 0.06, integrator=few, save=121, throw=False)
-    assert not run.succeeded and "Allow more of them (most_sweeps)" in run.result
+    assert not run.succeeded and "Allow more of them (max_sweeps)" in run.result
 
 
 @pytest.mark.slow

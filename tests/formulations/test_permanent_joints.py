@@ -103,7 +103,7 @@ def slider(across, mu, sweeps):
         speeds={"slider": (5.0, 0.0, 0.0)},
         loads={"gravity": jc.load.Gravity((0.0, -9.81))},
     )
-    integrator = jc.integrator.NonColliding(1e-3, most_sweeps=sweeps)
+    integrator = jc.integrator.NonColliding(1e-3, max_sweeps=sweeps)
     return jc.simulate(rig, 5e-3, save=6, integrator=integrator, throw=False)
 
 

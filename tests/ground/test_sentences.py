@@ -35,7 +35,7 @@ SHOWN = {
     "most.": jc.State({"B": {"bearing": jnp.array([0.0, 2e-6])}}),
     "Scene: a rig\n  bodies crank, rod, slider\n  connections O, A, B, G\n  loads gravity\n"
     "  duration 0.2 s\n  integrator integrator.Adaptive solver Tsit5, rtol 1e-07, atol 1e-09, "
-    "most_steps 200000": jc.Scene(RIG, 0.2, jc.integrator.Adaptive(), description="a rig"),
+    "max_steps 200000": jc.Scene(RIG, 0.2, jc.integrator.Adaptive(), description="a rig"),
     "Problem over 0.2 s, 11 saved instants, by integrator.FixedStep step 0.001 s, method rk4\n"
     "responses\n  response [m]\nvariables\n  length 0.12 m, "
     "TruncatedNormal(standard_deviation 1e-05, bound 3e-05)": jc.Problem(

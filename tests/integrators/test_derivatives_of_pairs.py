@@ -30,7 +30,7 @@ def angle(play, integrator):
     )
     rig = jc.Mechanism(
         {"arm": jc.Body(1.0, 1.0)},
-        {"A": jc.Connection(jc.joint.Revolute(jc.drive.Held(0.0)), "ground", "arm")},
+        {"A": jc.Connection(jc.joint.Revolute(jc.drive.ConstantPosition(0.0)), "ground", "arm")},
         couplings={"gear": gear},
         speeds={"gear.motor": SPEED},
     )
@@ -70,7 +70,7 @@ def height(mass, rtol, end):
     rig = jc.Mechanism(
         {"cam": jc.Body(0.5, 1e-3), "follower": jc.Body(mass, 1e-4)},
         {
-            "A": jc.Connection(jc.joint.Revolute(jc.drive.Held(0.0)), "ground", "cam"),
+            "A": jc.Connection(jc.joint.Revolute(jc.drive.ConstantPosition(0.0)), "ground", "cam"),
             "B": jc.Connection(jc.joint.Prismatic(), "ground", "follower", axis="y"),
         },
         {"gravity": jc.load.Gravity((0.0, -GRAVITY))},

@@ -129,7 +129,7 @@ def test_symplectic_steps_keep_the_energy_of_a_swing():
 
 def test_a_run_that_ends_early_says_when_and_why():
     # Within one step it is at no update of what wears.
-    few = jc.integrator.Adaptive(most_steps=1)
+    few = jc.integrator.Adaptive(max_steps=1)
     with pytest.raises(
         jc.SimulationError, match=r"ended early, after 0 s\. The allowed number of steps"
     ) as caught:

@@ -19,7 +19,7 @@ def leaves_of(mechanism):
     return [(jax.tree_util.keystr(path), leaf) for path, leaf in flat]
 
 
-SETTINGS = jc.integrator.Adaptive(rtol=1e-4, atol=1e-6, largest_step=1e-3, most_steps=50)
+SETTINGS = jc.integrator.Adaptive(rtol=1e-4, atol=1e-6, largest_step=1e-3, max_steps=50)
 
 
 def counted(integrator):
@@ -55,7 +55,7 @@ def test_duration_tolerances_and_steps_vary_without_tracing_again():
     for duration in (1e-5, 2e-5):
         for changes in ({}, {"rtol": 1e-3}, {"atol": 1e-5}, {"largest_step": 2e-3}):
             settings = jc.integrator.Adaptive(
-                **({"rtol": 1e-4, "atol": 1e-6, "largest_step": 1e-3, "most_steps": 50} | changes)
+                **({"rtol": 1e-4, "atol": 1e-6, "largest_step": 1e-3, "max_steps": 50} | changes)
             )
             go(mechanism, jnp.asarray(duration), settings)
     go = counted(jc.integrator.FixedStep())
@@ -79,7 +79,7 @@ def compilations(action):
 
 def test_simulate_itself_compiles_once():
     def go(speed, duration, rtol):
-        integrator = jc.integrator.Adaptive(rtol=rtol, atol=1e-6, most_steps=50)
+        integrator = jc.integrator.Adaptive(rtol=rtol, atol=1e-6, max_steps=50)
         jc.simulate(full_loop(speed), duration, save=3, integrator=integrator, throw=False)
 
     assert compilations(lambda: go(10.0, 1e-5, 1e-4)) > 0

@@ -373,13 +373,15 @@ FAR, PULL = 0.3, 60.0
 
 def belt_drive(belt, torque=None, turned=None):
     """A pulley that is held at an angle or by a torque, and one that stands still."""
-    held = None if turned is None else jc.drive.Held(turned)
+    held = None if turned is None else jc.drive.ConstantPosition(turned)
     turn = lambda drive: jc.joint.Revolute(drive=drive)
     return jc.Mechanism(
         {"a": jc.Body(0.5, 1e-3), "b": jc.Body(1.0, 3e-3)},
         {
             "A": jc.Connection(turn(held), "ground", "a"),
-            "B": jc.Connection(turn(jc.drive.Held(0.0)), jc.Marker("ground", (FAR, 0.0)), "b"),
+            "B": jc.Connection(
+                turn(jc.drive.ConstantPosition(0.0)), jc.Marker("ground", (FAR, 0.0)), "b"
+            ),
         },
         {} if torque is None else {"motor": jc.load.JointTorque("A", torque)},
         couplings={"belt": belt},

@@ -7,7 +7,7 @@ import pytest
 import jaxclear as jc
 
 TURN = jc.joint.Revolute()
-HELD = jc.joint.Revolute(jc.drive.Held(0.0))
+HELD = jc.joint.Revolute(jc.drive.ConstantPosition(0.0))
 J, G = 0.02, 9.81
 ADAPTIVE = jc.integrator.Adaptive(rtol=1e-9, atol=1e-11)
 

@@ -147,7 +147,7 @@ def test_a_slack_strand_gives_up_its_share():
             {
                 "A": jc.Connection(TURN, "ground", "a"),
                 "B": jc.Connection(
-                    jc.joint.Revolute(jc.drive.Held(0.0)),
+                    jc.joint.Revolute(jc.drive.ConstantPosition(0.0)),
                     jc.Marker("ground", (0.2, 0.0)),
                     jc.Marker("b"),
                 ),

@@ -111,7 +111,7 @@ def test_flanks_are_met_in_time_at_every_tolerance_and_scale(
     in the longer run. Touches are placed within 1e-12 of the longest arm, here 1."""
     half, speed, stiffness = 0.2 * radian, 2.0 * radian / second, 400.0 / second**2
     play = jc.clearance.Backlash(2 * half, law=jc.flank.Stop())
-    hold = jc.coupling.Hold("L", 0.0, play=play, stiffness=stiffness, damping=damping / second)
+    hold = jc.coupling.Latch("L", 0.0, play=play, stiffness=stiffness, damping=damping / second)
     rig = one_arm(couplings={"h": hold}, inertia=1.0, speeds={"L": speed})
     exact = bounced(duration * second, half, speed, stiffness, damping / second)
     for rtol in rtols:
@@ -302,7 +302,7 @@ def test_the_energy_balance_closes(law):
 
 def wheels(**more):
     """Two wheels, the second held, a torque on the first."""
-    held = jc.joint.Revolute(jc.drive.Held(0.0))
+    held = jc.joint.Revolute(jc.drive.ConstantPosition(0.0))
     bodies = {"a": jc.Body(0.1, 1e-4), "b": jc.Body(0.2, 4e-4)}
     joints = {
         "A": jc.Connection(TURN, "ground", "a"),
@@ -423,13 +423,13 @@ MOTOR = jc.coupling.Motor
         (lambda: MOTOR(0.0), "inertia = 0"),
         (lambda: jc.coupling.Gear(MOTOR(1.0), MOTOR(1.0), 2.0), "more than one of its ends"),
         (lambda: jc.coupling.Gear("A", "B", 2.0, damping=1.0), "neither stiffness nor play"),
-        (lambda: jc.coupling.Hold("L"), "neither play nor stiffness"),
+        (lambda: jc.coupling.Latch("L"), "neither play nor stiffness"),
         (
             lambda: jc.coupling.Gear(MOTOR(1.0), "L", 2.0, pressure_angle=0.3),
             "no body that teeth",
         ),
         (
-            lambda: one_arm(couplings={"L": jc.coupling.Hold("L", stiffness=1.0)}),
+            lambda: one_arm(couplings={"L": jc.coupling.Latch("L", stiffness=1.0)}),
             "a coupling and a joint",
         ),
         (
@@ -470,7 +470,7 @@ def test_a_stiff_drive_that_uses_up_its_steps_says_what_takes_them():
     rig = driven_by_a_motor(6e-4, friction=0.5)
     says = 'as the springs of "G", "friction" vibrate.*integrator.ImplicitStep'
     with pytest.raises(jc.SimulationError, match=says):
-        jc.simulate(rig, 0.2, save=2, integrator=jc.integrator.Adaptive(most_steps=50))
+        jc.simulate(rig, 0.2, save=2, integrator=jc.integrator.Adaptive(max_steps=50))
 
 
 def driven_by_a_motor(play, friction=None):
@@ -548,7 +548,7 @@ def test_the_peak_of_a_flank_is_that_of_all_steps_in_its_unit():
     rig = jc.Mechanism(
         {"wheel": jc.Body(1.0, inertia)},
         {"A": jc.Connection(jc.joint.Revolute(), "ground", "wheel")},
-        couplings={"hold": jc.coupling.Hold("A", 0.0, play=play, stiffness=stiffness)},
+        couplings={"hold": jc.coupling.Latch("A", 0.0, play=play, stiffness=stiffness)},
         speeds={"A": speed},
     )
     run = jc.simulate(rig, 0.04, save=jc.Saving(3, events=4))

@@ -152,7 +152,9 @@ def test_behind_a_stiff_gear_it_acts_as_on_the_joint():
     ("rig", "sentence"),
     [
         (
-            lambda: arm(jc.load.Servo("A", 0.3, KP), joint=jc.joint.Revolute(jc.drive.Held(0.0))),
+            lambda: arm(
+                jc.load.Servo("A", 0.3, KP), joint=jc.joint.Revolute(jc.drive.ConstantPosition(0.0))
+            ),
             "whose coordinate is driven; leave the drive out",
         ),
         (lambda: arm(jc.load.Servo("A", 0.3, KP, encoder="motor")), "no coupling.Motor turns"),

@@ -357,7 +357,7 @@ def limited(place, **limits):
 
 
 STOPPED = {"loads": {"ends": jc.load.JointStop("A", -0.5, 0.5, stiffness=1e4)}}
-HELD = {"couplings": {"hold": jc.coupling.Hold("A", 0.0, play=2e-2, stiffness=1e4, damping=1.0)}}
+HELD = {"couplings": {"hold": jc.coupling.Latch("A", 0.0, play=2e-2, stiffness=1e4, damping=1.0)}}
 
 
 @pytest.mark.parametrize(

@@ -162,7 +162,7 @@ def test_what_cannot_be_is_refused(ask, says):
 
 
 def held(play):
-    key = jc.coupling.Hold("S", play=play, stiffness=1e5, damping=10.0)
+    key = jc.coupling.Latch("S", play=play, stiffness=1e5, damping=10.0)
     joints = {"S": jc.Connection(jc.joint.Prismatic(), GROUND, "key")}
     return jc.Mechanism({"key": jc.Body(1.0, 0.1)}, joints, couplings={"k": key})
 

@@ -29,7 +29,7 @@ def test_journal_comes_to_stand_on_its_collar(beside):
     """`Adaptive` at its default reaches the end, and says what tight tolerances say."""
     run, fine = (
         jc.simulate(standing(beside), 0.1, save=1001, integrator=integrator)
-        for integrator in (jc.integrator.Adaptive(most_steps=20_000), FINE)
+        for integrator in (jc.integrator.Adaptive(max_steps=20_000), FINE)
     )
     assert run.succeeded and not run.warnings
     forces, wanted = (np.asarray(one.contact("B").normal_force) for one in (run, fine))

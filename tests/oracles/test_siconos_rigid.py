@@ -136,7 +136,7 @@ def beads(count, restitution, mass, place, floor):
 
 
 def agree_on_beads(case, mechanism, **more):
-    found = run(case, mechanism, integrator(case, most_sweeps=5000.0, tolerance=1e-15, **more))
+    found = run(case, mechanism, integrator(case, max_sweeps=5000.0, tolerance=1e-15, **more))
     count = len(mechanism.bodies)
     columns = [part(f"up{i}") for i in range(count) for part in (found.coordinate, found.speed)]
     expected, own = rows(case, *columns)

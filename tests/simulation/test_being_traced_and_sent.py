@@ -21,7 +21,7 @@ def run(clearance, **options):
 
 
 def test_a_failure_can_be_pickled():
-    few = jc.integrator.Adaptive(most_steps=5)
+    few = jc.integrator.Adaptive(max_steps=5)
     with pytest.raises(jc.SimulationError) as caught:
         jc.simulate(RIG, 2e-3, save=3, integrator=few)
     copy = pickle.loads(pickle.dumps(caught.value))

@@ -19,7 +19,7 @@ def rig(**more):
 def test_a_mechanism_heated_evenly_keeps_its_angles():
     """Heat that makes all parts larger alike makes a larger similar mechanism, play included."""
     cold = jc.positions(rig(), {"O": ANGLES})
-    warm = jc.positions(jc.heated(rig(), 500.0, STEEL), {"O": ANGLES})
+    warm = jc.positions(jc.apply_thermal_expansion(rig(), 500.0, STEEL), {"O": ANGLES})
     np.testing.assert_allclose(warm.coordinate("D"), cold.coordinate("D"), atol=1e-12)
     np.testing.assert_allclose(
         warm.offset("B"), (1 + 500 * STEEL) * np.asarray(cold.offset("B")), atol=1e-12
@@ -59,7 +59,7 @@ def test_a_slider_that_grows_more_than_its_guide_closes_the_gap():
 
 def clearance_at(rise):
     materials = {"coupler": ALUMINIUM, "follower": STEEL}
-    return jc.heated(rig(), rise, materials).connections["B"].joint.clearance
+    return jc.apply_thermal_expansion(rig(), rise, materials).connections["B"].joint.clearance
 
 
 @pytest.mark.slow
@@ -71,7 +71,9 @@ def test_temperature_varies_as_a_condition_of_the_samples():
         lambda stands: stands.coordinate("D")[1],
         {
             "temperature": jc.Condition(
-                lambda m, rise: jc.heated(m, rise, materials), 0.0, jc.distribution.Uniform(30.0)
+                lambda m, rise: jc.apply_thermal_expansion(m, rise, materials),
+                0.0,
+                jc.distribution.Uniform(30.0),
             ),
             "clearance": jc.Variable(lambda m: m.connections["B"].joint.clearance, tolerance=2e-5),
         },
@@ -83,15 +85,18 @@ def test_temperature_varies_as_a_condition_of_the_samples():
         own = eqx.tree_at(
             lambda m: m.connections["B"].joint.clearance, rig(), jnp.asarray(clearance)
         )
-        alone = jc.positions(jc.heated(own, rise, materials), {"O": ANGLES})
+        alone = jc.positions(jc.apply_thermal_expansion(own, rise, materials), {"O": ANGLES})
         assert found == pytest.approx(float(alone.coordinate("D")[1]), abs=1e-11)
 
 
 @pytest.mark.parametrize(
     ("ask", "sentence"),
     [
-        (lambda: jc.heated(rig(), 10.0, {"crnk": STEEL}), 'no body "crnk"'),
-        (lambda: jc.heated(rig(), np.nan, STEEL), "rise of heated"),
+        (lambda: jc.apply_thermal_expansion(rig(), 10.0, {"crnk": STEEL}), 'no body "crnk"'),
+        (
+            lambda: jc.apply_thermal_expansion(rig(), np.nan, STEEL),
+            "rise of apply_thermal_expansion",
+        ),
         (lambda: jc.Condition(3.0, 0.0, tolerance=1.0), "acts of a Condition"),
         (
             lambda: jc.PositionProblem(

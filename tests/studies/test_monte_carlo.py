@@ -117,7 +117,7 @@ def test_runs_that_end_early_are_named_and_the_others_are_right():
         {"swing": swing},
         {"gravity": wide},
         duration=1.0,
-        integrator=jc.integrator.Adaptive(most_steps=10),
+        integrator=jc.integrator.Adaptive(max_steps=10),
         save=3,
     )
     study = jc.monte_carlo(question, 32)

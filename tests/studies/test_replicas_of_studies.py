@@ -229,7 +229,7 @@ def test_what_is_off_beyond_the_promise_is_said(study):
 
 def test_replicas_that_fail_say_so_and_leave_the_study_alone():
     """Tighter tolerances take more steps than are allowed."""
-    allowed = falling(integrator=jc.integrator.Adaptive(rtol=1e-4, atol=1e-6, most_steps=12))
+    allowed = falling(integrator=jc.integrator.Adaptive(rtol=1e-4, atol=1e-6, max_steps=12))
     found = jc.monte_carlo(allowed, 32)
     assert len(found.failed) == 0
     replicas = eqx.tree_at(

@@ -8,7 +8,7 @@ from jaxclear.components.coupling.base import (
     Motor,
 )
 from jaxclear.components.coupling.cam import Cam
-from jaxclear.components.coupling.coordinates import Differential, Hold, Ratio
+from jaxclear.components.coupling.coordinates import Differential, Latch, Ratio
 from jaxclear.components.coupling.force import AbstractForceCoupling
 from jaxclear.components.coupling.losses import Efficiency
 from jaxclear.components.coupling.meshing import Belt, Gear, Rack, Screw
@@ -28,7 +28,7 @@ __all__ = [
     "Differential",
     "Efficiency",
     "Gear",
-    "Hold",
+    "Latch",
     "Motor",
     "OneWay",
     "Rack",

@@ -87,7 +87,7 @@ class Differential(AbstractCoordinateCoupling):
         return None
 
 
-class Hold(AbstractCoordinateCoupling):
+class Latch(AbstractCoordinateCoupling):
     """A joint whose coordinate is tied to a place with play or by a spring: a worn key, a latch, an
     elastic stop on both sides.
 
@@ -114,7 +114,7 @@ class Hold(AbstractCoordinateCoupling):
     def __check_init__(self):
         if self.play is None and self.stiffness is None:
             raise ValueError(
-                "coupling.Hold has neither play nor stiffness; to hold a joint for good take a "
+                "coupling.Latch has neither play nor stiffness; to hold a joint for good take a "
                 "joint.Fixed."
             )
 

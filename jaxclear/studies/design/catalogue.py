@@ -43,19 +43,30 @@ ROUNDING = 1e-9
 
 
 class AbstractCatalogue(AbstractQuantified):
-    """Numbers that there are to choose from."""
+    """Numbers of which one can be chosen."""
 
     @abstractmethod
     def numbers(self) -> tuple[float, ...]:
-        """All that there are, rising."""
+        """All numbers, increasing."""
 
     @abstractmethod
     def label(self, number: float) -> str:
-        """What one of them is called."""
+        """Designation of a number.
+
+        Args:
+            number: one of the numbers.
+
+        Returns:
+            The text.
+        """
 
 
 class Sizes(AbstractCatalogue):
-    """A list of one's own, in the unit of what is chosen."""
+    """A list of sizes, in the unit of what is chosen.
+
+    Args:
+        sizes: the numbers, in the varied number's unit.
+    """
 
     sizes: tuple = vector(unit="(in the varied number's unit)", meaning="what there is")
 
@@ -67,11 +78,19 @@ class Sizes(AbstractCatalogue):
 
 
 class ISO286(AbstractCatalogue):
-    """Standard tolerances of a nominal size, as tolerances in our sense: half of the width of the
-    grade.
+    """Standard tolerances of ISO 286 for a nominal size: half of the width of each grade.
 
-    Computed from the tolerance unit $i = 0.45 D^{1/3} + 0.001 D$ [um, mm] and rounded by the
-    standard. Source: ISO 286-1:2010, table 1, sizes up to 500 mm, IT5 to IT18.
+    Widths follow from the tolerance unit $i = 0.45 D^{1/3} + 0.001 D$ [um, mm], rounded by the
+    standard.
+
+    Args:
+        size: nominal size of the feature [m], > 0 and <= 0.5.
+        grades: numbers of grades from 5 to 18; 5 to 13 by default.
+
+    Raises:
+        ValueError: if a grade is no such number.
+
+    Source: ISO 286-1:2010, table 1, sizes up to 500 mm, IT5 to IT18.
     """
 
     size: Scalar = quantity(unit="m", meaning="nominal size of the feature", above=0, at_most=0.5)

@@ -32,8 +32,14 @@ class AbstractCost(AbstractQuantified):
 
     @abstractmethod
     def __call__(self, tolerance: Scalar) -> Scalar:
-        """Cost of a tolerance (half of the allowed variation, in the dimension's own unit, above
-        0)."""
+        """Cost of a tolerance.
+
+        Args:
+            tolerance: half of the allowed variation, in the dimension's unit, > 0.
+
+        Returns:
+            The cost.
+        """
 
     def known(self) -> tuple[float, float]:
         """Smallest and largest tolerance whose cost is known."""
@@ -42,6 +48,10 @@ class AbstractCost(AbstractQuantified):
 
 class Reciprocal(AbstractCost):
     """$C = C_0 + b/t$.
+
+    Args:
+        scale: cost times tolerance b, a number, > 0.
+        fixed: cost C_0 that does not depend on the tolerance, a number, >= 0; 0 by default.
 
     Source: Chase & Greenwood 1988, "Design issues in mechanical tolerance analysis", ASME
     Manufacturing Review 1, 50.
@@ -55,8 +65,18 @@ class Reciprocal(AbstractCost):
 
 
 class Table(AbstractCost):
-    """Costs at given tolerances, in rising order, and between them the monotone cubic of Fritsch &
-    Carlson (SIAM J. Numer. Anal. 17, 238, https://doi.org/10.1137/0717021). Unknown outside."""
+    """Costs at given tolerances, with a monotone cubic between them; unknown outside.
+
+    Args:
+        tolerances: tolerances in increasing order, two numbers at least, > 0.
+        costs: cost of each, numbers.
+
+    Raises:
+        ValueError: if there are not as many costs as tolerances, they are not finite, or tolerances
+            do not increase.
+
+    Source: Fritsch & Carlson 1980, SIAM J. Numer. Anal. 17, 238, doi:10.1137/0717021.
+    """
 
     tolerances: tuple = vector(unit="(tolerance)", meaning="tolerances, rising, above 0")
     costs: tuple = vector(unit=MONEY, meaning="cost of each")
@@ -91,7 +111,16 @@ class Table(AbstractCost):
 
 
 class Process(AbstractCost):
-    """A cost within the tolerances that a process holds, from `finest` to `coarsest`."""
+    """A cost within the tolerances that a process can produce.
+
+    Args:
+        cost: one of `jaxclear.cost`, an `AbstractCost`.
+        finest: smallest tolerance that it can produce, a number in the dimension's unit, > 0.
+        coarsest: largest tolerance that it serves, a number in the dimension's unit, > finest.
+
+    Raises:
+        ValueError: if coarsest is not the larger.
+    """
 
     cost: AbstractCost
     finest: Scalar = quantity(unit="(tolerance)", meaning="smallest tolerance it holds", above=0)
@@ -114,11 +143,17 @@ class Process(AbstractCost):
 
 
 class Processes(AbstractCost):
-    """Several processes of which a design picks one for the dimension, with its tolerance: by name,
-    each a `Process` or another cost that is known over a range, such as a `Table`.
+    """Several processes, of which a design chooses one for a dimension, with its tolerance.
 
-    The cost of a tolerance is that of the cheapest process that holds it. A process also serves
-    tolerances beyond its coarsest one, at the cost of that.
+    The cost of a tolerance is that of the cheapest process that can produce it. A process also
+    serves tolerances beyond its coarsest one, at the cost of that.
+
+    Args:
+        processes: `Process` by name, a dictionary, or other costs that are known over a range, such
+            as a `Table`.
+
+    Raises:
+        ValueError: if there are none, or one is no cost.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -150,7 +185,14 @@ class Processes(AbstractCost):
         return jnp.where(self.held < 0, cheapest, each[jnp.maximum(self.held, 0)])
 
     def process(self, tolerance: float) -> str:
-        """The cheapest process that holds a tolerance."""
+        """Name of the cheapest process that can produce a tolerance.
+
+        Args:
+            tolerance: value of the tolerance, in the dimension's unit.
+
+        Returns:
+            The name.
+        """
         prices = [
             float(self._held_by(k)(jnp.asarray(tolerance, float)))
             if tolerance >= float(self.ranges[k, 0]) * (1 - ROUNDING)

@@ -38,19 +38,29 @@ def design(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> Design:
-    """The cheapest design of a problem that keeps all limits.
+    """Find the cheapest design of a problem that satisfies all limits.
 
-    `cost`: members of `jaxclear.cost` by the name of the variable whose tolerance they price, or a
-    differentiable function of two dictionaries (nominal values, tolerances). `limits`: members of
-    `jaxclear.limit`, on responses or variables. `tolerance` and `nominal`: what may be chosen, by
-    name of the variable, each (smallest, largest) or a member of `jaxclear.catalogue`; a tolerance
-    stretches the variable's own distribution, and is half of its range (three standard deviations
-    where it has no ends).
+    The design is verified by runs with other random numbers and tightened until the limits hold;
+    its sentence says whether they do. Ctrl-C ends the search with the best design so far.
 
-    The answer was verified by runs with other random numbers, and tightened until it held; its
-    sentence says so, or that it does not hold. Ctrl-C ends the search with the best so far.
-    `store`: a folder that keeps every run; asked again, a design takes them from there. Raises
-    `ValueError` with a sentence for what cannot be asked.
+    Args:
+        problem: the problem.
+        cost: members of `jaxclear.cost` by the name of the variable whose tolerance they price, or
+            a differentiable function of two dictionaries (nominal values, tolerances).
+        limits: one member of `jaxclear.limit` or a sequence, on responses or variables.
+        tolerance: tolerances to choose, by name of the variable: (smallest, largest) in its unit,
+            or a member of `jaxclear.catalogue`. A tolerance scales the variable's distribution; it
+            is half of its range (three standard deviations where it has no ends). None by default.
+        nominal: nominal values to choose, by name of the variable, likewise. None by default.
+        settings: `DesignSettings` of the search; None for the defaults.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Design`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     asked = _asked(problem, cost, limits, tolerance, nominal)
     settings = _settings(settings)
@@ -71,8 +81,27 @@ def design_front(
     store: str | Path | None = None,
     **choices: Any,
 ) -> list[Design]:
-    """The Pareto front of cost against one limit: the designs for several `bounds` of limit number
-    `limit`, each verified; runs of one serve the surfaces of the next. All else as in `design`."""
+    """The Pareto front of cost against the bound of one limit.
+
+    Each design is verified; runs of one serve the surfaces of the next.
+
+    Args:
+        problem: the problem.
+        cost: cost of tolerances, a dictionary or function, as of `design`.
+        limits: one member of `jaxclear.limit` or a sequence.
+        bounds: values of the bound, a sequence, in the unit of the limit.
+        limit: index of the limit that has these bounds; 0 by default.
+        settings: `DesignSettings` of the search; None for the defaults.
+        store: folder that keeps the runs; None (default) for none.
+        choices: `tolerance`, `nominal` and `progress_bar`, a dictionary each or whether, as of
+            `design`.
+
+    Returns:
+        A list of `Design`, one for each bound.
+
+    Raises:
+        ValueError: if an argument is wrong.
+    """
     unknown = set(choices) - {"tolerance", "nominal", "progress_bar"}
     if unknown:
         raise TypeError(

@@ -28,23 +28,46 @@ LEAST_END_DENSITY = 1e-4
 
 
 class AbstractDistribution(AbstractQuantified):
-    """Deviation of a number from its nominal value, in the number's own unit."""
+    """Deviation of a number from its nominal value, in the number's own unit.
+
+    A subclass defines `quantile` and `deviation`.
+    """
 
     @abstractmethod
     def quantile(self, share: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Deviation below which the given share of parts lies."""
+        """Deviation below which a share of the parts lies.
+
+        Args:
+            share: share of the parts [1], between 0 and 1, any shape.
+
+        Returns:
+            The deviation in the number's unit, of the same shape.
+        """
 
     @abstractmethod
     def deviation(self) -> Scalar:
         """Standard deviation."""
 
     def of_score(self, score: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Deviation whose share is that of a standard normal score [1]; JAX differentiates it."""
+        """Deviation of a standard normal score; it has derivatives.
+
+        Args:
+            score: standard normal score [1], any shape.
+
+        Returns:
+            The deviation in the number's unit, of the same shape.
+        """
         return self.quantile(ndtr(score))
 
     def score(self, deviation: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Standard normal score [1] of a deviation, the inverse of `of_score`; within +-8.3, and
-        differentiable once."""
+        """Standard normal score of a deviation, the inverse of `of_score`, differentiable once.
+
+        Args:
+            deviation: value of the deviation, in the number's unit, any shape.
+
+        Returns:
+            The score [1], within +-8.3.
+        """
         wanted = jax.lax.stop_gradient(deviation)
 
         def halved(_, span):
@@ -60,17 +83,18 @@ class AbstractDistribution(AbstractQuantified):
         return found + safe_divide(deviation - value, slope)
 
     def width(self) -> tuple[str, Scalar]:
-        """The number by which its width is told, and that number's name: what becomes twice as
-        large where all deviations do."""
+        """Name and value of the number that describes the width of the distribution.
+
+        It doubles where all deviations double.
+        """
         return "standard deviation", self.deviation()
 
     def is_continuous(self) -> bool:
-        """Whether it has a density: every deviation between its ends occurs."""
+        """Whether the distribution has a density."""
         return True
 
     def end_densities(self) -> tuple[float, float]:
-        """Density [1/unit] at its lower and upper end; 0 where it has no end, or falls to nothing
-        there."""
+        """Density at the lower and the upper end [1/unit]; 0 without an end."""
         ends = jnp.array([-END_SCORE, END_SCORE])
         _, slopes = jax.jvp(self.of_score, (ends,), (jnp.ones(2),))
         with np.errstate(divide="ignore"):

@@ -9,7 +9,11 @@ from jaxclear.studies.distribution.base import UNIT, AbstractDistribution
 
 
 class Normal(AbstractDistribution):
-    """Normal distribution about nominal."""
+    """Normal distribution about the nominal value.
+
+    Args:
+        standard_deviation: standard deviation, a number in the varied number's unit, > 0.
+    """
 
     standard_deviation: Scalar = quantity(unit=UNIT, meaning="standard deviation", above=0)
 
@@ -27,7 +31,11 @@ class Normal(AbstractDistribution):
 
 
 class Uniform(AbstractDistribution):
-    """Equally likely within +- half_width of nominal."""
+    """Uniform distribution within +- half_width of the nominal value.
+
+    Args:
+        half_width: largest deviation, a number in the varied number's unit, > 0.
+    """
 
     half_width: Scalar = quantity(unit=UNIT, meaning="largest deviation", above=0)
 
@@ -48,8 +56,12 @@ class Uniform(AbstractDistribution):
 
 
 class TruncatedNormal(AbstractDistribution):
-    """Normal distribution of which only what lies within +- bound of nominal is accepted (inspected
-    parts).
+    """Normal distribution cut off at +- bound of the nominal value (inspected parts).
+
+    Args:
+        standard_deviation: standard deviation before inspection, a number in the varied number's
+            unit, > 0.
+        bound: largest accepted deviation, a number in the varied number's unit, > 0.
     """
 
     standard_deviation: Scalar = quantity(
@@ -80,10 +92,14 @@ class TruncatedNormal(AbstractDistribution):
 
 
 class Lognormal(AbstractDistribution):
-    """A positive number whose logarithm is normal, as surfaces' roughness and wear coefficients
-    are: deviation = median (exp(s z) - 1) with z standard normal.
+    """A positive number whose logarithm is normal, such as roughness or a wear coefficient.
 
-    With the nominal value for `median` the number itself is nominal times exp(s z).
+    The deviation is median (exp(s z) - 1) with z standard normal. With the nominal value for
+    `median` the number itself is nominal times exp(s z).
+
+    Args:
+        median: median of the number whose logarithm is normal, in the varied number's unit, > 0.
+        spread: standard deviation s of the logarithm [1], > 0.
     """
 
     median: Scalar = quantity(
@@ -108,7 +124,17 @@ class Lognormal(AbstractDistribution):
 
 
 class Triangular(AbstractDistribution):
-    """Density that rises in a line from `low` to `mode` and falls in one to `high`."""
+    """Density that rises linearly from `low` to `mode` and falls linearly to `high`.
+
+    Args:
+        low: smallest deviation, a number in the varied number's unit.
+        high: largest deviation, a number in the varied number's unit, > low.
+        mode: most likely deviation, a number in the varied number's unit, from low to high; 0 by
+            default.
+
+    Raises:
+        ValueError: if they are not in this order.
+    """
 
     low: Scalar = quantity(unit=UNIT, meaning="smallest deviation", kw_only=True)
     high: Scalar = quantity(unit=UNIT, meaning="largest deviation", kw_only=True)

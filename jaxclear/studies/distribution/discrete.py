@@ -12,10 +12,19 @@ from jaxclear.studies.distribution.base import UNIT, AbstractDistribution
 
 
 class Discrete(AbstractDistribution):
-    """One of a few deviations, each with its share of the parts.
+    """A few deviations, each with its share of the parts.
 
-    `shares` [1] are brought to a sum of 1; by default all are equal. A deviation's score is that of
-    the middle of its share. It has no density and no slope: derivatives by scores are refused.
+    The score of a deviation is that of the middle of its share. There is no density and no slope:
+    derivatives by scores are refused.
+
+    Args:
+        deviations: deviations that occur, two numbers at least, increasing, in the varied number's
+            unit.
+        shares: share of the parts of each [1], >= 0, scaled to a sum of 1; None (default) for equal
+            ones.
+
+    Raises:
+        ValueError: if deviations do not increase or shares do not fit them.
     """
 
     deviations: Any = vector(unit=UNIT, meaning="deviations that occur, rising")

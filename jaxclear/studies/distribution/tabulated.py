@@ -105,13 +105,20 @@ def _is_continuous(frozen: Any) -> bool:
 
 
 class FromScipy(AbstractDistribution):
-    """Any continuous distribution of scipy.stats, frozen: `FromScipy(scipy.stats.weibull_min(2,
-    scale=1e-5))`. Within 1e-9 standard deviations of scipy's quantile (of the deviation in tails)
-    for shares of 1e-9 and more at either end.
+    """A continuous distribution of scipy.stats, frozen.
 
-    It describes the deviation; where it describes the number itself, `about` is the number's
-    nominal value, from which deviations count. scipy.stats' newer distributions (`stats.Normal()`,
-    `stats.make_distribution`) serve as well.
+    For example `FromScipy(scipy.stats.weibull_min(2, scale=1e-5))`. Its quantile is within 1e-9
+    standard deviations of scipy's (in the tails, of the deviation) for shares of 1e-9 and more at
+    either end. Distributions of scipy's new interface (`stats.Normal()`, `stats.make_distribution`)
+    are accepted too.
+
+    Args:
+        frozen: distribution of the deviation, of scipy.stats with its numbers.
+        about: nominal value, in the varied number's unit, where the distribution is that of the
+            number itself; 0 by default.
+
+    Raises:
+        ValueError: if the distribution is not continuous or its standard deviation is not finite.
     """
 
     table: Table
@@ -145,10 +152,21 @@ class FromScipy(AbstractDistribution):
 
 
 class Empirical(AbstractDistribution):
-    """As a sample of deviations says: between its values along straight lines over their normal
-    scores, and beyond the outermost ones on to `low` and `high` (None: no further than these).
+    """The distribution of a sample of deviations.
 
-    `deviations` (samples,) [the number's unit], two different ones at least, in any order.
+    Between its values it is linear in their normal scores, and beyond the outermost ones up to
+    `low` and `high`.
+
+    Args:
+        deviations: the sample in the varied number's unit, an array (samples,) with two different
+            values at least, in any order.
+        low: smallest deviation, a number in the varied number's unit; None (default) for that of
+            the sample.
+        high: largest deviation, a number in the varied number's unit, > low; None (default) for
+            that of the sample.
+
+    Raises:
+        ValueError: if the sample has no two different finite numbers, or low is not below high.
     """
 
     deviations: Float[Array, " samples"]

@@ -66,19 +66,34 @@ def multi_fidelity(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> MultiFidelity:
-    """Means and standard deviations of a problem, by its own runs and many of cheaper problems.
+    """Means and standard deviations of a problem, from its own runs and many of cheaper problems.
 
-    `cheaper`: a problem of the same variables and responses (or of some of them), such as
-    `problem.with_integrator(...)`, or several by name; which of them serve, and how many runs of
-    each, a pilot sample decides. `samples`: the work allowed, in runs of the problem, the pilot
-    sample counted in. `accuracy`: half of the 95 % interval of each mean, as in `monte_carlo`; the
-    study stops where it is reached. `costs` [1]: what a run of each cheaper problem costs beside
-    one of the problem, by name ("cheaper" of one alone); by default their CPU time in the pilot
-    sample without compilation, to half a power of two: all that a run takes, saving times, wear
-    maps and responses included, so that longer steps alone may save little. The answer has no bias,
-    whatever the cheaper problems say, but for what stopping at an accuracy brings; where none pays,
-    the problem is sampled plainly, and the result's `sentence()` says so. Raises `ValueError` with
-    a sentence for what cannot be asked.
+    A pilot sample decides which cheaper problems are used and how many runs of each. Apart from the
+    effect of stopping at an accuracy the estimates are unbiased, whatever the cheaper problems
+    give. Where none reduces the work, the problem is sampled alone, and `sentence()` of the result
+    says so.
+
+    Args:
+        problem: the problem.
+        cheaper: a problem with the same variables and responses (or some of them), such as
+            `problem.with_integrator(...)`, or a dictionary of several by name.
+        samples: work allowed, as a number of runs of the problem, the pilot sample included; 1024
+            by default.
+        accuracy: required half width of the 95 % interval of each mean, as of `monte_carlo`, a
+            factor [1] or a dictionary; the study stops where it is reached. None by default.
+        costs: work of a run of each cheaper problem, as a factor of that of the problem [1], by
+            name ("cheaper" for a single one); None (default) for the ratio of CPU times in the
+            pilot sample without compilation, rounded to half a power of two.
+        seed: seed of the random numbers; 0 by default.
+        sampling: name of the method, "sobol" (default) or "random".
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `MultiFidelity`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     check_sampled(problem, samples, seed, sampling)
     check_flags("multi_fidelity", progress_bar=progress_bar)

@@ -80,34 +80,40 @@ def identify(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> Identified:
-    """What a record tells of the variables of a problem, whose distributions are the priors.
+    """Estimate the variables of a problem from records of sensors.
 
-    `problem`: a `Problem`; or a function that makes it for a `Measurement`, as where the motion of
-    a drive was recorded. It shows at its end what was measured: what its runs last longer lets the
-    motion settle.
-    `data`: a `Measurement`, or several; of several each tells its own, and intervals are those of
-    the next record, by Student's t of the differences between them.
-    `runs`: of the sample, 64 at the least; 256 serve one loose joint, 512 three.
-    `how`: "statistics", a regression of each unknown on statistics of the signals, with intervals
-    of 95 % from runs that it did not see; or "signal", least squares by Levenberg and Marquardt
-    from several starts, and the posterior by weighted draws, `runs` a round. The problem may then
-    be a `FunctionProblem`, whose series a `sensor.Series` names, or a dictionary of several models
-    of the machine: intervals hold those of all that the record does not speak against. Where a
-    sensor's noise is 0 what is left stands for it; one that is known must explain what is left, or
-    nothing is told. What is left and alike over many samples counts as one of them.
-    `statistics`: functions of a `jaxclear.signal.Signal` that return arrays (signals, numbers), by
-    name; by default `signal.usual_statistics`.
-    `laws`: classes of dissipation factors and friction laws, one of which acts in each run at the
-    joint's own restitution and kinetic coefficient; by default LankaraniNikravesh, Flores and
-    HuntCrossley, Ambrosio and CoulombTanh, with the joint's own among them; (): the joint's own
-    alone.
-    `store`: a folder that keeps the sample's signals without noise; asked again, with other numbers
-    of the instruments, other statistics or another record of the same sampling, nothing runs anew.
-    `seed`: of the sample and the draws; `progress_bar`: of the runs.
+    The distributions of the variables are the priors. An unknown whose interval is wider than 0.8
+    of the prior's is not identified and keeps the prior's interval; below 0.5 it is identified.
 
-    An unknown whose interval is wider than 0.8 of the prior's is not identified, and has the
-    prior's interval; one below 0.5 is identified. Raises `ValueError` with a sentence for what
-    cannot be asked.
+    Args:
+        problem: the `Problem`, or a function that makes it for a `Measurement` (for a recorded
+            motion of a drive); the record belongs to the end of its run, and a longer run lets the
+            motion settle. With `how="signal"` also a `FunctionProblem`, or a dictionary of several
+            models of the machine, whose intervals cover all that the record does not contradict.
+        data: a `Measurement`, or a sequence; intervals are then those of a next record, by
+            Student's t of their differences.
+        runs: number of runs of the sample (with "signal" of each round), >= 64; 256 (default)
+            suffice for one loose joint, 512 for three.
+        how: name of the method: "statistics" (default), a regression of each unknown on statistics
+            of the signals, with 95 % intervals from runs that it did not see; "signal", least
+            squares by Levenberg and Marquardt from several starts, with a posterior by weighted
+            draws. Where a sensor's noise is 0 the residual takes its place; a known noise must
+            explain the residual. Correlated residuals count as fewer samples.
+        statistics: functions of a `jaxclear.signal.Signal` that return arrays (signals, numbers),
+            by name; None (default) for `signal.usual_statistics`.
+        laws: classes of dissipation factors and friction laws, one of which acts in each run; None
+            (default) for LankaraniNikravesh, Flores, HuntCrossley, Ambrosio and CoulombTanh with
+            the joint's own; () for the joint's own only.
+        seed: seed of the sample and the draws; 0 by default.
+        store: folder that keeps the sample's signals without noise, which serve other instruments,
+            statistics and records of the same sampling; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Identified`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     records = checked_records(data)
     check_count("runs of identify", runs, at_least=LEAST_RUNS)

@@ -91,14 +91,22 @@ def remaining_life(
 ) -> RemainingLife:
     """The cycle at which an unknown that grows steadily reaches its limit.
 
-    `found`: what each record told, by the cycles that the machine had run by then, two at least.
-    `name`: of the unknown, such as "clearance B".
-    `limit` [its unit]: at which the machine is worn out.
-    `level` [1]: of the bands; `seed`: of their draws.
+    Growth is proportional to the cycles and positive. Errors of records are independent; an error
+    that all share cancels in the growth.
 
-    Growth is in proportion to the cycles and positive. Errors of records are independent; what all
-    share, as a law that is off in all alike, cancels in the growth. Raises `ValueError` with a
-    sentence for what cannot be asked.
+    Args:
+        found: results of `jaxclear.identify` by the number of cycles that the machine had run, two
+            at least.
+        name: name of the unknown, such as "clearance B".
+        limit: value at which the machine is worn out, in the unit of the unknown.
+        level: probability of the bands [1], between 0 and 1; 0.9 by default.
+        seed: seed of their draws; 0 by default.
+
+    Returns:
+        The `RemainingLife`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     expect(found, Mapping, "found of remaining_life", "a dictionary from cycles to answers")
     if len(found) < 2:

@@ -56,14 +56,26 @@ def wear_life_derivatives(
     most: int = 12,
     progress_bar: bool = False,
 ) -> dict[str, LifeDerivative]:
-    """Derivatives of a `quantity` at the end of a life with respect to the variables of its problem
-    (clearance, hardness, a load ...), by name; with a `limit`, those of the cycles until the
-    quantity reaches it. Four more lives for each variable.
+    """Derivatives of a quantity at the end of a life, or of the life itself, by the variables.
 
-    `variables`: some of their names. `width`: how far one is moved [its unit], by default a
-    standard deviation of its distribution. `most`: cycles a rate at the most, as in
-    `wear_life`. Raises `ValueError` with a sentence for what the life does not tell of or does not
-    reach.
+    It takes four more lives for each variable.
+
+    Args:
+        life: a `WearLife` of a problem.
+        quantity: name of the quantity; "depth" by default.
+        limit: value of the quantity, in its unit, for derivatives of the cycles until it is
+            reached; None (default) for those at the end.
+        variables: names of variables; all by default.
+        width: change of a variable, in its unit; by default a standard deviation of its
+            distribution.
+        most: largest number of cycles over which a rate is averaged; 12 by default.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        By variable a `LifeDerivative`.
+
+    Raises:
+        ValueError: if an argument is wrong, or the life does not reach the limit.
     """
     expect(life, WearLife, "the life", "what jaxclear.wear_life returns")
     check_name("quantity", quantity, life.quantities, " in this life")

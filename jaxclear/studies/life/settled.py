@@ -140,17 +140,30 @@ def settled(
     progress_bar: bool = False,
     throw: bool = True,
 ) -> Settled:
-    """Run cycle after cycle until one ends as it began: a mechanism and its `period` [s], or a
-    `Problem` whose duration is the period, at its nominal numbers.
+    """Run cycle after cycle until one is periodic.
 
-    Each cycle goes on where the one before stood; worn surfaces are put back to what they were. A
-    cycle is periodic where its two ends are within `tolerance` [1]: places of bodies in longest
-    arms of the mechanism, attitudes in rad (whole turns left out), velocities in the largest of the
-    cycle, journals in clearances. After `cycles` of them without one, the later half is taken for
-    means with their noise, as is right for chaotic motion. `state`: where the first one begins;
-    from `jaxclear.seated` no journal falls through its play in it. Raises `ValueError` where drives
-    do not repeat after a period, and, unless `throw=False`, `SimulationError` for a cycle that ends
-    early.
+    Each cycle continues the one before; worn surfaces are reset to their depth at the start. A
+    cycle is periodic where the states at its two ends differ by at most `tolerance`: positions of
+    bodies divided by the longest arm, orientations in rad (whole turns left out), velocities
+    divided by the largest of the cycle, journals divided by the clearance. Where none is, the later
+    half of the cycles is averaged, with its scatter, as chaotic motion needs.
+
+    Args:
+        asked: a `Mechanism`, or a `Problem` whose duration is the period, at its nominal values.
+        period: period of a mechanism [s], > 0; None for a problem.
+        state: the `State` at the beginning of the first cycle, such as that of `jaxclear.seated`;
+            None (default) for the mechanism's own.
+        tolerance: largest difference [1], > 0; 1e-3 by default.
+        cycles: largest number of cycles; 20 by default.
+        progress_bar: whether to show the progress; False by default.
+        throw: whether a cycle that ends early raises an error; True by default.
+
+    Returns:
+        The `Settled`.
+
+    Raises:
+        ValueError: if an argument is wrong, or drives do not repeat after a period.
+        SimulationError: if a cycle ends early, unless `throw=False`.
     """
     problem = as_problem("settled", asked, period, state)
     check_number("tolerance of settled", tolerance, above=0)

@@ -57,19 +57,33 @@ def wear_life(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> WearLife:
-    """The wear of a life of so many `cycles`, 2^53 at the most, from few simulated ones: of a
-    mechanism and its `period` [s], as in `settled`, or of a `Problem` whose duration is the period
-    and whose responses are followed, at its nominal numbers.
+    """Wear over many cycles, from few simulated ones.
 
-    Steps are as long as lets each be wrong by `accuracy` [1] of what it wears, and so the whole
-    life (root mean square over the cells of a surface); `jump` [cycles] gives them a fixed length
-    instead, each with the losses at its start. They are those of a periodic cycle (`settled`);
-    where none comes a mean over as many as bring its noise below that, `most` at the
-    most, and what noise is left belongs to the error. What wears no more is not simulated further;
-    a life ends where a surface is worn through. `store`: a folder that keeps every
-    cycle; asked again, the life goes on from there. A cycle that fails ends the life, with what was
-    reached and why. Raises `ValueError` with a sentence for what cannot be asked, and
-    `SimulationError` where the very first cycle fails.
+    Cycle jumps are chosen so that the relative error of the wear in each jump, and so of the whole
+    life, is about `accuracy` (root mean square over the cells of a surface). A rate is that of a
+    periodic cycle (`settled`) or, where there is none, a mean over cycles, whose scatter belongs to
+    the error. A surface that wears no more is not simulated further; a life ends where a surface is
+    worn through or a cycle fails.
+
+    Args:
+        asked: a `Mechanism`, or a `Problem` whose duration is the period, at its nominal values,
+            and whose responses are followed.
+        period: period of a mechanism [s], > 0; None for a problem.
+        cycles: number of cycles, at most 2^53; 1e6 by default.
+        accuracy: relative error of a jump [1], > 0; 0.01 by default.
+        jump: fixed length of the jumps [cycles], each with the wear rate at its start; None
+            (default) for chosen ones.
+        most: largest number of cycles over which a rate is averaged; 12 by default.
+        store: folder that keeps every cycle, from which a life is continued; None (default) for
+            none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `WearLife`.
+
+    Raises:
+        ValueError: if an argument is wrong.
+        SimulationError: if the first cycle fails.
     """
     problem = as_problem("wear_life", asked, period)
     check_cycles("wear_life", cycles)
@@ -250,10 +264,26 @@ def wear_lives(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> WearLives:
-    """The wear of lives over a quasi-random sample of the problem's variables; `cycles` [1],
-    `accuracy` [1], `most` as in `wear_life`, of every one of them. `store`: a folder in which each
-    life is kept, from which an interrupted study goes on. A life that has no first cycle keeps its
-    row, with a sentence. Raises `ValueError` with a sentence for what cannot be asked.
+    """Wear over many cycles for a quasi-random sample of a problem's variables.
+
+    A life whose first cycle fails keeps its row, with the reason.
+
+    Args:
+        problem: the `Problem`, whose duration is the period.
+        samples: number of lives; 32 by default.
+        cycles: number of cycles of each; 1e6 by default.
+        seed: seed of the random numbers; 0 by default.
+        accuracy: relative error of a jump [1], > 0; 0.01 by default.
+        most: largest number of cycles over which a rate is averaged; 12 by default.
+        store: folder that keeps each life, from which an interrupted study is continued; None
+            (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `WearLives`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     expect(problem, Problem, "what lives", "a jaxclear.Problem")
     check_cycles("wear_lives", cycles)

@@ -122,17 +122,30 @@ def reliability(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> Reliability:
-    """Probability that a limit is broken, with its error and the number of runs.
+    """Probability that a limit is exceeded, with its error and the number of runs.
 
-    `limit`: of `jaxclear.limit_state`: `Above("response", threshold)`, `Below`, or several in
-    `Series` or `Parallel`. `methods`: some of "form", "sorm", "importance" and "subset"; by default
-    the first three, and the last where importance sampling does not reach the `variation` [1], a
-    coefficient of variation. `most_runs` bounds the runs of each sampling (subset simulation begins
-    with eight repetitions whatever they cost, but not where a search of 2360 runs finds nothing
-    that fails: the limit is then told to lie beyond everything seen). `surface`: of
-    `jaxclear.surface`, on which design points are then found, and which takes up what it explains
-    of importance sampling; by default one is fitted where runs are dear or have no exact slopes.
-    Raises `ValueError` for what cannot be asked.
+    Args:
+        problem: the problem.
+        limit: limit state, one of `jaxclear.limit_state`: `Above("response", threshold)`, `Below`,
+            or several in `Series` or `Parallel`.
+        methods: names of methods, some of "form", "sorm", "importance" and "subset"; None (default)
+            for the first three, and the last where importance sampling does not reach `variation`.
+        surface: a `ResponseSurface` on which design points are searched, and which reduces the
+            variance of importance sampling; None (default) fits one where runs are expensive or
+            have no exact slopes.
+        variation: required coefficient of variation of the probability [1], > 0; 0.1 by default.
+        most_runs: largest number of runs of each sampling; 20 000 by default. Subset simulation
+            begins with eight repetitions, unless a search of 2360 runs finds no failure: the limit
+            is then reported as beyond all samples.
+        seed: seed of the random numbers; 0 by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Reliability`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     expect(problem, AbstractProblem, "what reliability is asked of", "a problem of jaxclear")
     wanted = _checked(problem, limit, methods, surface)

@@ -72,23 +72,36 @@ def sensitivity(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> Sensitivity:
-    """Derivatives of the mean of every response, or of other statistics, with respect to
-    `variables`: names (all by default), and widths of distributions by theirs, "tolerance of
-    clearance", "standard deviation of length", "half width of slot".
+    """Derivatives of the mean of every response, or of other statistics, by the variables.
 
-    `sample`: a Monte Carlo sample or a campaign to read slopes from, or how many samples to draw
-    for it. `of`: any of "mean", "standard deviation", ("quantile", share [1]), ("above", limit),
-    ("below", limit), for every response, or {response: statistics}; limits in the response's unit,
-    the share of parts beyond one is a probability of failure; what fewer than 4 samples decide is
-    refused. `methods`: any of "regression" (a polynomial, corrected by the score function; takes a
-    quarter of the sample's runs more, 128 at the most, further out than the sample reaches),
-    "differences" (by small steps over a first 16 of `difference_samples` where these confirm a more
-    certain answer, else between values that become likelier and such as become less so, or by steps
-    over all), "pathwise" (fixed-step integrators only; the cheapest where nothing opens and closes;
-    through contacts it is shown only where another method agrees with it, and is never the answer).
-    `verify`: the sample drawn here has replicas, as in `monte_carlo`: errors hold what steps do to
-    a derivative, as far as they tell it, and verdicts say what they doubt.
-    Raises `ValueError` with a sentence for a name that there is not, and for another's sample.
+    Args:
+        problem: the problem.
+        variables: names of variables; also of widths of distributions, such as "tolerance of
+            clearance", "standard deviation of length", "half width of slot". All variables by
+            default.
+        sample: number of samples to draw, or a `MonteCarlo` or `Campaign` of this problem; 256 by
+            default.
+        difference_samples: number of samples for differences; 128 by default. A first 16 suffice
+            where small steps confirm a more certain answer.
+        of: statistics of every response, some of "mean" (default), "standard deviation",
+            ("quantile", share [1]), ("above", limit), ("below", limit), with limits in the
+            response's unit; or a dictionary from responses to statistics. A statistic that fewer
+            than 4 samples decide is refused.
+        methods: names of methods, some of "regression" (polynomial with the score function; a
+            quarter more runs, at most 128, with a wider spread), "differences" (small steps, or
+            values that become more and less likely), both by default, and "pathwise" (fixed steps
+            only; shown where another method agrees, never the answer through contacts).
+        seed: seed of the random numbers; 0 by default.
+        verify: whether to repeat samples with finer steps, as of `monte_carlo`; errors then include
+            what steps change in a derivative. True by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Sensitivity`.
+
+    Raises:
+        ValueError: if an argument is wrong, or the sample is of another problem.
     """
     expect(problem, AbstractProblem, "what is differentiated", "a jaxclear.Problem")
     variables = [variables] if isinstance(variables, str) else variables

@@ -91,13 +91,24 @@ def shapley_effects(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> ShapleyEffects:
-    """Shapley effects of every variable on every response, for independent variables and dependent
-    ones.
+    """Shapley effects of every variable on every response, for independent and dependent variables.
 
-    `of`: a problem, or its `jaxclear.surface`, which is what to give of a mechanism: runs are
-    `samples` times the sets of variables, 2^variables up to 8 of them, and about 65 times the
-    variables beyond, where orders are drawn by chance. Raises `ValueError` with a sentence for what
-    cannot be asked.
+    It takes `samples` runs for each set of variables: 2^variables sets for up to 8 of them, about
+    65 times the number of variables beyond, where orders are drawn at random. For a mechanism use
+    its surface.
+
+    Args:
+        of: the problem, or its `ResponseSurface`.
+        samples: number of samples; 1024 by default.
+        seed: seed of the random numbers; 0 by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `ShapleyEffects`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     surface = of if isinstance(of, ResponseSurface) else None
     problem: Any = of if surface is None else surface.problem

@@ -91,13 +91,23 @@ def sobol_indices(
 ) -> SobolIndices:
     """Sobol' indices of every response by every variable.
 
-    `of`: a problem, which is run `samples` (variables + 2) times; or its `jaxclear.surface`, whose
-    indices take no run, and whose error is what it does not explain of the variance, or supposes of
-    parts beyond its runs.
+    A problem is run `samples` (variables + 2) times. The indices of a surface take no run; their
+    error is the variance that the surface does not explain.
 
-    Raises `ValueError` for correlated variables, whose shares of a variance are not defined
-    (`jaxclear.shapley_effects` are what to ask instead), and for a surface that was not fitted over
-    all of their spread.
+    Args:
+        of: the problem, or its `ResponseSurface`.
+        samples: number of samples; 512 by default.
+        seed: seed of the random numbers; 0 by default.
+        scramblings: number of independent subsets of the sample; None (default) for the usual one.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `SobolIndices`.
+
+    Raises:
+        ValueError: if variables are correlated (use `jaxclear.shapley_effects`), or a surface was
+            not fitted over their whole spread.
     """
     surface = of if isinstance(of, ResponseSurface) else None
     problem: Any = of if surface is None else surface.problem

@@ -62,32 +62,34 @@ def campaign(
     progress_bar: bool = False,
     **settings: Any,
 ) -> Any:
-    """A Monte Carlo study of any size, kept in a folder chunk by chunk: values, responses,
-    outcomes, warnings, seed, versions and what the problem is, in plain files with checksums.
+    """A Monte Carlo study of any size, stored in a folder chunk by chunk.
 
-    Asked again, it goes on from the chunks that are finished, also to more samples: it becomes what
-    it would be had it been asked for them at once, in the scramblings that the folder has.
-    Samples in a last chunk that was not full are computed again, and count as unfinished until
-    then; so are chunks that are missing or damaged, and a warning says so. A folder of another
-    problem, or of other samples, is refused with what differs. Ctrl-C
-    keeps all finished chunks; whatever ends the process, the chunks in work, one a thread, are all
-    that is lost. Several processes may work at one folder: each chunk is claimed by one. Memory
-    does not grow with the samples.
+    The folder holds values, responses, outcomes, warnings, seed, versions and the problem, in plain
+    files with checksums. A repeated call continues with the chunks that are missing or damaged,
+    also to more samples; it gives the same result as one call would have. Ctrl-C keeps all finished
+    chunks. Several processes may work on one folder. The memory does not grow with the samples.
 
-    `samples`, `seed`, and in `settings` also `sampling`, `scramblings` and `accuracy`, as in
-    `monte_carlo`, whose samples these are: a sample has the same values and, on one kind of
-    machine, the same responses to the last bit in whatever chunks and threads it is computed; and
-    `chunk`, samples in a file, rounded up to whole batches (an older folder keeps its own).
-    `client`: a `dask.distributed.Client`, whose workers compute and write the chunks, in a folder
-    that all of them see. `verify`: the first 16 samples have replicas, as in `monte_carlo`, kept as
-    well. `progress_bar` shows rate, time left, failures.
+    Args:
+        problem: the problem.
+        samples: number of samples; None for that of the folder.
+        folder: path of the folder. One of another problem or other samples is refused with the
+            difference.
+        study: another study function to store, such as `jaxclear.sensitivity`, with its arguments
+            in `settings`; None (default) for a Monte Carlo study.
+        seed: seed of the random numbers; None for that of the folder, or 0.
+        client: a `dask.distributed.Client` whose workers compute the chunks; None (default) for
+            this process.
+        verify: whether to repeat the first 16 samples with finer steps, as of `monte_carlo`; True
+            by default.
+        progress_bar: whether to show rate, remaining time and failures; False by default.
+        settings: further keyword arguments: `sampling`, `scramblings` and `accuracy` as of
+            `monte_carlo`, and `chunk`, the number of samples in a file; or those of `study`.
 
-    `study`: another one to keep, such as `jaxclear.sensitivity`, with its own arguments in
-    `settings`; its own result is returned. It is another way to write
-    `jaxclear.sensitivity(problem, store=folder)`, which every study that runs samples or lives
-    takes.
+    Returns:
+        The `Campaign`, or the result of `study`.
 
-    Raises `ValueError` with a sentence for what cannot be asked.
+    Raises:
+        ValueError: if an argument is wrong.
     """
     check_flags("campaign", verify=verify, progress_bar=progress_bar)
     if study is not None:
@@ -126,9 +128,18 @@ def campaign(
 
 @answering
 def open_campaign(folder: str | Path, problem: AbstractProblem | None = None) -> Campaign:
-    """The campaign in a folder, finished or not. `problem`: that which it is of, to run single
-    samples again; without it everything else can be read. Raises `ValueError` with a sentence where
-    the folder holds none, or one of another problem."""
+    """Open the campaign in a folder, finished or not.
+
+    Args:
+        folder: path of the folder.
+        problem: its problem, to run single samples again; None (default) to read everything else.
+
+    Returns:
+        The `Campaign`.
+
+    Raises:
+        ValueError: if the folder holds none, or one of another problem.
+    """
     kept = Samples.open(folder)
     if problem is None:
         return Campaign(kept, RecordedProblem.of_json(kept.description["recorded"]))

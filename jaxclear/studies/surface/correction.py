@@ -107,10 +107,22 @@ def corrected(
     seed: int = 1,
     progress_bar: bool = False,
 ) -> Corrected:
-    """Statistics of a problem from its surface and fresh runs that correct it, without bias.
+    """Statistics of a problem from its surface and new runs that remove the surface's bias.
 
-    `samples` runs in each of `scramblings` independent scramblings of Sobol' points. `limits`:
-    limit states by name, whose probabilities are wanted (rare ones: `jaxclear.reliability`).
+    Args:
+        surface: the `ResponseSurface`.
+        samples: number of runs in each scrambling; 32 by default.
+        scramblings: number of independent scramblings of Sobol' points; 16 by default.
+        limits: limit states by name, whose probabilities are computed (for rare ones use
+            `jaxclear.reliability`); None (default) for none.
+        seed: seed of the random numbers; 1 by default.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Corrected`.
+
+    Raises:
+        ValueError: if an argument is wrong.
     """
     expect(surface, ResponseSurface, "what is corrected", "what jaxclear.surface gives")
     check_count("samples of corrected", samples)

@@ -85,15 +85,28 @@ def surface(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> ResponseSurface:
-    """A polynomial surface through a few runs of a problem.
+    """Fit a polynomial response surface to a few runs of a problem.
 
-    `sample`: how many runs (by default three for each term of a quadratic), or a Monte Carlo study
-    or a campaign of the problem that is there. `degree`: of the polynomials; by default that of 1
-    to 4 which predicts runs best, for each response. `over`: where it is fitted: a number
-    widens the spread of the variables so many times, for rare parts; {name: (low, high)} fills
-    ranges of these variables evenly, for nominal values that are to be chosen. `slopes`: take
-    the exact slopes of each run as equations too, which a problem has where no contact opens and
-    closes. Raises `ValueError` for what cannot be asked, and where too few runs reach their end.
+    Args:
+        problem: the problem.
+        sample: number of runs, or a `MonteCarlo` or `Campaign` of this problem; None (default) for
+            three runs for each term of a quadratic.
+        degree: degree of the polynomials, an integer; None (default) for that of 1 to 4 that
+            predicts runs best, for each response.
+        over: where the surface is fitted: a factor of the spread of the variables [1], 1 by
+            default, larger for rare parts; or a dictionary of ranges (low, high) by variable, in
+            its unit, filled evenly, for nominal values that are to be chosen.
+        slopes: whether to fit the exact slopes of each run too, which exist where no contact opens
+            or closes; False by default.
+        seed: seed of the random numbers; 0 by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `ResponseSurface`.
+
+    Raises:
+        ValueError: if an argument is wrong, or too few runs reach their end.
     """
     expect(problem, AbstractProblem, "what a surface is fitted to", "a problem of jaxclear")
     if not problem.names:

@@ -19,7 +19,7 @@ from jaxclear.multibody.mechanism import Mechanism
 
 
 @answering
-def heated(mechanism: Mechanism, rise: Any, expansion: Any) -> Mechanism:
+def apply_thermal_expansion(mechanism: Mechanism, rise: Any, expansion: Any) -> Mechanism:
     """Change the dimensions of a mechanism by thermal expansion.
 
     Places of markers and centres of mass grow with their body; a bearing with the body of the
@@ -41,8 +41,8 @@ def heated(mechanism: Mechanism, rise: Any, expansion: Any) -> Mechanism:
         ValueError: for the name of a body that does not exist, or a joint that does not say how it
             grows.
     """
-    expect(mechanism, Mechanism, "what is heated", "a jaxclear.Mechanism")
-    check_number("rise of heated", rise, "K")
+    expect(mechanism, Mechanism, "what expands", "a jaxclear.Mechanism")
+    check_number("rise of apply_thermal_expansion", rise, "K")
     known = [GROUND, *mechanism.bodies]
     if isinstance(expansion, Mapping):
         for name, value in expansion.items():
@@ -50,7 +50,7 @@ def heated(mechanism: Mechanism, rise: Any, expansion: Any) -> Mechanism:
             check_number(f'expansion of body "{name}"', value, "1/K")
         own = expansion
     else:
-        check_number("expansion of heated", expansion, "1/K")
+        check_number("expansion of apply_thermal_expansion", expansion, "1/K")
         own = dict.fromkeys(known, expansion)
     growth = {name: 1 + own.get(name, 0.0) * rise for name in known}
 
