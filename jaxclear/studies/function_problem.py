@@ -41,10 +41,19 @@ LARGEST_CHUNK = 4096
 
 
 class Dimension(AbstractVariable):
-    """A number of a drawing: its nominal value in `unit`, and how it varies about it.
+    """A number of a drawing, with its distribution.
 
-    `distribution` is that of the deviation; `tolerance=t` stands for a normal distribution with
-    three standard deviations in t, cut off at +-t.
+    Args:
+        nominal: nominal value, a number in `unit`.
+        distribution: distribution of the deviation from the nominal value, one of
+            `jaxclear.distribution`; in its place `tolerance`.
+        tolerance: half width t of the tolerance, a number in `unit`, > 0: a normal distribution
+            with a standard deviation of t/3, cut off at +-t.
+        unit: unit, a text; "m" by default.
+
+    Raises:
+        ValueError: if neither or both of distribution and tolerance are given, or an argument is of
+            another kind.
     """
 
     nominal: Scalar = quantity(unit="(its unit)", meaning="nominal value")

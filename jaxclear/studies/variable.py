@@ -27,50 +27,120 @@ SAME = 1e-3
 
 
 class AbstractMechanismVariable(AbstractVariable):
-    """A number that varies of a mechanism, or about it."""
+    """A number that varies in a mechanism, or in its environment."""
 
     @abstractmethod
     def leaves(self, mechanism: Mechanism) -> list:
-        """The numbers of the mechanism that it sets by itself."""
+        """The numbers of the mechanism that the variable sets.
+
+        Args:
+            mechanism: the `Mechanism`.
+
+        Returns:
+            A list of leaves.
+        """
 
     @abstractmethod
     def nominal_in(self, mechanism: Mechanism) -> Any:
-        """Its nominal value."""
+        """The nominal value.
+
+        Args:
+            mechanism: the `Mechanism`.
+
+        Returns:
+            The value, in the variable's unit.
+        """
 
     @abstractmethod
     def unit_in(self, mechanism: Mechanism) -> str:
-        """Its unit."""
+        """The unit.
+
+        Args:
+            mechanism: the `Mechanism`.
+
+        Returns:
+            The unit as text.
+        """
 
     @abstractmethod
     def put(self, mechanism: Mechanism, value: Any) -> Mechanism:
-        """The mechanism with its numbers set."""
+        """The mechanism with the variable's numbers set.
+
+        Args:
+            mechanism: the `Mechanism`.
+            value: value of the variable, in its unit.
+
+        Returns:
+            The new `Mechanism`.
+        """
 
     @abstractmethod
     def followed(self, mechanism: Mechanism, value: Any) -> Mechanism:
-        """The mechanism, all of whose variables are set, with what follows from this one."""
+        """The mechanism with what follows from the variable, after all variables are set.
+
+        Args:
+            mechanism: the `Mechanism`.
+            value: value of the variable, in its unit.
+
+        Returns:
+            The new `Mechanism`.
+        """
 
     @abstractmethod
     def check(self, name: str, mechanism: Mechanism) -> None:
-        """Raises `ValueError` where it has nothing to do with the mechanism."""
+        """Refuse a variable that does not belong to the mechanism.
+
+        Args:
+            name: name of the variable.
+            mechanism: the `Mechanism`.
+
+        Raises:
+            ValueError: if it does not.
+        """
 
     @abstractmethod
     def told(self, name: str, mechanism: Mechanism) -> dict[str, Any]:
-        """All that tells it from another, but for its distribution."""
+        """What distinguishes the variable from others, apart from its distribution.
+
+        Args:
+            name: name of the variable.
+            mechanism: the `Mechanism`.
+
+        Returns:
+            A dictionary of values by description.
+        """
 
     def check_derived(self, name: str, mechanism: Mechanism, varied: set[int]) -> None:
-        """Raises `ValueError` where a derived number is not what the mechanism itself has (one of
-        the two is wrong), or is one of those that are `varied`."""
+        """Refuse derived numbers that contradict the mechanism or that a variable sets.
+
+        Args:
+            name: name of the variable.
+            mechanism: the `Mechanism`.
+            varied: identifiers (`id`) of the numbers that variables set.
+
+        Raises:
+            ValueError: if a derived number is not what the mechanism has, or is among them.
+        """
 
 
 class Variable(AbstractMechanismVariable):
-    """A number of the mechanism that varies: `where(mechanism)` returns its leaf, or several leaves
-    that vary together.
+    """A number of a mechanism that varies.
 
-    `distribution` is centred on the leaf's own value; `tolerance=t` stands for a normal
-    distribution with three standard deviations in t, cut off at +-t.
-    `derived`: numbers that follow from it, a pair of functions each: where the number stands, and
-    what it is in a mechanism whose variables are set: `(lambda rig: rig.bodies["rod"].inertia,
-    lambda rig: rig.bodies["rod"].mass * rig.bodies["rod"].com[0] ** 2 / 3)`.
+    Args:
+        where: function of a `Mechanism` that returns the number (a leaf), or several that vary
+            together.
+        distribution: distribution of the deviation from the number's own value, one of
+            `jaxclear.distribution`; in its place `tolerance`.
+        tolerance: half width t of the tolerance, a number in the varied number's unit, > 0: a
+            normal distribution with a standard deviation of t/3, cut off at +-t.
+        derived: numbers that follow from it, a sequence of pairs of functions of a mechanism: where
+            the number stands, and its value once the variables are set, such as `(lambda rig:
+            rig.bodies["rod"].inertia, lambda rig: rig.bodies["rod"].mass * rig.bodies["rod"].com[0]
+            ** 2 / 3)`; () by default.
+
+    Raises:
+        ValueError: if neither or both of distribution and tolerance are given, or `derived` holds
+            something else.
     """
 
     where: Callable[[Mechanism], Any] = eqx.field(static=True)
@@ -176,7 +246,15 @@ class Heating:
         object.__setattr__(self, "expansion", own)
 
     def __call__(self, mechanism: Mechanism, rise: Any) -> Mechanism:
-        """The mechanism at this rise [K]."""
+        """The mechanism at a higher temperature.
+
+        Args:
+            mechanism: the `Mechanism`.
+            rise: temperature above that of the drawing [K].
+
+        Returns:
+            The new `Mechanism`.
+        """
         own = self.expansion
         return apply_thermal_expansion(
             mechanism, rise, dict(own) if isinstance(own, tuple) else own
@@ -184,12 +262,21 @@ class Heating:
 
 
 class Condition(AbstractMechanismVariable):
-    """What varies and is no number of the mechanism itself, such as a temperature:
-    `acts(mechanism, value)` returns the mechanism as it is under the condition, all other variables
-    set before. `Heating` is such a function for temperatures.
+    """A quantity that varies and is no number of the mechanism, such as a temperature.
 
-    `nominal` and `unit` are the condition's own; `acts(mechanism, nominal)` is the mechanism as it
-    is studied at nominal. `distribution` or `tolerance` as of a `Variable`.
+    Args:
+        acts: function of a `Mechanism` and the value that returns the mechanism under the
+            condition, after all other variables are set, such as a `Heating`; with the nominal
+            value it is the mechanism at nominal.
+        nominal: nominal value, a number in `unit`.
+        distribution: distribution of the deviation from the nominal value, one of
+            `jaxclear.distribution`; in its place `tolerance`.
+        tolerance: half width t of the tolerance, a number in `unit`, > 0, as of a `Variable`.
+        unit: unit, a text; "K" by default.
+
+    Raises:
+        ValueError: if an argument is of another kind, or neither or both of distribution and
+            tolerance are given.
     """
 
     nominal: Scalar = quantity(unit="(its unit)", meaning="nominal value")

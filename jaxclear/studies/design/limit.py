@@ -45,9 +45,14 @@ PARTS, BEYOND = 64, (4, 16)
 
 
 class Sample(NamedTuple):
-    """A response over a population. `values` (samples,), `weights` (samples,) add up to 1 and may
-    be negative; `ends` (2,): its smallest and largest value as the dimensions go through their
-    tolerances, by first order (0 where the limit is of another kind)."""
+    """A response over a population.
+
+    Args:
+        values: values of the response, shape (samples,).
+        weights: weights [1], shape (samples,), with a sum of 1, negative ones allowed.
+        ends: smallest and largest value over the tolerances by first order, shape (2,); 0 where the
+            limit is of another kind.
+    """
 
     values: Float[Array, " samples"]
     weights: Float[Array, " samples"]
@@ -55,26 +60,46 @@ class Sample(NamedTuple):
 
 
 class AbstractLimit(AbstractQuantified):
-    """A limit on how a response, or a variable, spreads."""
+    """A limit on the spread of a response or of a variable."""
 
     response: eqx.AbstractVar[str]
 
     @abstractmethod
     def number(self, sample: Sample) -> Scalar:
-        """The limited number."""
+        """The limited number.
+
+        Args:
+            sample: the response over a population, a `Sample`.
+
+        Returns:
+            The number, shape ().
+        """
 
     @abstractmethod
     def excess(self, sample: Sample) -> Scalar:
-        """By how much the limit is broken, smooth in the sample; below 0 where it is kept, in the
-        response's unit."""
+        """Excess over the limit, smooth in the sample; negative where the limit holds.
+
+        Args:
+            sample: the response over a population, a `Sample`.
+
+        Returns:
+            The excess in the response's unit, shape ().
+        """
 
     @abstractmethod
     def bound(self) -> Scalar:
-        """What the limited number is held against."""
+        """The bound of the limited number."""
 
     @abstractmethod
     def with_bound(self, bound: Any) -> "AbstractLimit":
-        """The same limit with another bound."""
+        """The same limit with another bound.
+
+        Args:
+            bound: value of the new bound.
+
+        Returns:
+            The limit.
+        """
 
     @abstractmethod
     def rarest(self) -> float:
@@ -82,41 +107,69 @@ class AbstractLimit(AbstractQuantified):
 
     @abstractmethod
     def sides(self, values: Array) -> list[Array]:
-        """Of each side that is limited, a number that is the larger the nearer a value is to
-        breaking the limit there."""
+        """For each side that is limited a number that grows towards its limit.
+
+        Args:
+            values: values of the response, an array in its unit.
+
+        Returns:
+            A list of arrays.
+        """
 
     def give(self, sample: Sample) -> Scalar:
-        """By how much less a unit more of the bound lets the excess be; 1 where both have one
-        unit."""
+        """Change of the excess for a unit of the bound.
+
+        Args:
+            sample: the response over a population, a `Sample`.
+
+        Returns:
+            The decrease; 1 where both have one unit.
+        """
         return jnp.ones(())
 
     @abstractmethod
     def size(self, sample: Sample) -> Scalar:
-        """What an excess is measured by, in the response's unit, above 0."""
+        """Scale of an excess, in the response's unit, > 0.
+
+        Args:
+            sample: the response over a population, a `Sample`.
+
+        Returns:
+            The scale, shape ().
+        """
 
     @abstractmethod
     def words(self) -> str:
-        """The limited number, in words."""
+        """The limited number in words."""
 
     @abstractmethod
     def unit(self, of_response: str) -> str:
-        """Unit of the limited number."""
+        """Unit of the limited number.
+
+        Args:
+            of_response: unit of the response.
+
+        Returns:
+            The unit as text.
+        """
 
     def upper(self) -> bool:
         """Whether the number is limited from above."""
         return getattr(self, "at_most", None) is not None
 
     def levels(self) -> tuple[Any, ...]:
-        """Values of the response that decide, in its unit: all that the limit asks of a part is on
-        which side of them it lies. None where it asks more."""
+        """Values of the response that decide, in its unit.
+
+        There are none where more matters than the side of them on which a part lies.
+        """
         return ()
 
     def by_moments(self) -> bool:
-        """Whether mean and deviation decide, which infinite responses have none of."""
+        """Whether mean and deviation decide, which infinite responses do not have."""
         return False
 
     def extreme(self) -> bool:
-        """Whether the ends of tolerances decide, not how often they are reached."""
+        """Whether the ends of tolerances decide, not their probability."""
         return False
 
 
@@ -160,7 +213,7 @@ __getattr__, __dir__ = nothing_else("jaxclear.limit", __all__)
 
 
 class AbstractOneSidedLimit(AbstractLimit):
-    """A number in the response's unit, at most or at least."""
+    """A limit from above or from below on a number in the response's unit."""
 
     at_most: eqx.AbstractVar[Scalar | None]
     at_least: eqx.AbstractVar[Scalar | None]
@@ -197,7 +250,17 @@ def _check_one_side(limit: Any, kind: str) -> None:
 
 
 class MeanAndDeviation(AbstractOneSidedLimit):
-    """Mean plus `deviations` standard deviations at most, or mean less as many at least."""
+    """Mean plus a number of standard deviations at most, or mean minus as many at least.
+
+    Args:
+        response: name of the response or variable.
+        at_most: largest value, a number in the response's unit; None (default) with `at_least`.
+        at_least: smallest value, a number in the response's unit; None (default) with `at_most`.
+        deviations: number of standard deviations [1], >= 0; 3 by default.
+
+    Raises:
+        ValueError: unless one of at_most and at_least is given.
+    """
 
     response: str = eqx.field(static=True)
     at_most: Scalar | None = quantity(None, OWN, "largest mean plus deviations", kw_only=True)
@@ -226,8 +289,20 @@ class MeanAndDeviation(AbstractOneSidedLimit):
 
 
 class Quantile(AbstractOneSidedLimit):
-    """The value below which `share` of the population lies, at most; or that above which it lies,
-    at least."""
+    """A quantile of the response, at most or at least.
+
+    It is the value below which `share` of the population lies (at most), or above which it lies (at
+    least).
+
+    Args:
+        response: name of the response or variable.
+        at_most: largest value, a number in the response's unit; None (default) with `at_least`.
+        at_least: smallest value, a number in the response's unit; None (default) with `at_most`.
+        share: share of the population on the good side [1], > 0.5 and < 1.
+
+    Raises:
+        ValueError: unless one of at_most and at_least is given.
+    """
 
     response: str = eqx.field(static=True)
     at_most: Scalar | None = quantity(None, OWN, "largest quantile", kw_only=True)
@@ -253,8 +328,21 @@ class Quantile(AbstractOneSidedLimit):
 
 
 class Probability(AbstractLimit):
-    """Share of the population outside `above` or `below` (or both: yield is one less this), at
-    most."""
+    """Share of the population above or below a value, or outside two values, at most.
+
+    The yield is 1 minus this share.
+
+    Args:
+        response: name of the response or variable.
+        above: value from which on the response is too large, a number in its unit; None (default)
+            for none.
+        below: value up to which the response is too small, a number in its unit; None (default) for
+            none.
+        at_most: largest share outside [1], > 0 and < 0.5.
+
+    Raises:
+        ValueError: if neither above nor below is given, or above is not the larger.
+    """
 
     response: str = eqx.field(static=True)
     above: Scalar | None = quantity(None, OWN, "too large from here on", kw_only=True)
@@ -275,7 +363,14 @@ class Probability(AbstractLimit):
             )
 
     def beyond(self, values: Array) -> Array:
-        """How far values lie outside; below 0 inside."""
+        """Distance of values outside the limits; negative inside.
+
+        Args:
+            values: values of the response, an array in its unit.
+
+        Returns:
+            An array of the same shape.
+        """
         sides = self.sides(values)
         return sides[0] if len(sides) == 1 else jnp.maximum(*sides)
 
@@ -324,7 +419,16 @@ class Probability(AbstractLimit):
 
 
 class WorstCase(AbstractOneSidedLimit):
-    """The value where every dimension lies at the bad end of its tolerance, by first order."""
+    """The value where every dimension is at the bad end of its tolerance, by first order.
+
+    Args:
+        response: name of the response or variable.
+        at_most: largest value, a number in the response's unit; None (default) with `at_least`.
+        at_least: smallest value, a number in the response's unit; None (default) with `at_most`.
+
+    Raises:
+        ValueError: unless one of at_most and at_least is given.
+    """
 
     response: str = eqx.field(static=True)
     at_most: Scalar | None = quantity(None, OWN, "largest value", kw_only=True)

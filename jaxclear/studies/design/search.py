@@ -46,12 +46,26 @@ TENS = 40
 
 
 class DesignSettings(AbstractQuantified):
-    """`allowed_excess` [1]: by how much of itself a limit may be missed. `samples`: points at which
-    a surface, or a problem that answers at once, is taken; `check`: runs of a verification, `runs`:
-    of a surface (None: two for each term of a quadratic, 64 at least). `rounds`: verifications at
-    the most. `method`: "slsqp", "optax" (an augmented Lagrangian), or "auto", by
-    how many numbers are free. `surface`: whether one
-    stands in for the problem (None: unless it answers at once)."""
+    """Settings of the search for a design.
+
+    Args:
+        allowed_excess: excess over a limit that is accepted, as a share of its size [1], > 0 and <
+            1; 0.005 by default.
+        samples: number of points at which a surface, or a problem that answers at once, is
+            evaluated, >= 64; 2048 by default.
+        check: number of runs of a verification, >= 16; 128 by default.
+        runs: number of runs of a surface; None (default) for two for each term of a quadratic, at
+            least 64.
+        rounds: largest number of verifications; 6 by default.
+        seed: seed of the random numbers; 0 by default.
+        method: name of the optimiser: "slsqp", "optax" (augmented Lagrangian), or "auto" (default),
+            which takes the latter for more than 40 free numbers.
+        surface: whether a response surface stands in for the problem; None (default): unless it
+            answers at once.
+
+    Raises:
+        ValueError: if a number is out of range or there is no such method.
+    """
 
     allowed_excess: Scalar = quantity(
         5e-3, "1", "miss of a limit that is let pass", above=0, below=1
@@ -70,7 +84,14 @@ class DesignSettings(AbstractQuantified):
             check_count("runs of DesignSettings", self.runs)
 
     def uses_steps(self, free: int) -> bool:
-        """Whether optax takes the steps for so many free numbers."""
+        """Whether optax takes the steps.
+
+        Args:
+            free: number of free numbers.
+
+        Returns:
+            True or False.
+        """
         return self.method == "optax" or (self.method == "auto" and free > TENS)
 
 

@@ -20,14 +20,23 @@ UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 
 
 class Measurement(AbstractShown):
-    """Signals that sensors showed at common times.
+    """Signals that sensors recorded at common times.
 
-    `time` [s] (samples,); `signals` (samples,) by name, each in the unit of its sensor; `sensors`
-    by the same names, of `jaxclear.sensor`. `turn`: the name of an `Encoder`'s signal, whose angle
-    cuts the others into turns at whole multiples of 2 pi; or the period [s], turns then begin with
-    the record; None where nothing turns. A record shows what a run does up to its end, but for the
-    last `cut_off` [s], which `part` has left out. Times that are not equally spaced are read off
-    straight lines. Raises `ValueError` with a sentence for what is no record.
+    Times that are not equally spaced are resampled along straight lines. A record is compared with
+    the end of a run, apart from its last `cut_off`.
+
+    Args:
+        time: times [s], increasing, an array (samples,).
+        signals: recorded signals by name, a dictionary of arrays (samples,), each in the unit of
+            its sensor.
+        sensors: sensor of each signal by its name, a dictionary of members of `jaxclear.sensor`.
+        turn: what divides the record into turns: name of an `Encoder`'s signal, whose angle does at
+            whole multiples of 2 pi, or the period [s], counted from the start of the record; None
+            (default) where nothing turns.
+        cut_off: time by which the record ends before the run [s], >= 0; 0 by default.
+
+    Raises:
+        ValueError: if an argument is wrong, or signals and sensors do not belong together.
     """
 
     time: np.ndarray
@@ -85,9 +94,24 @@ class Measurement(AbstractShown):
         turn: str | float | None = None,
         time_unit: str = "s",
     ) -> "Measurement":
-        """A record from a file whose first line names its columns, between commas, semicolons or
-        tabs: the column `time`, in `time_unit` ("s", "ms" or "us"), and the columns of `signals`,
-        {column: sensor}, each in the unit of its sensor."""
+        """Read a record from a text file whose first line names its columns.
+
+        Columns are separated by commas, semicolons or tabs.
+
+        Args:
+            path: path of the file.
+            time: name of the column of times.
+            signals: sensor of each column to read, a dictionary by name of the column, each in the
+                unit of its sensor.
+            turn: what divides the record into turns, a name or a period [s], as of `Measurement`.
+            time_unit: unit of the times, "s" (default), "ms" or "us".
+
+        Returns:
+            The `Measurement`.
+
+        Raises:
+            ValueError: if there is no such file, column or unit, or the record is invalid.
+        """
         check_name("unit", time_unit, UNITS, " of time")
         at, *values = columns_of(path, (time, *signals))
         own = dict(zip(signals, values, strict=True))
@@ -100,12 +124,12 @@ class Measurement(AbstractShown):
 
     @property
     def lasts(self) -> float:
-        """From its first to its last sample [s]."""
+        """Duration from the first to the last sample [s]."""
         return float(self.time[-1] - self.time[0])
 
     @property
     def compared(self) -> "Measurement":
-        """Without the signals that were given to the machine."""
+        """The record without the signals that are inputs of the machine."""
         given = [n for n, own in self.sensors.items() if isinstance(own, Series) and own.given]
         if not given:
             return self
@@ -114,8 +138,17 @@ class Measurement(AbstractShown):
         return Measurement(self.time, signals, sensors, self.turn, cut_off=self.cut_off)
 
     def part(self, begin: float, end: float) -> "Measurement":
-        """What lies between two times [s]. A record shows a run up to its end; its part is compared
-        with the same part of the run, so that turns may be cut anywhere."""
+        """The samples between two times.
+
+        The part is compared with the same part of a run, so that turns may be cut anywhere.
+
+        Args:
+            begin: first time [s].
+            end: last time [s].
+
+        Returns:
+            The `Measurement`.
+        """
         inside = (self.time >= begin) & (self.time <= end)
         own = {name: values[inside] for name, values in self.signals.items()}
         at = self.time[inside]
