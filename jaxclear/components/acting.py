@@ -1,7 +1,7 @@
 """What acts on the coordinates of joints and motors: what it is asked, and what it answers."""
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -154,11 +154,11 @@ class AbstractStateLoad(AbstractLoad):
         """
         return self
 
-    def resistance(self) -> list[tuple[Scalar, Scalar]] | None:
+    def resistance(self) -> Sequence[tuple[Scalar, Scalar]]:
         """Stiffness [N m/rad, N/m] and damping [N m s/rad, N s/m] of each of its coordinates, where
-        it is a linear spring on each that `ImplicitStep` shall not have to resolve; None unless
+        it is a linear spring on each that `ImplicitStep` need not resolve; none unless
         overridden."""
-        return None
+        return ()
 
     def sampled_every(self) -> Scalar | None:
         """Period [s] with which `sampled` sets its states, at its whole multiples; None: never, as

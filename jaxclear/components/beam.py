@@ -199,6 +199,12 @@ class Elasticity(AbstractStateLoad):
         return CoordinateEffect(forces, (), stored, lost, 0)
 
 
+def beam_of(bodies: dict[str, Any], name: str) -> str:
+    """The name of the beam of which a body is a piece; that of the body elsewhere."""
+    body = dict.__getitem__(bodies, name)
+    return body.beam if isinstance(body, Piece) else name
+
+
 def parts_of_beams(loads: Mapping[str, Any]) -> tuple[str, ...]:
     """The names of hinges of beams and of their elasticity in a mechanism under these loads."""
     elastic = {name: own for name, own in loads.items() if isinstance(own, Elasticity)}

@@ -166,7 +166,7 @@ def with_implicit_springs(
     springs = {
         name: (0.25 * h * h * stiffness, sp.mul(0.5 * h, damping))
         for _, load in coordinate_loads(system)
-        if load.resistance() is not None
+        if load.resistance()
         for name, (stiffness, damping) in zip(load.coordinates(), load.resistance(), strict=True)
     }
     if not springs:

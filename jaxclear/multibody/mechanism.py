@@ -89,11 +89,6 @@ class Bodies(Parts):
         body = dict.__getitem__(self, name)
         return self[body.beam].piece(body.index) if isinstance(body, Piece) else body
 
-    def beam_of(self, name: str) -> str:
-        """The name of the beam of which a body is a piece; its own elsewhere."""
-        body = dict.__getitem__(self, name)
-        return body.beam if isinstance(body, Piece) else name
-
     def get(self, name: str, default: Any = None) -> Any:
         return self[name] if name in self else default  # noqa: SIM401
 
