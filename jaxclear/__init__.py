@@ -80,10 +80,10 @@ if TYPE_CHECKING:
 __version__ = installed("jaxclear")
 
 __all__ = [
+    "AbstractExperiment",
     "AbstractFunctionOfTime",
     "AbstractLifeResponse",
     "AbstractMechanismVariable",
-    "AbstractProblem",
     "AbstractQuantified",
     "AbstractVariable",
     "AbstractWearMap",

@@ -9,10 +9,10 @@ from jaxclear.statics.position_path import positions
 from jaxclear.statics.seated import seated
 from jaxclear.studies import distribution, limit_state, sensor
 from jaxclear.studies.advice import PilotSettings, advise
-from jaxclear.studies.base import AbstractProblem, AbstractVariable
 from jaxclear.studies.design import catalogue, cost, limit
 from jaxclear.studies.design.design import design, design_front
 from jaxclear.studies.design.search import DesignSettings
+from jaxclear.studies.experiment import AbstractExperiment, AbstractVariable
 from jaxclear.studies.fidelity.multi_fidelity import multi_fidelity
 from jaxclear.studies.function_problem import Dimension, FunctionProblem
 from jaxclear.studies.identification.identify import identify

@@ -38,13 +38,14 @@ FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
 # Floors of the room of studies, from below; files, or folders, on one floor may import each other.
 STUDIES = (
     # What a study asks, and what it answers.
-    "base distribution inputs variable limit_state store.digest answer endless warned",
+    "experiment distribution inputs variable responses chosen_integrator usual_integrator "
+    "run_experiment problem",
+    "function_problem position_problem sensor",
+    "limit_state store.digest answer endless warned",
     "store.store store.batch",
-    "mechanism_problem function_problem position_problem problem sensor "
-    "chosen_integrator usual_integrator",
     "sampling scrambling sequential replicas statistics",
     "monte_carlo sweep screening worst_case advice",
-    "campaign store",
+    "store",
     "surface",
     "statistics.shapley statistics.sobol_indices sensitivity fidelity reliability design life "
     "identification",

@@ -98,7 +98,9 @@ def documented_things():
             if inspect.isclass(thing) and not issubclass(thing, enum.Enum):
                 things[identifier(thing)] = argument_names(thing), [*class_docstrings(thing)]
                 for name, member in inspect.getmembers(thing, inspect.isroutine):
-                    own = owner(thing, name).startswith("jaxclear") and not name.startswith("_")
+                    # A cached property counts as a routine, and has no name of its own.
+                    own = not name.startswith("_") and hasattr(member, "__qualname__")
+                    own = own and owner(thing, name).startswith("jaxclear")
                     if own and not is_described_elsewhere(thing, name):
                         docstrings = [*method_docstrings(thing, name)]
                         things[identifier(member)] = argument_names(member), docstrings

@@ -121,9 +121,6 @@ INNER = {
     "WallMap",
 }
 # A folder of samples remembers its problem by one.
-INNER |= {"RecordedProblem", "StateGroup"}
-# What problems of a mechanism have in common.
-INNER |= {"AbstractMechanismProblem"}
 # What a beam becomes in a mechanism.
 INNER |= {"Elasticity", "Piece"}
 # Laws of which a number says which acts, in the sample of an identification; what sensors are.

@@ -62,7 +62,7 @@ def problem(scene: str, varied: str, saves: int, idle: bool = False) -> jc.Probl
         save=saves,
         integrator=STEP,
     )
-    return asked.idle() if idle else asked
+    return asked.with_experiment(asked.cost().idle) if idle else asked
 
 
 def by_turns(cases: dict[Any, Callable[[], Any]], turns: int) -> dict[Any, float]:
@@ -95,7 +95,7 @@ def sample_row(scene: str, varied: str, saves: int, idle: bool, turns: int) -> d
 def call_rows(turns: int) -> list[dict[str, Any]]:
     """CPU milliseconds of a call that hardly takes a step, beside one that takes 500."""
     rig, asked = jc.scenes.slider_crank(), problem("slider-crank", "clearance", 3)
-    short = asked.idle()
+    short = asked.with_experiment(asked.cost().idle)
     values = asked.nominal()
     run = functools.partial(jc.simulate, integrator=STEP, save=3, verify=False)
     clearance = lambda of: of.connections["B"].joint.clearance

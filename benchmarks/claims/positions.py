@@ -84,14 +84,14 @@ def derivative_rows(problem: jc.PositionProblem, chunk: int) -> list[dict[str, A
     return rows
 
 
-def agreement_rows(problem: jc.PositionProblem) -> list[dict[str, Any]]:
+def agreement_rows(problem: jc.Problem) -> list[dict[str, Any]]:
     """Largest difference of responses from those sought anew from where the search ended."""
     values = jnp.asarray(draw(problem, 256, 1))
 
     @eqx.filter_jit
     def twice(problem, values):
-        found = jax.vmap(problem.positions)(values)
-        again = jax.vmap(lambda v, q: started(problem, q).positions(v))(values, found.coordinates)
+        found = jax.vmap(problem.detail)(values)
+        again = jax.vmap(lambda v, q: started(problem, q).detail(v))(values, found.coordinates)
         return found.coordinates, again.coordinates
 
     def started(problem, q):

@@ -181,7 +181,7 @@ def memory(name: str, scene: str, steps: int) -> dict[str, Any]:
 
     few, asked = kept(1)
     many, _ = kept(2)
-    size = lay_out(prepare(asked.seen(asked.nominal()))).size
+    size = lay_out(prepare(asked.seen(asked.setting(asked.nominal())))).size
     each = (many - few) / steps
     row = {"scene": scene, "rung": name, "steps": steps, "state [bytes]": 8 * size}
     row |= {"kept in all [MB]": many / 2**20, "a step more [bytes]": each}

@@ -51,9 +51,9 @@ from jaxclear.simulation.simulate import check_duration, simulate
 from jaxclear.statics.position_path import checked_positions, positions
 from jaxclear.statics.positions import Positions
 from jaxclear.statics.seated import seated
-from jaxclear.studies.mechanism_problem import by_name
 from jaxclear.studies.position_problem import PositionProblem
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.responses import by_name
 from jaxclear.studies.variable import AbstractMechanismVariable
 
 SEATED = "seated"
@@ -178,11 +178,11 @@ class Scene(AbstractQuantified):
             raise ValueError("this scene states no positions; give it some, or ask for its run.")
         return positions(self.mechanism, self.positions, both_ways=self.both_ways)
 
-    def problem(self) -> Problem | PositionProblem:
+    def problem(self) -> Problem:
         """The problem of the scene, for studies.
 
         Returns:
-            A `Problem` for a run, a `PositionProblem` for positions.
+            A `Problem` of a run, or of positions.
 
         Raises:
             ValueError: if the scene has no variables or no responses.

@@ -22,7 +22,7 @@ from jaxclear.multibody import constraints, dynamics, kinematics
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
 from jaxclear.multibody.kinematics import along
-from jaxclear.multibody.rows import add_action_and_reaction
+from jaxclear.multibody.rows import ActingForces, Direction, OnClosure, OnLink, Row
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import Wrench
 
@@ -153,25 +153,36 @@ def slips_of(
 def with_friction(system: System, forces: Forces, friction: Any) -> Forces:
     """The forces, with friction [N] added in each joint that touches, in the order of
     `touching`."""
-    coordinate_forces, wrenches = list(forces.coordinate_forces), list(forces.wrenches)
-    joints = touching(system)
+    every = list(forces.wrenches), list(forces.coordinate_forces), list(forces.rows)
+    acting, joints = ActingForces(*every), touching(system)
     for held, place in zip(joints, placed(joints), strict=True):
-        own = own_part(friction, place)
-        if held.driven:
-            continue
-        if held.loop is None:
-            if held.joint.components == 1:
-                rubbed: tuple = (sp.mul(held.joint.arm, own),)
-            else:
-                turn = _turn(system, forces.motions, held)
-                rubbed = sp.apply_transposed(turn, sp.scale(held.joint.arm, own))
-            before = coordinate_forces[held.link]
-            coordinate_forces[held.link] = tuple(map(sp.add, before, rubbed))
-            continue
+        for row in _friction_rows(system, forces.motions, held, own_part(friction, place)):
+            acting.add(row)
+    return forces._replace(
+        wrenches=tuple(acting.wrenches),
+        coordinate_forces=tuple(acting.coordinate_forces),
+        rows=tuple(acting.rows),
+    )
+
+
+def _friction_rows(
+    system: System, motions: tuple, held: PermanentJoint, friction: Any
+) -> list[Row]:
+    """What friction [N] in a joint does; nothing where a drive prescribes its motion."""
+    joint, link, name = held.joint, held.link, held.name
+    if held.driven:
+        return []
+    if held.loop is not None:
         closure = system.closures[held.loop]
-        pose = kinematics.relative_motion(closure, forces.motions)[1]
-        add_action_and_reaction(wrenches, closure, pose, *held.joint.friction_wrench(own))
-    return forces._replace(wrenches=tuple(wrenches), coordinate_forces=tuple(coordinate_forces))
+        pose = kinematics.relative_motion(closure, motions)[1]
+        place = OnClosure(closure, pose, Wrench(*joint.friction_wrench(friction)), name)
+        return [Row(name, Direction((place,)), 1)]
+    if joint.components == 1:
+        return [Row(name, Direction((OnLink(link),)), sp.mul(joint.arm, friction))]
+    turn = _turn(system, motions, held)
+    directions = [[OnLink(link, x, j) for j, x in enumerate(row)] for row in turn]
+    torques = sp.scale(joint.arm, friction)
+    return [Row(name, Direction(tuple(d)), x) for d, x in zip(directions, torques, strict=True)]
 
 
 # Numbers of a reaction: force and torque.

@@ -36,6 +36,10 @@ ORDERED = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KE
 
 # Names that are offered no more, each with what to write instead; kept for one version.
 REMOVED = {
+    "jaxclear.AbstractProblem": (
+        "derive from jaxclear.AbstractExperiment, and write jaxclear.Problem.of(experiment, "
+        "variables)"
+    ),
     "jaxclear.conformal": "write jaxclear.contact",
     "jaxclear.LifeEnd": "give any function of a life as a response",
     "jaxclear.distribution.Beta": "write FromScipy(scipy.stats.beta(a, b, low, high - low))",

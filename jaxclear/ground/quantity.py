@@ -262,8 +262,6 @@ else:
 ANY = np.zeros(())
 # Compared as NumPy compares: jnp.float64 takes a microsecond each time.
 FLOAT64 = np.dtype("float64")
-# Metadata of a field that came later: without anything in it, what has it is what it was.
-IF_ANY = "told where there is any"
 # What NumPy would turn into a number, and nobody means as one.
 NO_NUMBERS = (str, bytes, dict, list, tuple, bool, np.bool_, complex, np.complexfloating)
 

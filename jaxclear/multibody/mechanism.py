@@ -28,7 +28,7 @@ from jaxclear.ground.printing import (
     number_in_words,
     numbers_in_words,
 )
-from jaxclear.ground.quantity import IF_ANY, AbstractQuantified, as_number, on_device, with_fields
+from jaxclear.ground.quantity import AbstractQuantified, as_number, on_device, with_fields
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described, public_name
 from jaxclear.multibody import validation
@@ -257,7 +257,7 @@ class Mechanism(AbstractQuantified):
     bodies: dict[str, Body]
     connections: dict[str, Connection]
     loads: dict[str, AbstractLoad]
-    couplings: dict[str, AbstractCoupling] = eqx.field(metadata={IF_ANY: True})
+    couplings: dict[str, AbstractCoupling]
     start: dict[str, tuple]
     speeds: dict[str, tuple]
     guess: dict[str, tuple]

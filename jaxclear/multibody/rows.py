@@ -18,10 +18,11 @@ from jaxclear.multibody.tree import NOTHING, Motion, Wrench
 
 
 class OnLink(NamedTuple):
-    """A force on the single coordinate of a link, of this size."""
+    """A force on a coordinate of a link, the first or another `component`, of this size."""
 
     link: int
     factor: Any = 1
+    component: int = 0
 
 
 class OnClosure(NamedTuple):
@@ -57,7 +58,8 @@ class Direction(NamedTuple):
                 ends = place.closure, place.pose
                 (entries,) = kinematics.relative_jacobian(system, motions, *ends, power)
             elif motions[place.link].columns:
-                entries = {system.topology.branches[place.link].speeds.start: 1}
+                start = system.topology.branches[place.link].speeds.start
+                entries = {start + place.component: 1}
             for j, entry in entries.items():
                 row[j] = sp.add(row.get(j, 0), sp.mul(place.factor, entry))
         return row
@@ -96,9 +98,12 @@ class ActingForces(NamedTuple):
         (`forces_on_drives`)."""
         self.rows.append(row)
         add_wrenches(self.wrenches, row)
-        for link, size in _on_links(row):
-            if self.coordinate_forces[link]:
-                self.coordinate_forces[link] = (sp.add(self.coordinate_forces[link][0], size),)
+        for place in row.direction.places:
+            if isinstance(place, OnLink) and self.coordinate_forces[place.link]:
+                own = list(self.coordinate_forces[place.link])
+                size = sp.mul(place.factor, row.force)
+                own[place.component] = sp.add(own[place.component], size)
+                self.coordinate_forces[place.link] = tuple(own)
 
 
 def add_wrenches(wrenches: list[Wrench], row: Row) -> None:
@@ -122,15 +127,11 @@ def forces_on_drives(motions: tuple[Motion, ...], rows: Iterable[Row]) -> dict[i
     """Sums of rows along coordinates that drives prescribe, by link."""
     found: dict[int, Any] = {}
     for row in rows:
-        for link, size in _on_links(row):
-            if motions[link].prescribed:
-                found[link] = sp.add(found.get(link, 0), size)
+        for place in row.direction.places:
+            if isinstance(place, OnLink) and motions[place.link].prescribed:
+                size = sp.mul(place.factor, row.force)
+                found[place.link] = sp.add(found.get(place.link, 0), size)
     return found
-
-
-def _on_links(row: Row) -> list[tuple[int, Any]]:
-    places = row.direction.places
-    return [(at.link, sp.mul(at.factor, row.force)) for at in places if isinstance(at, OnLink)]
 
 
 def _sized(row: Row, place: OnClosure) -> Wrench:

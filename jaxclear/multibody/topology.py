@@ -11,7 +11,7 @@ its joint turns or slides.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from jaxclear.components.acting import acts_on_coordinates
@@ -24,7 +24,7 @@ from jaxclear.components.coupling import (
 )
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Free, Planar, Revolute
 from jaxclear.components.joint.base import drive_of
-from jaxclear.ground.quantity import IF_ANY, numbers
+from jaxclear.ground.quantity import numbers
 from jaxclear.ground.wording import listed
 
 
@@ -110,8 +110,8 @@ class Topology:
     coordinate_count: int
     speed_count: int
     redundancy: Redundancy | None = None
-    couplings: tuple[str, ...] = field(default=(), metadata={IF_ANY: True})
-    geared: tuple[tuple[str, str], ...] = field(default=(), metadata={IF_ANY: True})
+    couplings: tuple[str, ...] = ()
+    geared: tuple[tuple[str, str], ...] = ()
 
     @property
     def closing(self) -> tuple[str, ...]:

@@ -97,7 +97,7 @@ class ByEnergy(eqx.Module):
     def each(self, scene: Posed, position: Array, starts: Rest) -> Rest:
         """Where it rests at positions (positions, drives), each from its own start; pure."""
         if is_traced((scene, position, starts)) or is_tracing():
-            one = lambda own, start: settle(scene.at(own), start, self)
+            one = lambda own, start: settle(scene.at(own), start, self, near=True)
             return _split_before(jax.vmap(one)(position, starts), starts)
         # One after the other, by the program that has led from one to the next.
         count = range(len(position))
@@ -152,16 +152,20 @@ class Search(NamedTuple):
     here: Linear
 
 
-def settle(scene: Posed, start: Rest, way: ByEnergy) -> Rest:
+def settle(scene: Posed, start: Rest, way: ByEnergy, near: bool = False) -> Rest:
     """Where the mechanism rests, sought from a start; pure, with the derivatives of the solved
-    equations with respect to the numbers of the scene."""
+    equations with respect to the numbers of the scene. `near`: the start is where a mechanism of
+    nearly the same numbers rests, so that the same contacts may carry."""
     arrays, rest = eqx.partition(scene, eqx.is_inexact_array)
 
     @jax.custom_jvp
     def found(arrays, start):
         case = _case(eqx.combine(arrays, rest), start, way)
         measures = equilibrium.measures_of(case, start.q)
-        return _rest(case, measures, _searched(case, measures, start.q), start)
+        begun = _begun(case, measures, start.q)
+        if near:
+            begun = _continued(case, measures, begun, start)
+        return _rest(case, measures, _searched(case, measures, begun), start)
 
     @found.defjvp
     def tangents(primals, moved):
@@ -228,9 +232,8 @@ def linear(case: Case, measures: Measures, q: Array, closing: Array, pushing: Ar
     return Linear(now, -0.5 * (rows.balance + rows.balance.T), rows.loops, rows.gaps)
 
 
-def _searched(case: Case, measures: Measures, q: Array) -> Search:
-    """Where contacts that carry are closed and the others carry nothing, to rounding; or what is
-    reached in `MOST_TURNS`."""
+def _begun(case: Case, measures: Measures, q: Array) -> Search:
+    """The search at its beginning."""
     # Not by `jax.eval_shape`, which hides what is zero whatever moves.
     counts = equilibrium.restraints(case, q)
     rows, contacts, free = len(counts[0]), len(counts[1]), len(measures.speeds)
@@ -242,7 +245,7 @@ def _searched(case: Case, measures: Measures, q: Array) -> Search:
     slacks = jnp.full(contacts, play)
     # A journal in its very middle does not know a direction.
     aside = BESIDE * play * jnp.cos(1.0 + jnp.arange(free))
-    begun = Search(
+    return Search(
         retract(case.system, q, measures.speeds * aside) if contacts else q,
         slacks,
         barrier / slacks,
@@ -256,6 +259,32 @@ def _searched(case: Case, measures: Measures, q: Array) -> Search:
         jnp.zeros((), int),
         Linear(now, none(free, free), none(rows, free), none(contacts, free)),
     )
+
+
+def _continued(case: Case, measures: Measures, begun: Search, start: Rest) -> Search:
+    """The search at its end, where Newton's method on the contacts that carry at the start leads to
+    a place of rest; else at its beginning."""
+
+    def stepped(now):
+        here = linear(case, measures, now.q, now.closing, now.pushing)
+        return _closed(case, measures, now._replace(here=here))
+
+    closing = start.closing * measures.loops / measures.energy
+    pushing = start.pushes * measures.arm / measures.energy
+    now = begun._replace(q=start.q, closing=closing, pushing=pushing, carries=start.carries)
+    unfinished = lambda now: (now.last == 0) | ((_left(now) > LEFT) & (now.last <= LAST_TURNS))
+    now = jax.lax.while_loop(unfinished, stepped, now)
+    now = now._replace(last=jnp.full_like(now.last, LAST_TURNS + 1))
+    loose, saddle = _loose(now.here, now.carries)
+    # Along what nothing resists the barrier says where a journal lies.
+    rests = _is_sound(now) & (_left(now) <= LEFT) & ~saddle & ~jnp.any(loose > 0)
+    return jax.tree.map(lambda a, b: jnp.where(rests, a, b), now, begun)
+
+
+def _searched(case: Case, measures: Measures, begun: Search) -> Search:
+    """Where contacts that carry are closed and the others carry nothing, to rounding; or what is
+    reached in `MOST_TURNS`."""
+    play = equilibrium.play(case, measures)
 
     def turned(now):
         then = _turned(case, measures, now, play)
@@ -434,12 +463,8 @@ def _halved(is_less: Any, most: Array) -> Array:
 
 def _rest(case: Case, measures: Measures, found: Search, start: Rest) -> Rest:
     """What was found; its equations are those of the last turn but one."""
-    here, carries = found.here, found.carries
-    left = jnp.max(jnp.abs(_equations(here.now, found.pushing, carries)), initial=0.0)
-    deep = jnp.max(-here.now.gaps, initial=0.0)
-    pulls = jnp.max(-found.pushing, initial=0.0)
-    sound = (found.last > LAST_TURNS) & (deep <= LEFT) & (pulls <= PULLS)
-    loose, saddle = _loose(here, carries)
+    carries = found.carries
+    loose, saddle = _loose(found.here, carries)
     angles = equilibrium.angles_near(case, found.q) if case.angles else start.angles
     return Rest(
         found.q,
@@ -447,11 +472,24 @@ def _rest(case: Case, measures: Measures, found: Search, start: Rest) -> Rest:
         measures.pushes(found.pushing),
         carries,
         angles,
-        jnp.where(sound, left, jnp.nan),
+        jnp.where(_is_sound(found), _left(found), jnp.nan),
         jnp.zeros(()),
         loose,
         found.split | saddle,
     )
+
+
+def _left(found: Search) -> Array:
+    """What is left of the equations, at the last turn but one."""
+    missed = _equations(found.here.now, found.pushing, found.carries)
+    return jnp.max(jnp.abs(missed), initial=0.0)
+
+
+def _is_sound(found: Search) -> Array:
+    """Whether the search has ended with gaps open and contacts that push."""
+    deep = jnp.max(-found.here.now.gaps, initial=0.0)
+    pulls = jnp.max(-found.pushing, initial=0.0)
+    return (found.last > LAST_TURNS) & (deep <= LEFT) & (pulls <= PULLS)
 
 
 def _equations(now: Terms, pushing: Array, carries: Array) -> Array:

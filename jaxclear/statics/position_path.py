@@ -370,10 +370,13 @@ def positions(
     return both(scene, jnp.asarray(places), starts, way, both_ways)
 
 
-def both(scene: Posed, places: Array, starts: Any, way: Any, both_ways: bool) -> Positions:
-    """The positions, with those under reversed loads where these are wanted."""
+def both(
+    scene: Posed, places: Array, starts: Any, way: Any, both_ways: bool, others: Any = None
+) -> Positions:
+    """The positions, with those under reversed loads where these are wanted, from `others` (None:
+    the same starts)."""
     found = positions_at(scene, places, starts, way)
     if not both_ways:
         return found
-    other = positions_at(scene, places, starts, way.reversed)
+    other = positions_at(scene, places, starts if others is None else others, way.reversed)
     return eqx.tree_at(lambda p: p.other, found, other, is_leaf=lambda x: x is None)

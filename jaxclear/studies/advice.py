@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
@@ -30,8 +29,8 @@ from jaxclear.simulation.initial_state import beginning
 from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.simulate import How, check_run, repeated
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
-from jaxclear.studies.mechanism_problem import answer
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.responses import answer
 from jaxclear.studies.sampling import draw
 
 # What the user had.
@@ -461,7 +460,7 @@ def _values(problem: Problem, pilot: PilotSettings) -> np.ndarray:
 
 def _possible(problem: Problem, values: np.ndarray) -> bool:
     """Whether there is a mechanism of these values, and it can start."""
-    mechanism = problem.seen(jnp.asarray(values))
+    mechanism = problem.seen(problem.setting(values))
     if not all(bool(np.all(inside(leaf, known))) for _, leaf, known in numbers(mechanism)):
         return False
     try:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxclear.ground import datasets
 from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.table import as_table
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.digest import in_texts
 
 RESPONSE, VARIABLE = "response", "variable"
@@ -52,7 +52,7 @@ class Stated(NamedTuple):
 
     what: str
     columns: Mapping[str, Column]
-    problem: AbstractProblem | None = None
+    problem: Problem | None = None
     warnings: tuple[str, ...] | Callable[[], tuple[str, ...]] = ()
     numbers: Mapping[str, Any] = {}
     labelled: bool = True

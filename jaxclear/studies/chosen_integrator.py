@@ -16,7 +16,7 @@ from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.simulate import How, chosen_for
-from jaxclear.studies.mechanism_problem import answer
+from jaxclear.studies.responses import answer
 from jaxclear.studies.usual_integrator import usual_integrator
 
 # Steps of a guess beyond which runs choose in its place, and the accuracy for which they do: a
@@ -36,9 +36,11 @@ def chosen_integrator(
     drawn = compiled_quickly(all_of, AROUND_A_KERNEL)
 
     def apart(run: Trajectory, one: dict, other: dict) -> dict[str, float]:
-        wanted = {name: allowed(asked, name, abs(one[name])) for name in response}
+        wanted = {name: allowed(asked, name) for name in response}
         return {
-            name: ratio_to_allowed(abs(one[name] - other[name]), most)
+            name: ratio_to_allowed(
+                abs(one[name] - other[name]), max(most[0], most[1] * abs(one[name]))
+            )
             for name, most in wanted.items()
             if most is not None
         }
@@ -60,9 +62,13 @@ def unasked(
     return (found.integrator, found.why, UNASKED) if found.reached else (usual, why, None)
 
 
-def allowed(asked: Wanted, response: str, size: float) -> float | None:
-    """The largest error that is asked of a response of this `size`, in its unit; None: any."""
-    return asked * size if isinstance(asked, float) else dict(asked).get(response)
+def allowed(asked: Wanted, response: str) -> tuple[float, float] | None:
+    """The largest error that is asked of a response, in its unit and as a share of its size (the
+    larger of the two counts); None: any."""
+    if isinstance(asked, float):
+        return 0.0, asked
+    own = dict(asked).get(response)
+    return None if own is None else (own, 0.0)
 
 
 def checked_asked(accuracy: Any, response: Mapping[str, Callable]) -> Wanted:

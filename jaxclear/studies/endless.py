@@ -1,6 +1,6 @@
 """Infinite answers: a life that never reaches its limit is a good one, not a failed one.
 
-Where a problem says so (`AbstractProblem.endless`), an infinite response counts on its side of
+Where a problem says so (`ResponseInfo.infinite`), an infinite response counts on its side of
 every limit, share and quantile. Means and variances of it there are none: whoever asks for one is
 told so, and what serves instead.
 """
@@ -11,39 +11,48 @@ from typing import Any
 import numpy as np
 
 from jaxclear.integrators import Outcome
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution.discrete import Discrete
+from jaxclear.studies.problem import Problem
 
 # What has a share of 3 / n is missing from n samples once in twenty times.
 RULE_OF_THREE = 3.0
 INSTEAD = "ask for a quantile, or for the share of samples beyond a limit"
 
 
-def answered(problem: AbstractProblem, responses: Mapping[str, Any]) -> np.ndarray:
+def answered(problem: Problem, responses: Mapping[str, Any]) -> np.ndarray:
     """Whether each sample (samples,) has an answer in each of the responses: a finite number, or an
     infinite one where that is an answer."""
     parts = [
-        ~np.isnan(own) if problem.endless(name) else np.isfinite(own)
+        ~np.isnan(own) if problem.description.responses[name].infinite else np.isfinite(own)
         for name, own in responses.items()
     ]
     return np.all(parts, axis=0)
 
 
-def why_unanswered(problem: AbstractProblem, outcome: Any, ended: Any) -> str:
+def successes(
+    problem: Problem, outcome: Any, responses: Mapping[str, Any]
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Whether each sample (samples,) reached its end with an answer in each of these responses; and
+    the responses, nan in samples that did not: what failed has no number at all."""
+    good = (np.asarray(outcome) == Outcome.REACHED) & answered(problem, responses)
+    return good, {name: np.where(good, own, np.nan) for name, own in responses.items()}
+
+
+def why_unanswered(problem: Problem, outcome: Any, ended: Any) -> str:
     """Why a sample has no answer: how it ended, or that a response of it is none."""
     if outcome == Outcome.REACHED:
         return "a response is not a number."
-    return problem.ending(int(outcome), float(ended))
+    return problem.description.ending(outcome, ended)
 
 
-def endless_sentences(problem: AbstractProblem, responses: Mapping[str, Any]) -> list[str]:
+def endless_sentences(problem: Problem, responses: Mapping[str, Any]) -> list[str]:
     """A sentence for each response that is infinite in some samples."""
     told = {name: _words(problem, name, own) for name, own in responses.items()}
     return [f'"{name}" {words}.' for name, words in told.items() if words]
 
 
 def refuse_endless(
-    problem: AbstractProblem, responses: Mapping[str, Any], what: str, instead: str = INSTEAD
+    problem: Problem, responses: Mapping[str, Any], what: str, instead: str = INSTEAD
 ) -> None:
     """Raises `ValueError` where one of the responses has infinite values (samples,), of which there
     is no `what`."""
@@ -53,7 +62,7 @@ def refuse_endless(
             raise ValueError(f'"{name}" {words}: there is no {what} of it; {instead}.')
 
 
-def undrawn_levels(problem: AbstractProblem, values: np.ndarray) -> dict[str, str]:
+def undrawn_levels(problem: Problem, values: np.ndarray) -> dict[str, str]:
     """Variables of a few levels of which runs (runs, variables) have not seen one, and a sentence
     for each: what such a level does is in no share of a variance."""
     found = {}
@@ -77,15 +86,15 @@ def undrawn_levels(problem: AbstractProblem, values: np.ndarray) -> dict[str, st
     return found
 
 
-def check_told(problem: AbstractProblem, name: str, *limits: Any) -> None:
+def check_told(problem: Problem, name: str, *limits: Any) -> None:
     """Raises `ValueError` for limits beyond what a response is told up to."""
-    most = problem.told_up_to(name)
+    known = problem.description.responses[name]
     for limit in limits:
-        if limit is not None and float(limit) > most:
+        if limit is not None and float(limit) > known.horizon:
             raise ValueError(
-                f'a limit of "{name}" is {float(limit):.6g}, and it is told up to {most:.6g}: '
-                f"beyond that, {problem.endless(name)}. Ask for more of it, or for a limit that is "
-                "not beyond."
+                f'a limit of "{name}" is {float(limit):.6g}, and it is told up to '
+                f"{known.horizon:.6g}: beyond that, {known.infinite}. Ask for more of it, or for "
+                "a limit that is not beyond."
             )
 
 
@@ -101,17 +110,15 @@ def finite_beside(values: np.ndarray, *limits: Any) -> np.ndarray:
     return np.where(np.isinf(values), np.where(values > 0, high + aside, low - aside), values)
 
 
-def bounded(
-    problem: AbstractProblem, name: str, values: np.ndarray, levels: Sequence[Any]
-) -> np.ndarray:
+def bounded(problem: Problem, name: str, values: np.ndarray, levels: Sequence[Any]) -> np.ndarray:
     """Values for a surface: where they are infinite, what a response is told up to, or, where that
     has no end, beyond all others and the `levels` that limits hold them against."""
-    most = problem.told_up_to(name)
+    most = problem.description.responses[name].horizon
     return np.minimum(values, most) if np.isfinite(most) else finite_beside(values, *levels)
 
 
-def _words(problem: AbstractProblem, name: str, values: Any) -> str:
+def _words(problem: Problem, name: str, values: Any) -> str:
     """In how many samples a response is infinite, and what that says; "" for none."""
     count = int(np.isinf(np.asarray(values, float)).sum())
-    why = problem.endless(name)
+    why = problem.description.responses[name].infinite
     return f"is infinite in {count} of {np.size(values)} samples ({why})" if count and why else ""

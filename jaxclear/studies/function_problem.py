@@ -14,25 +14,31 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, is_one_number, quantity
 from jaxclear.ground.warning import call_user, shape_of
 from jaxclear.ground.wording import described, listed
 from jaxclear.integrators import Outcome
-from jaxclear.studies.base import (
-    AbstractProblem,
-    AbstractVariable,
-    SampleResult,
-    check_names_differ,
-    one_distribution,
-    stacked,
-)
 from jaxclear.studies.distribution import AbstractDistribution
+from jaxclear.studies.experiment import (
+    AbstractExperiment,
+    AbstractVariable,
+    Cost,
+    Description,
+    ResponseInfo,
+    SampleResult,
+    Setting,
+    check_names_differ,
+    derived,
+    one_distribution,
+    sample_of_chunk,
+)
 from jaxclear.studies.inputs import correlation_matrix
-from jaxclear.studies.store.batch import sample_of_chunk
+from jaxclear.studies.problem import Problem
 
 ALONE = "response"
 # Functions take few operations a sample; above about this many the numbers of a chunk leave the
@@ -75,118 +81,111 @@ class Dimension(AbstractVariable):
         self.distribution = one_distribution("Dimension", distribution, tolerance)
         self.unit = unit
 
+    def nominal_in(self, subject):
+        return self.nominal
 
-class FunctionProblem(AbstractProblem):
-    """A function of named dimensions, and how these vary.
+    def unit_in(self, subject):
+        return self.unit
 
-    `function`: takes the variables by name and returns a number, or a dictionary of several by
-    name; a number alone is called "response". It must be made of operations that JAX can trace and
-    differentiate (`jax.numpy` instead of `math` and `numpy`). What it returns with a length, (n,),
-    is a series, such as a force over time: `series` gives it, `identify` compares it with a
-    measurement, and other studies see the numbers. `variables`: a `jaxclear.Dimension` each.
-    `units`: of what is returned, one text or a dictionary by name, by default that of the variables
-    where they share one, else "1". A sample whose response is not finite has failed. `correlation`
-    [1] of the variables' normal scores: {("first", "second"):
-    0.5}, or a matrix. Raises `ValueError` with a sentence for what cannot be asked.
-    """
+    def put(self, name, subject, value):
+        return subject | {name: value}
+
+    def told(self, name, subject):
+        return {f'"{name}"': (self.nominal, self.unit)}
+
+
+class FunctionExperiment(AbstractExperiment):
+    """A function of named dimensions (`FunctionProblem`)."""
 
     function: Callable[..., Any]
-    variables: dict[str, Dimension]
-    correlation: Float[Array, "variables variables"] | None
-    names: tuple[str, ...] = eqx.field(static=True)
-    response_names: tuple[str, ...] = eqx.field(static=True)
-    series_names: tuple[str, ...] = eqx.field(static=True)
-    variable_units: tuple[str, ...] = eqx.field(static=True)
     response_units: tuple[str, ...] = eqx.field(static=True)
-    memory: int = eqx.field(static=True)
-    undifferentiated: str = eqx.field(static=True)
+    response_names: tuple[str, ...] = derived(static=True)
+    series_names: tuple[str, ...] = derived(static=True)
+    memory: int = derived(static=True)
+    undifferentiated: str = derived(static=True)
 
-    def __init__(
-        self,
-        function: Callable[..., Any],
-        variables: Mapping[str, Dimension],
-        *,
-        units: str | Mapping[str, str] | None = None,
-        correlation: Any = None,
-    ):
-        check_double_precision()
-        if not callable(function) or isinstance(function, type):
-            raise ValueError(
-                f"function of a FunctionProblem is {described(function)}; it must be a function of "
-                "the variables by name."
-            )
-        expect(variables, Mapping, "variables of a FunctionProblem", "a dictionary from names")
-        for name, variable in variables.items():
-            expect(name, str, "a name in variables of a FunctionProblem", "a text")
-            expect(variable, Dimension, f'variable "{name}"', "a jaxclear.Dimension")
-        self.function, self.variables = function, dict(variables)
-        self.names = tuple(variables)
-        self.correlation = correlation_matrix(correlation, self.names)
-        self.variable_units = tuple(variable.unit for variable in variables.values())
-        _check_names(function, self.names)
+    def __init__(self, function: Callable[..., Any], variables: dict[str, Dimension], units: Any):
+        self.function = function
         at = {name: variable.nominal for name, variable in variables.items()}
         found = _traced(function, at)
         self.response_names = tuple(name for name, own in found.items() if not own.shape)
         self.series_names = tuple(name for name, own in found.items() if own.shape)
         every = (*self.response_names, *self.series_names)
-        check_names_differ(every, self.variables)
-        self.response_units = _units(units, every, self.variable_units)
+        check_names_differ(every, variables)
+        of_variables = tuple(variable.unit for variable in variables.values())
+        self.response_units = _units(units, every, of_variables)
         self.memory = _memory(function, at)
         self.undifferentiated = _undifferentiated(function, at)
 
-    def nominal(self):
-        return stacked([self.variables[name].nominal for name in self.names])
-
-    def units(self):
-        every = (*self.response_names, *self.series_names)
-        return dict(zip(every, self.response_units, strict=True))
-
-    def evaluate(self, values, *, discrete_derivatives=False):
-        check_double_precision()
-        self.check_values(values)
-        found = self.answers(values)
+    def evaluate(self, setting, *, discrete_derivatives=False):
+        found = self.answers(setting)
         finite = jnp.all(jnp.isfinite(jnp.concatenate([jnp.ravel(x) for x in found.values()])))
         outcome = jnp.where(finite, Outcome.REACHED, Outcome.NOT_FINITE)
         numbers = {name: found[name] for name in self.response_names}
         return SampleResult(numbers, outcome, jnp.zeros(()))
 
-    def series(self, values: Float[Array, " variables"]) -> dict[str, Array]:
-        """The series (n,) that the function gives for one set of values, by name; pure."""
-        self.check_values(values)
-        found = self.answers(values)
-        return {name: found[name] for name in self.series_names}
+    def answers(self, setting: Setting) -> dict[str, Array]:
+        """What the function gives for one setting, numbers and series by name; pure."""
+        return _by_name(self.function(**setting({})))
 
-    def sample_memory(self):
-        return self.memory
+    def cost(self):
+        return Cost(self.memory, LARGEST_CHUNK, cheap=True)
 
-    def at_once(self):
-        return True
-
-    def most_together(self):
-        return LARGEST_CHUNK
-
-    def rerun(self, values, index, chunk) -> dict[str, Array]:
+    def detail(self, setting, index, chunk) -> dict[str, Array]:
         """What the function gives for one sample, numbers and series by name."""
-        return sample_of_chunk(self.answers, values, index, chunk)
+        return sample_of_chunk(self.answers, setting, index, chunk)
 
-    def answers(self, values: Float[Array, " variables"]) -> dict[str, Array]:
-        """What the function gives for one set of values, numbers and series by name; pure."""
-        return _by_name(self.function(**dict(zip(self.names, values, strict=True))))
+    def describe(self):
+        every = (*self.response_names, *self.series_names)
+        known = zip(every, map(ResponseInfo, self.response_units), strict=True)
+        endings = {
+            Outcome.REACHED: "the function gave its numbers.",
+            Outcome.NOT_FINITE: "a number that the function gives is not finite.",
+        }
+        title = f"FunctionProblem of {described(self.function)}"
+        derivative = self.undifferentiated, ""
+        return Description(title, dict(known), endings, derivative=derivative)
 
-    def ending(self, outcome, ended):
-        if outcome == Outcome.REACHED:
-            return "the function gave its numbers."
-        return "a number that the function gives is not finite."
 
-    def pathwise_limits(self):
-        return self.undifferentiated, ""
+@answering
+def FunctionProblem(
+    function: Callable[..., Any],
+    variables: Mapping[str, Dimension],
+    *,
+    units: str | Mapping[str, str] | None = None,
+    correlation: Any = None,
+) -> Problem:
+    """A problem of a function of named dimensions. A sample whose response is not finite has
+    failed.
 
-    def asked_how(self):
-        return f"of {described(self.function)}"
+    Args:
+        function: takes the variables by name and returns a number, or a dictionary of several by
+            name; a number alone is called "response". It must be made of operations that JAX can
+            trace and differentiate (`jax.numpy` instead of `math` and `numpy`). What it returns
+            with a length, (n,), is a series, such as a force over time: `Problem.detail` gives it,
+            `identify` compares it with a measurement, and other studies see the numbers.
+        variables: a `jaxclear.Dimension` each, by name.
+        units: of what is returned, one text or a dictionary by name; by default that of the
+            variables where they share one, else "1".
+        correlation: of the variables' normal scores [1], as in `Problem`.
 
-    def parts(self):
-        variables = {f'"{name}"': (v.nominal, v.unit) for name, v in self.variables.items()}
-        return {"function": self.function, "units": self.response_units} | variables
+    Raises:
+        ValueError: with a sentence for what cannot be asked.
+    """
+    check_double_precision()
+    if not callable(function) or isinstance(function, type):
+        raise ValueError(
+            f"function of a FunctionProblem is {described(function)}; it must be a function of "
+            "the variables by name."
+        )
+    expect(variables, Mapping, "variables of a FunctionProblem", "a dictionary from names")
+    for name, variable in variables.items():
+        expect(name, str, "a name in variables of a FunctionProblem", "a text")
+        expect(variable, Dimension, f'variable "{name}"', "a jaxclear.Dimension")
+    known = dict(variables)
+    correlation = correlation_matrix(correlation, tuple(known))
+    _check_names(function, tuple(known))
+    return Problem.of(FunctionExperiment(function, known, units), known, correlation)
 
 
 def _check_names(function: Callable[..., Any], names: tuple[str, ...]) -> None:

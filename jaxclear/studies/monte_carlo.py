@@ -12,7 +12,6 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number
-from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import (
     DATASET,
@@ -23,8 +22,8 @@ from jaxclear.studies.answer import (
     Column,
     Stated,
 )
-from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.endless import answered, check_told, endless_sentences, refuse_endless
+from jaxclear.studies.endless import check_told, endless_sentences, refuse_endless, successes
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
 from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
 from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, until_accurate
@@ -79,7 +78,7 @@ class MonteCarlo(AbstractAnswer):
     are finer runs of the first samples, which tell numerical errors (None: not verified).
     """
 
-    problem: AbstractProblem
+    problem: Problem
     values: np.ndarray
     responses: dict[str, np.ndarray]
     outcome: np.ndarray
@@ -95,8 +94,7 @@ class MonteCarlo(AbstractAnswer):
     @property
     def failed(self) -> np.ndarray:
         """Indices of the samples that failed."""
-        told = answered(self.problem, self.responses)
-        return np.flatnonzero((self.outcome != Outcome.REACHED) | ~told)
+        return np.flatnonzero(~successes(self.problem, self.outcome, self.responses)[0])
 
     def failures(self) -> dict[int, str]:
         """Why each failed sample failed, by its index."""
@@ -132,7 +130,7 @@ class MonteCarlo(AbstractAnswer):
     def doubts_of(self, *responses: str) -> tuple[str, ...]:
         """The `doubts` that concern these responses."""
         told = () if self.replicas is None else self.replicas.doubts(self.problem, *responses)
-        return (*told, *self.problem.doubts())
+        return (*told, *self.problem.description.warnings)
 
     def numerical_error(
         self, response: str, statistic: Callable[[np.ndarray], float] = np.mean
@@ -145,7 +143,7 @@ class MonteCarlo(AbstractAnswer):
     def rerun(self, index: int) -> Any:
         """One sample alone, to look at one that failed or warned: a mechanism's run, bit for bit
         that of the study; of a function what it gives, by name."""
-        return self.problem.rerun(jnp.asarray(self.values[index]), index, self.chunk)
+        return self.problem.detail(self.values[index], index, self.chunk)
 
     def sentence(self) -> str:
         """How many samples there are, failed and warned, and of what; and why the integrator is
@@ -159,7 +157,7 @@ class MonteCarlo(AbstractAnswer):
             unverified(self.problem, self.replicas),
             *endless_sentences(self.problem, self.responses),
             self.unreached,
-            self.problem.remark(),
+            self.problem.description.remark,
         )
         return " ".join(filter(None, told))
 
@@ -301,7 +299,7 @@ class MonteCarlo(AbstractAnswer):
 @answering
 @stored("a Monte Carlo study")
 def monte_carlo(
-    problem: AbstractProblem,
+    problem: Problem,
     samples: int = 1024,
     *,
     seed: int = 0,

@@ -12,25 +12,31 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import with_quantities
 from jaxclear.ground.wording import listed
 from jaxclear.integrators import Outcome
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.results.response import unit_of
 from jaxclear.statics.least_energy import ByEnergy, Rest
 from jaxclear.statics.position_path import both, checked_positions, sought
 from jaxclear.statics.positions import Positions
 from jaxclear.statics.quasi_static import Posed, Spot, Way
-from jaxclear.studies.base import SampleResult, how_it_ended
-from jaxclear.studies.mechanism_problem import (
-    AbstractMechanismProblem,
-    check_answers,
-    in_range,
-    responses_of,
-    wanted_of,
+from jaxclear.studies.experiment import (
+    AbstractExperiment,
+    Cost,
+    Description,
+    ResponseInfo,
+    SampleResult,
+    Setting,
+    derived,
+    sample_of_chunk,
 )
-from jaxclear.studies.store.batch import sample_of_chunk
+from jaxclear.studies.inputs import correlation_matrix
+from jaxclear.studies.problem import Problem
+from jaxclear.studies.responses import answers, check_answers, checked_question, in_range
 from jaxclear.studies.variable import AbstractMechanismVariable
 
 # Samples a chunk: beyond it the rows of the kernel leave the cache
@@ -40,99 +46,116 @@ LARGEST_CHUNK = 256
 NUMBERS = 400
 
 
-class PositionProblem(AbstractMechanismProblem):
-    """A mechanism over positions of its drives, the numbers in it that vary, and the responses
-    wanted.
-
-    `response`: a function of `jaxclear.positions`' result, or several by name; those of
-    `jaxclear.response` that read places serve, and `FromFunction` gives a function its unit.
-    `positions`: coordinates [rad, m] by joint, as in `jaxclear.positions`, `both_ways` too;
-    `correlation` as in `Problem`. Each position of each sample is sought from where the nominal
-    mechanism stands there; a sample of which one is not found has failed. Derivatives are exact,
-    seats of the journals included. Raises `ValueError` with a sentence for what cannot be asked.
-    """
+class PositionExperiment(AbstractExperiment):
+    """A mechanism over positions of its drives, and the responses wanted (`PositionProblem`)."""
 
     mechanism: Mechanism
     response: dict[str, Callable]
-    variables: dict[str, AbstractMechanismVariable]
     position: Float[Array, "positions drives"]
-    scene: Posed
-    starts: Spot | Rest
-    way: Way | ByEnergy
-    correlation: Float[Array, "variables variables"] | None
     held: tuple[str, ...] = eqx.field(static=True)
-    names: tuple[str, ...] = eqx.field(static=True)
-    response_names: tuple[str, ...] = eqx.field(static=True)
-    variable_units: tuple[str, ...] = eqx.field(static=True)
     both_ways: bool = eqx.field(static=True)
+    scene: Posed = derived()
+    starts: Spot | Rest = derived()
+    # The same under reversed loads, where energy says where it rests.
+    others: Rest | None = derived()
+    way: Way | ByEnergy = derived()
+    response_names: tuple[str, ...] = derived(static=True)
 
     def __init__(
         self,
         mechanism: Mechanism,
-        response: Callable | Mapping[str, Callable],
-        variables: Mapping[str, AbstractMechanismVariable],
-        *,
+        response: dict[str, Callable],
         positions: Mapping[str, Any],
-        both_ways: bool = False,
-        correlation: Any = None,
+        both_ways: bool,
     ):
-        check_double_precision()
-        mechanism = with_quantities(mechanism)
-        of = "a mechanism over positions"
-        wanted = wanted_of(mechanism, response, variables, correlation, "PositionProblem", of)
-        check_flags("PositionProblem", both_ways=both_ways)
-        self.mechanism, self.both_ways = mechanism, both_ways
-        self.response, self.variables, self.variable_units, self.correlation = wanted
-        self.names, self.response_names = tuple(self.variables), tuple(self.response)
+        self.mechanism, self.response, self.both_ways = mechanism, response, both_ways
+        self.response_names = tuple(response)
         self.held, places = checked_positions(positions)
         self.position = jnp.asarray(places)
         self.scene, self.way, self.starts = sought(mechanism, self.held, places)
-        nominal = self.nominal()
-        check_answers(self.response, lambda: self.positions(nominal))
+        self.others = None
+        if both_ways and isinstance(self.way, ByEnergy):
+            starts: Any = self.starts
+            others = self.way.reversed.each(self.scene, self.position, starts)
+            self.others = others if bool(jnp.all(jnp.isfinite(others.change))) else None
+        check_answers(response, lambda: self._at(mechanism))
 
-    def positions(self, values: Float[Array, " variables"]) -> Positions:
-        """The mechanism of one set of values at all positions; pure."""
-        scene = self.scene.of(self._varied(values))
-        return both(scene, self.position, self.starts, self.way, self.both_ways)
+    @property
+    def subject(self):
+        return self.mechanism
 
-    def evaluate(self, values, *, discrete_derivatives=False):
-        check_double_precision()
-        self.check_values(values)
-        found = self.positions(values)
+    def _at(self, mechanism: Mechanism) -> Positions:
+        scene = self.scene.of(mechanism)
+        return both(scene, self.position, self.starts, self.way, self.both_ways, self.others)
+
+    def positions(self, setting: Setting) -> Positions:
+        """The mechanism of one setting at all positions; pure."""
+        return self._at(setting(self.mechanism))
+
+    def evaluate(self, setting, *, discrete_derivatives=False):
+        found = self.positions(setting)
         ok = jnp.all(found.found)
         if found.other is not None:
             ok &= jnp.all(found.other.found)
         outcome = jnp.where(ok, Outcome.REACHED, Outcome.UNASSEMBLED)
         possible = in_range(found.scene.mechanism, found.scene.gaps)
         outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)
-        return SampleResult(responses_of(self, found), outcome, jnp.zeros(()))
+        return SampleResult(answers(self.response, found), outcome, jnp.zeros(()))
 
-    def sample_memory(self):
-        return 8 * NUMBERS * len(self.position)
+    def cost(self):
+        return Cost(8 * NUMBERS * len(self.position), LARGEST_CHUNK, cheap=True)
 
-    def most_together(self):
-        return LARGEST_CHUNK
-
-    def at_once(self):
-        return True
-
-    def rerun(self, values, index, chunk) -> Positions:
+    def detail(self, setting, index, chunk) -> Positions:
         """The mechanism of one sample at all positions."""
-        return sample_of_chunk(self.positions, values, index, chunk)
+        return sample_of_chunk(self.positions, setting, index, chunk)
 
-    def ending(self, outcome, ended):
-        if outcome == Outcome.REACHED:
-            return "the mechanism stands at every position."
-        if outcome == Outcome.UNASSEMBLED:
-            return (
+    def describe(self):
+        many = len(self.position)
+        known = {
+            name: ResponseInfo(unit_of(own, self.mechanism)) for name, own in self.response.items()
+        }
+        endings = {
+            Outcome.REACHED: "the mechanism stands at every position.",
+            Outcome.UNASSEMBLED: (
                 "the mechanism cannot be assembled at every position, or only on another way than "
                 "the nominal one."
-            )
-        return how_it_ended(outcome)
+            ),
+        }
+        places = f"{many} position{'s' if many > 1 else ''} of {listed(self.held)}"
+        return Description(f"PositionProblem at {places}".rstrip(), known, endings)
 
-    def asked_how(self):
-        many = len(self.position)
-        return f"at {many} position{'s' if many > 1 else ''} of {listed(self.held)}"
 
-    def parts(self):
-        return self._told("mechanism", "response", "position", "held", "both_ways")
+@answering
+def PositionProblem(
+    mechanism: Mechanism,
+    response: Callable | Mapping[str, Callable],
+    variables: Mapping[str, AbstractMechanismVariable],
+    *,
+    positions: Mapping[str, Any],
+    both_ways: bool = False,
+    correlation: Any = None,
+) -> Problem:
+    """A problem of a mechanism over positions of its drives. Each position of each sample is sought
+    from where the nominal mechanism stands there; a sample of which one is not found has failed.
+    Derivatives are exact, seats of the journals included.
+
+    Args:
+        mechanism: the mechanism that is positioned.
+        response: a function of `jaxclear.positions`' result, or several by name; those of
+            `jaxclear.response` that read places serve; `FromFunction` gives a function its unit.
+        variables: the numbers that vary, `Variable` or `Condition` by name.
+        positions: coordinates [rad, m] by joint, as in `jaxclear.positions`.
+        both_ways: an option, whether loads are reversed as well, as in `jaxclear.positions`.
+        correlation: of the variables' normal scores [1], as in `Problem`.
+
+    Raises:
+        ValueError: with a sentence for what cannot be asked.
+    """
+    check_double_precision()
+    mechanism = with_quantities(mechanism)
+    of = "a mechanism over positions"
+    wanted, varied = checked_question(mechanism, response, variables, "PositionProblem", of)
+    correlation = correlation_matrix(correlation, tuple(varied))
+    check_flags("PositionProblem", both_ways=both_ways)
+    experiment = PositionExperiment(mechanism, wanted, positions, both_ways)
+    return Problem.of(experiment, varied, correlation)

@@ -19,7 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.integrators import Outcome
-from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.statistics.accuracy import NumericalError, bias_of
 from jaxclear.studies.store.batch import chunk_size, evaluate_all
 
@@ -70,7 +71,7 @@ class Replicas(eqx.Module):
         95 % interval of that."""
         return bias_of(*self.pairs(response), self.share, statistic)
 
-    def doubts(self, problem: AbstractProblem, *responses: str) -> tuple[str, ...]:
+    def doubts(self, problem: Problem, *responses: str) -> tuple[str, ...]:
         """A sentence for each of these responses whose mean is off by more than is promised, and
         one for replicas that failed."""
         told = [_beyond(problem, self, name) for name in responses]
@@ -78,7 +79,7 @@ class Replicas(eqx.Module):
 
 
 def replicas_of(
-    problem: AbstractProblem,
+    problem: Problem,
     values: np.ndarray,
     found: SampleResult,
     chunk: int,
@@ -94,18 +95,18 @@ def replicas_of(
 
 
 def finer_runs(
-    problem: AbstractProblem, values: np.ndarray, chunk: int, progress_bar: bool = False
+    problem: Problem, values: np.ndarray, chunk: int, progress_bar: bool = False
 ) -> SampleResult | None:
     """What samples of these values (samples, variables) of a study in chunks of this size give in
     finer runs: by the study's own program, where that serves. None where the problem has none."""
-    replica = problem.replica()
+    replica = problem.refine()
     if replica is None:
         return None
     numbers = [eqx.filter(own, eqx.is_array) for own in (problem, replica)]
     shapes = [[jnp.shape(leaf) for leaf in jax.tree.leaves(own)] for own in numbers]
     count = len(values)
     together = chunk if shapes[0] == shapes[1] else chunk_size(replica, count)
-    if replica.compiled():
+    if replica.cost().compiled:
         # Filled up with copies: else a chunk would be as small as the samples are few.
         values = np.concatenate([values, np.repeat(values[-1:], -count % together, axis=0)])
     finer = evaluate_all(
@@ -141,33 +142,33 @@ def numerical_error(
     return NumericalError(bias, uncertainty, sampling, pairs)
 
 
-def unverified(problem: AbstractProblem, replicas: Replicas | None) -> str:
+def unverified(problem: Problem, replicas: Replicas | None) -> str:
     """A sentence for numbers whose numerical error nothing tells; "" for others."""
-    if replicas is not None or not problem.discretised():
+    if replicas is not None or not problem.description.discretised:
         return ""
     return "Not verified: no replicas tell how far steps put its numbers off."
 
 
-def _beyond(problem: AbstractProblem, replicas: Replicas, response: str) -> str:
+def _beyond(problem: Problem, replicas: Replicas, response: str) -> str:
     bias, uncertainty = replicas.bias(response)
     own, _ = replicas.pairs(response)
     size = float(np.sqrt(np.mean(own**2))) if len(own) else np.nan
-    promised = problem.promised(response, size)
+    known = problem.description.responses[response]
+    promised = known.promised(size)
     if promised is None or not abs(bias) > max(promised, uncertainty):
         return ""
-    unit = problem.units()[response]
-    unit = "" if unit == "1" else f" {unit}"
+    unit = "" if known.unit == "1" else f" {known.unit}"
     return (
         f'"{response}": steps put its mean {bias:+.2g}{unit} off, beyond the {promised:.2g}{unit} '
-        f"that are promised; {problem.remedy(response)}."
+        f"that are promised; {known.remedy}."
     )
 
 
-def _failures(problem: AbstractProblem, replicas: Replicas) -> str:
+def _failures(problem: Problem, replicas: Replicas) -> str:
     failed = replicas.failed
     if not len(failed):
         return ""
     first = int(failed[0])
-    ending = problem.ending(int(replicas.outcome[first]), float(replicas.ended[first]))
+    ending = problem.description.ending(replicas.outcome[first], replicas.ended[first])
     count = f"{len(failed)} of {replicas.count} replicas failed and tell nothing"
     return f"{count}; of that of sample {first}, {ending}"

@@ -22,8 +22,8 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_count, check_name, expect
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.inputs import Inputs
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.scrambling import ScrambledSequence, normal_scores
 
 SAMPLINGS = ("sobol", "random")
@@ -59,7 +59,7 @@ def by_scrambling(rows: np.ndarray, scramblings: int) -> np.ndarray:
 def check_sampled(problem: Any, samples: Any, seed: Any, sampling: Any = "sobol") -> None:
     """What is sampled, and how. Raises `ValueError` with a sentence."""
     check_double_precision()
-    expect(problem, AbstractProblem, "what is sampled", "a jaxclear.Problem")
+    expect(problem, Problem, "what is sampled", "a jaxclear.Problem")
     check_name("sampling", sampling, SAMPLINGS)
     check_count("the number of samples", samples)
     check_count("seed", seed, at_least=0)
@@ -82,7 +82,7 @@ def checked_scramblings(owner: str, samples: int, given: Any) -> int:
 
 
 def draw(
-    problem: AbstractProblem,
+    problem: Problem,
     samples: int,
     seed: int,
     sampling: str = "sobol",
@@ -101,7 +101,7 @@ class Drawing:
     """A sample that is drawn piece by piece, cheapest in the order of its numbers; by one thread at
     a time."""
 
-    def __init__(self, problem: AbstractProblem, seed: int, sampling: str, scramblings: int):
+    def __init__(self, problem: Problem, seed: int, sampling: str, scramblings: int):
         self.inputs, self.count = problem.inputs, len(problem.names)
         # The first of all scramblings is that of the plain seed.
         self.seeds: list[Any] = [(seed, i) if i else seed for i in range(scramblings)]
@@ -159,7 +159,7 @@ def _of_each(problem, normal):
     return jax.vmap(problem.inputs.values)(normal)
 
 
-def all_values(problem: AbstractProblem, normal: np.ndarray) -> np.ndarray:
+def all_values(problem: Problem, normal: np.ndarray) -> np.ndarray:
     """Values (samples, variables) that standard normal numbers (samples, variables) stand for."""
     return np.array(_of_each(problem, jnp.asarray(normal)))
 
@@ -169,6 +169,6 @@ def _slopes_of_each(problem, normal):
     return jax.vmap(jax.jacfwd(problem.inputs.values))(normal)
 
 
-def value_slopes(problem: AbstractProblem, normal: np.ndarray) -> np.ndarray:
+def value_slopes(problem: Problem, normal: np.ndarray) -> np.ndarray:
     """How the values move with the standard normal numbers, (samples, variables, variables)."""
     return np.asarray(_slopes_of_each(problem, jnp.asarray(normal)))

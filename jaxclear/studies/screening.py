@@ -21,10 +21,9 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags
-from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Column, Stated
-from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.endless import refuse_endless, successes
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import all_values, check_sampled
 from jaxclear.studies.scrambling import normal_scores
 from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed
@@ -42,7 +41,7 @@ class Screening(AbstractAnswer):
     whether its effect hangs on where it and the others stand. `effects` (trajectories,) are nan
     where a run failed, of which there are `failed` among `runs`."""
 
-    problem: AbstractProblem
+    problem: Problem
     mu_star: dict[tuple[str, str], Statistic]
     sigma: dict[tuple[str, str], Statistic]
     effects: dict[tuple[str, str], np.ndarray]
@@ -77,7 +76,7 @@ class Screening(AbstractAnswer):
 @answering
 @stored("a screening")
 def screening(
-    problem: AbstractProblem,
+    problem: Problem,
     trajectories: int = 16,
     *,
     seed: int = 0,
@@ -111,12 +110,11 @@ def screening(
     found = evaluate_all(problem, values, progress_bar=progress_bar, label="screening")
     refuse_endless(problem, found.responses, "elementary effect")
     own = {name: np.asarray(found.responses[name], float) for name in problem.response_names}
-    finite = np.all([np.isfinite(responses) for responses in own.values()], axis=0)
-    good = (np.asarray(found.outcome) == Outcome.REACHED) & finite
+    good, own = successes(problem, found.outcome, own)
     moves = np.diff(shares.reshape(trajectories, -1, shares.shape[1]), axis=1)
     effects, mu_star, sigma = {}, {}, {}
     for name, responses in own.items():
-        kept = np.where(good, responses, np.nan).reshape(trajectories, -1)
+        kept = responses.reshape(trajectories, -1)
         for i, variable in enumerate(problem.names):
             # Each trajectory moves each variable once.
             moved = np.argmax(np.abs(moves[:, :, i]), axis=1)[:, None]

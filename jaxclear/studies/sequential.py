@@ -6,8 +6,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import INSTEAD
+from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import Drawing
 from jaxclear.studies.statistics.accuracy import Asked, Piece, told, unreached
 
@@ -21,9 +22,7 @@ def first_of(samples: int, scramblings: int) -> int:
     return scramblings * 2 ** int(np.log2(samples // scramblings))
 
 
-def until_accurate(
-    problem: AbstractProblem, first: int, most: int, asked: Asked, grown: Callable
-) -> str:
+def until_accurate(problem: Problem, first: int, most: int, asked: Asked, grown: Callable) -> str:
     """Doubles a sample, from the first number on, until it is accurate or would be more than the
     most; a sentence where it is not accurate, else "". `grown` is given how many samples there are
     to be, and gives them in pieces: responses by name (samples,), and scramblings (samples,).
@@ -41,20 +40,20 @@ def until_accurate(
         count *= 2
 
 
-def _noted(problem: AbstractProblem, pieces: Iterable[Piece], endless: set[str]) -> Iterator[Piece]:
+def _noted(problem: Problem, pieces: Iterable[Piece], endless: set[str]) -> Iterator[Piece]:
     """The pieces of a sample; the responses that have infinite answers in them are put down."""
     for responses, group in pieces:
         infinite = (name for name, own in responses.items() if np.isinf(own).any())
-        endless.update(name for name in infinite if problem.endless(name))
+        endless.update(name for name in infinite if problem.description.responses[name].infinite)
         yield responses, group
 
 
-def _no_mean(problem: AbstractProblem, name: str) -> str:
+def _no_mean(problem: Problem, name: str) -> str:
     """Why the accuracy of a mean is not reached that there is not."""
     return (
         f'The accuracy asked is not reached: "{name}" is infinite in some samples '
-        f"({problem.endless(name)}), and there is no mean of it; leave accuracy out, and "
-        f"{INSTEAD}."
+        f"({problem.description.responses[name].infinite}), and there is no mean of it; leave "
+        f"accuracy out, and {INSTEAD}."
     )
 
 

@@ -15,10 +15,9 @@ import numpy as np
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_name, expect
 from jaxclear.ground.wording import described
-from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
-from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.endless import answered, why_unanswered
+from jaxclear.studies.endless import successes, why_unanswered
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import told
@@ -29,7 +28,7 @@ class Sweep(AbstractAnswer):
     `responses` by name, one axis for each swept variable in their order, nan where a run failed;
     `reasons` why, by the place in the grid; `warnings` of what runs warn."""
 
-    problem: AbstractProblem
+    problem: Problem
     over: dict[str, np.ndarray]
     responses: dict[str, np.ndarray]
     reasons: dict[tuple[int, ...], str]
@@ -78,7 +77,7 @@ class Sweep(AbstractAnswer):
 @answering
 @stored("a sweep")
 def sweep(
-    problem: AbstractProblem,
+    problem: Problem,
     over: Mapping[str, Sequence[float]],
     *,
     store: str | Path | None = None,
@@ -101,7 +100,7 @@ def sweep(
     Raises:
         ValueError: if there is no such variable or values are not finite.
     """
-    expect(problem, AbstractProblem, "what is swept", "a jaxclear.Problem")
+    expect(problem, Problem, "what is swept", "a jaxclear.Problem")
     expect(over, Mapping, "over of sweep", "values by the names of variables")
     check_flags("sweep", progress_bar=progress_bar)
     axes = {name: _axis(name, own, problem) for name, own in over.items()}
@@ -113,12 +112,9 @@ def sweep(
         values[:, problem.names.index(name)] = own.ravel()
     found = evaluate_all(problem, jnp.asarray(values), progress_bar=progress_bar, label="sweep")
     outcome, ended = np.asarray(found.outcome), np.asarray(found.ended)
-    good = (outcome == Outcome.REACHED) & answered(problem, found.responses)
+    good, numbers = successes(problem, outcome, found.responses)
     shape = grid[0].shape
-    responses = {
-        name: np.where(good, np.asarray(found.responses[name]), np.nan).reshape(shape)
-        for name in problem.response_names
-    }
+    responses = {name: numbers[name].reshape(shape) for name in problem.response_names}
     reasons = {
         tuple(int(k) for k in np.unravel_index(i, shape)): why_unanswered(
             problem, outcome[i], ended[i]
@@ -128,7 +124,7 @@ def sweep(
     return Sweep(problem, axes, responses, reasons, told(problem, found.checks, good))
 
 
-def _axis(name: str, values: Any, problem: AbstractProblem) -> np.ndarray:
+def _axis(name: str, values: Any, problem: Problem) -> np.ndarray:
     """The values of a variable. Raises `ValueError` with a sentence."""
     check_name("variable", name, problem.names, " in this problem")
     try:

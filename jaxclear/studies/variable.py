@@ -17,8 +17,8 @@ from jaxclear.ground.wording import described, meant
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.thermal_expansion import apply_thermal_expansion
 from jaxclear.multibody.topology import own_numbers
-from jaxclear.studies.base import AbstractVariable, one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
+from jaxclear.studies.experiment import AbstractVariable, one_distribution
 
 # The least quantile of a response that studies tell.
 TOLD_QUANTILE = 0.05
@@ -41,52 +41,6 @@ class AbstractMechanismVariable(AbstractVariable):
         """
 
     @abstractmethod
-    def nominal_in(self, mechanism: Mechanism) -> Any:
-        """The nominal value.
-
-        Args:
-            mechanism: the `Mechanism`.
-
-        Returns:
-            The value, in the variable's unit.
-        """
-
-    @abstractmethod
-    def unit_in(self, mechanism: Mechanism) -> str:
-        """The unit.
-
-        Args:
-            mechanism: the `Mechanism`.
-
-        Returns:
-            The unit as text.
-        """
-
-    @abstractmethod
-    def put(self, mechanism: Mechanism, value: Any) -> Mechanism:
-        """The mechanism with the variable's numbers set.
-
-        Args:
-            mechanism: the `Mechanism`.
-            value: value of the variable, in its unit.
-
-        Returns:
-            The new `Mechanism`.
-        """
-
-    @abstractmethod
-    def followed(self, mechanism: Mechanism, value: Any) -> Mechanism:
-        """The mechanism with what follows from the variable, after all variables are set.
-
-        Args:
-            mechanism: the `Mechanism`.
-            value: value of the variable, in its unit.
-
-        Returns:
-            The new `Mechanism`.
-        """
-
-    @abstractmethod
     def check(self, name: str, mechanism: Mechanism) -> None:
         """Refuse a variable that does not belong to the mechanism.
 
@@ -96,18 +50,6 @@ class AbstractMechanismVariable(AbstractVariable):
 
         Raises:
             ValueError: if it does not.
-        """
-
-    @abstractmethod
-    def told(self, name: str, mechanism: Mechanism) -> dict[str, Any]:
-        """What distinguishes the variable from others, apart from its distribution.
-
-        Args:
-            name: name of the variable.
-            mechanism: the `Mechanism`.
-
-        Returns:
-            A dictionary of values by description.
         """
 
     def check_derived(self, name: str, mechanism: Mechanism, varied: set[int]) -> None:
@@ -171,7 +113,7 @@ class Variable(AbstractMechanismVariable):
         first = self.leaves(mechanism)[0]
         return next((unit for _, leaf, _, unit in own_numbers(mechanism) if leaf is first), "1")
 
-    def put(self, mechanism, value):
+    def put(self, name, mechanism, value):
         # Leaves that vary together move by the same amount.
         old = self.leaves(mechanism)
         new = [leaf + (value - old[0]) for leaf in old]
@@ -313,7 +255,7 @@ class Condition(AbstractMechanismVariable):
     def unit_in(self, mechanism):
         return self.unit
 
-    def put(self, mechanism, value):
+    def put(self, name, mechanism, value):
         return mechanism
 
     def followed(self, mechanism, value):
@@ -345,27 +287,6 @@ def _pair(given: Any) -> tuple[Callable, Callable]:
             "a mechanism: where a number stands, and what it is."
         )
     return tuple(given)
-
-
-def with_values(
-    mechanism: Mechanism, variables: list[AbstractMechanismVariable], values: Any
-) -> Mechanism:
-    """The mechanism with its variables set, in the order of `values`, and what follows."""
-    for variable, value in zip(variables, values, strict=True):
-        mechanism = variable.put(mechanism, value)
-    for variable, value in zip(variables, values, strict=True):
-        mechanism = variable.followed(mechanism, value)
-    return mechanism
-
-
-def places_of(
-    mechanism: Mechanism, variables: Mapping[str, AbstractMechanismVariable]
-) -> dict[str, Any]:
-    """What each variable points at, in words, and what follows from it."""
-    found: dict[str, Any] = {}
-    for name, own in variables.items():
-        found |= own.told(name, mechanism)
-    return found
 
 
 def check_variables(variables: dict[str, Any], mechanism: Mechanism) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxclear.ground.wording import listed
 from jaxclear.integrators.checks import Check, Checks
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.problem import Problem
 
 # More than this share of runs in doubt, and what rests on them is in doubt too.
 FEW_WARNED = 0.05
@@ -30,19 +30,20 @@ def any_warning(checks: Checks, runs: int) -> np.ndarray:
     return codes_of(checks, runs) != 0
 
 
-def warned_of(problem: AbstractProblem, response: str, checks: Checks, runs: int) -> np.ndarray:
+def warned_of(problem: Problem, response: str, checks: Checks, runs: int) -> np.ndarray:
     """Whether each run carries a warning that concerns a response of the problem, (runs,)."""
     return concerning(problem, response, codes_of(checks, runs)) != 0
 
 
-def concerning(problem: AbstractProblem, response: str, codes: np.ndarray) -> np.ndarray:
+def concerning(problem: Problem, response: str, codes: np.ndarray) -> np.ndarray:
     """The codes (runs,) of the warnings that concern a response."""
-    own = [check for check in Check if problem.concerned(response, check.concerns)]
+    parts = problem.description.responses[response].depends_on
+    own = [check for check in Check if check.concerns in parts]
     return codes & np.int64(sum(1 << int(check) for check in own))
 
 
 def concern(
-    problem: AbstractProblem, response: str, checks: Checks, among: np.ndarray
+    problem: Problem, response: str, checks: Checks, among: np.ndarray
 ) -> tuple[float, str]:
     """Share of the runs `among` (runs,) whose warnings concern a response, and a sentence that
     tells them; "" where there are none."""
@@ -50,13 +51,13 @@ def concern(
     return _share(own), _sentence(own)
 
 
-def warned_share(problem: AbstractProblem, response: str, codes: np.ndarray) -> float:
+def warned_share(problem: Problem, response: str, codes: np.ndarray) -> float:
     """Share of runs, of their codes (runs,), whose warnings concern a response."""
     return _share(concerning(problem, response, codes))
 
 
 def sentences(
-    problem: AbstractProblem, codes: np.ndarray, responses: Sequence[str] | None = None
+    problem: Problem, codes: np.ndarray, responses: Sequence[str] | None = None
 ) -> tuple[str, ...]:
     """How many of a study's runs warn of what concerns its responses (all, or these), one sentence
     for those of which the same is to be said; `codes` (runs,) of the runs that count."""
@@ -69,7 +70,7 @@ def sentences(
     return tuple(f"{listed(names)}: {said}" for said, names in alike.items())
 
 
-def told(problem: AbstractProblem, checks: Checks, among: np.ndarray) -> tuple[str, ...]:
+def told(problem: Problem, checks: Checks, among: np.ndarray) -> tuple[str, ...]:
     """The `sentences` of a study that sees all its runs at once, of which those `among` (runs,)
     count."""
     return sentences(problem, codes_of(checks, len(among))[among])

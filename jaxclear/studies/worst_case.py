@@ -27,9 +27,9 @@ from jaxclear.ground.printing import AbstractShown, with_text_repr
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import RESPONSE, TABLE, VARIABLE, AbstractAnswer, Column, Stated
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution.base import END_SCORE
-from jaxclear.studies.endless import answered, finite_beside, why_unanswered
+from jaxclear.studies.endless import finite_beside, successes, why_unanswered
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.store.batch import evaluate_all
@@ -63,7 +63,7 @@ class WorstCase(AbstractAnswer):
     `nominal` values. Of the `points` asked over the box, its corners among them, `failed` (failed,
     variables) have no answer; `warnings` say so, and which extremes are those of runs that warn."""
 
-    problem: AbstractProblem
+    problem: Problem
     low: np.ndarray
     high: np.ndarray
     nominal: dict[str, float]
@@ -121,7 +121,7 @@ class WorstCase(AbstractAnswer):
 @answering
 @stored("a worst case")
 def worst_case(
-    problem: AbstractProblem,
+    problem: Problem,
     *,
     samples: int = 256,
     sigmas: float = 3.0,
@@ -188,7 +188,7 @@ def corners_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.array(list(itertools.product(*ends)))
 
 
-def box(problem: AbstractProblem, sigmas: float) -> tuple[np.ndarray, np.ndarray]:
+def box(problem: Problem, sigmas: float) -> tuple[np.ndarray, np.ndarray]:
     """Least and largest value of each variable, (variables,) each."""
     nominal, ends = np.asarray(problem.nominal()), []
     for own in problem.inputs.distributions:
@@ -212,14 +212,14 @@ def _value_and_slopes(problem, name, values):
 class Search:
     """Runs a problem in search of extremes, and counts the runs."""
 
-    def __init__(self, problem: AbstractProblem, low, high, progress_bar: bool):
+    def __init__(self, problem: Problem, low, high, progress_bar: bool):
         self.problem, self.low, self.high, self.bar = problem, low, high, progress_bar
         self.runs = 0
         # Of the points asked last: whether one has no answer, and how and when [s] each ended.
         self.failed, self.ends = np.zeros(0, bool), (np.zeros(0, int), np.zeros(0))
         # Of what the runs warn, by their values.
         self.codes: dict[bytes, int] = {}
-        self.differentiable = not any(problem.pathwise_limits())
+        self.differentiable = not any(problem.description.derivative)
 
     def responses(self, points: np.ndarray) -> dict[str, np.ndarray]:
         """By name at points (points, variables); nan where one failed."""
@@ -228,11 +228,9 @@ class Search:
             self.problem, jnp.asarray(points), progress_bar=self.bar, label="worst case"
         )
         self._keep(points, found.checks)
-        good = np.asarray(found.outcome) == Outcome.REACHED
-        told = lambda name, own: good & answered(self.problem, {name: own})
-        self.failed = ~(good & answered(self.problem, found.responses))
-        self.ends = np.asarray(found.outcome), np.asarray(found.ended)
-        return {n: np.where(told(n, own), own, np.nan) for n, own in found.responses.items()}
+        good, responses = successes(self.problem, found.outcome, found.responses)
+        self.failed, self.ends = ~good, (np.asarray(found.outcome), np.asarray(found.ended))
+        return responses
 
     def unanswered(self, points: np.ndarray, corners: int) -> tuple[str, ...]:
         """How many of the points asked last have no answer, the first of which is the nominal one

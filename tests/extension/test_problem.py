@@ -5,59 +5,44 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxclear.integrator import Outcome
 
 import jaxclear as jc
-from jaxclear.studies.base import SampleResult
+from jaxclear.studies.experiment import Cost, Description, ResponseInfo, SampleResult
 
 
-class Cantilever(jc.AbstractProblem):
+class Cantilever(jc.AbstractExperiment):
     """Deflection of a beam's tip under a load [m]; it fails where the beam would yield."""
 
-    variables: dict[str, jc.Dimension]
-    names: tuple[str, ...] = eqx.field(static=True, default=("length", "height"))
+    load: jnp.ndarray
     response_names: tuple[str, ...] = eqx.field(static=True, default=("deflection",))
-    variable_units: tuple[str, ...] = eqx.field(static=True, default=("m", "m"))
-    correlation: None = None
 
-    def nominal(self):
-        return jnp.stack([self.variables[name].nominal for name in self.names])
-
-    def units(self):
-        return {"deflection": "m"}
-
-    def evaluate(self, values, *, discrete_derivatives=False):
-        length, height = values
-        stress = 6 * 100.0 * length / (0.01 * height**2)
-        outcome = jnp.where(
-            stress < 250e6, jc.integrator.Outcome.REACHED, jc.integrator.Outcome.OUT_OF_RANGE
-        )
-        deflection = 4 * 100.0 * length**3 / (210e9 * 0.01 * height**3)
+    def evaluate(self, setting, *, discrete_derivatives=False):
+        beam = setting(self.subject)
+        length, height = beam["length"], beam["height"]
+        stress = 6 * self.load * length / (0.01 * height**2)
+        outcome = jnp.where(stress < 250e6, Outcome.REACHED, Outcome.OUT_OF_RANGE)
+        deflection = 4 * self.load * length**3 / (210e9 * 0.01 * height**3)
         return SampleResult({"deflection": deflection}, outcome, jnp.zeros(()))
 
-    def sample_memory(self):
-        return 64
+    def cost(self):
+        return Cost(memory=64, batch=1000)
 
-    def most_together(self):
-        return 1000
-
-    def rerun(self, values, index, chunk):
-        return self.evaluate(values)
-
-    def ending(self, outcome, ended):
-        return "the beam holds." if outcome == 0 else "the beam would yield."
-
-    def parts(self):
-        return {}
+    def describe(self):
+        return Description(
+            "A cantilever",
+            {"deflection": ResponseInfo("m")},
+            {Outcome.OUT_OF_RANGE: "the beam would yield."},
+        )
 
 
 @pytest.fixture
 def beam():
-    return Cantilever(
-        {
-            "length": jc.Dimension(0.5, jc.distribution.Normal(5e-3)),
-            "height": jc.Dimension(12e-3, jc.distribution.Normal(0.5e-3)),
-        }
-    )
+    varied = {
+        "length": jc.Dimension(0.5, jc.distribution.Normal(5e-3)),
+        "height": jc.Dimension(12e-3, jc.distribution.Normal(0.5e-3)),
+    }
+    return jc.Problem.of(Cantilever(jnp.asarray(100.0)), varied)
 
 
 def test_problem_from_outside_is_sampled_and_its_failures_named(beam):

@@ -31,6 +31,7 @@ from jaxclear.files.forms import (
 from jaxclear.files.parts import Part, arguments, members
 from jaxclear.files.scene import RUN, TOP, scene_text
 from jaxclear.files.text import parsed
+from jaxclear.studies.position_problem import PositionExperiment
 from jaxclear.studies.store.digest import difference, in_texts
 
 # Numbers that bound each other, words of a few, and what only fits together.
@@ -381,7 +382,7 @@ def test_a_scene_over_positions_asks_the_same_after_it_was_written(ending, tmp_p
     scene = asked_over_positions()
     again = written_and_read(scene, tmp_path / f"scene{ending}")
     one, other = scene.problem(), again.problem()
-    assert type(one) is jc.PositionProblem
+    assert isinstance(one.experiment, PositionExperiment)
     assert in_texts(other) == in_texts(one)
     stood = one.positions(one.nominal())
     np.testing.assert_array_equal(again.stand().body("coupler").com, stood.body("coupler").com)

@@ -149,7 +149,7 @@ def test_a_function_of_time_that_is_no_number_is_refused_before_a_run(name, prob
         raise AssertionError("it is assembled before its functions of time are looked at")
 
     monkeypatch.setattr("jaxclear.simulation.simulate.beginning", refused)
-    monkeypatch.setattr("jaxclear.studies.problem.sampled", refused)
+    monkeypatch.setattr("jaxclear.studies.run_experiment.sampled", refused)
     build, sentence = NOWHERE[name]
     mass = {"mass": jc.Variable(lambda rig: rig.bodies["arm"].mass, tolerance=0.1)}
     more = {"duration": 1e-3, "save": 3, "integrator": STEP}

@@ -98,7 +98,7 @@ def test_a_study_is_held_to_the_push_too_and_says_what_its_steps_pass_over():
     found = jax.jit(held.evaluate)(held.nominal()).responses["speed"]
     assert float(found) == pytest.approx(FORCE * LASTS / MASS, rel=1e-5)
     passing = question(jc.integrator.FixedStep(1e-4))
-    assert "push" in passing.doubts()[0]
+    assert "push" in passing.description.warnings[0]
 
 
 def pulse(time):

@@ -27,9 +27,9 @@ def nothing_compiles(monkeypatch):
     def refused(*_):
         raise AssertionError("a mechanism is assembled before its responses are looked at")
 
-    monkeypatch.setattr("jaxclear.studies.problem.sampled", refused)
-    monkeypatch.setattr("jaxclear.studies.problem.unasked", refused)
-    monkeypatch.setattr("jaxclear.studies.problem.chosen_integrator", refused)
+    monkeypatch.setattr("jaxclear.studies.run_experiment.sampled", refused)
+    monkeypatch.setattr("jaxclear.studies.run_experiment.unasked", refused)
+    monkeypatch.setattr("jaxclear.studies.run_experiment.chosen_integrator", refused)
 
 
 def branches(run):

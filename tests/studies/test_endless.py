@@ -1,9 +1,7 @@
 """Infinite answers, such as lives that outlast what is followed, in every study: they count on
 their side of limits and quantiles, against closed forms, and have no mean."""
 
-import dataclasses
 import re
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,12 +12,11 @@ import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.report import campaign_page
 from jaxclear.integrators import Outcome
-from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.design.question import Question, checked_limits, freedom_of
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.design.verification import GROUPS, Verifier, _finite
 from jaxclear.studies.endless import finite_beside
-from jaxclear.studies.function_problem import FunctionProblem
+from jaxclear.studies.experiment import Cost, Description, ResponseInfo, SampleResult
 from jaxclear.studies.reliability.models import RunModel
 from jaxclear.studies.reliability.subset import subset
 from jaxclear.studies.statistics.scrambled import ordinary_quantile
@@ -33,61 +30,32 @@ SCORE = np.log(LIMIT / 1e6) / SPREAD
 SAME_AS_INNER = ("variables", "names", "response_names", "variable_units", "correlation")
 
 
-class Lasting(AbstractProblem):
+class Lasting(jc.AbstractExperiment):
     """Lives in closed form, infinite beyond what is followed."""
 
-    inner: FunctionProblem
-    variables: dict[str, Any]
-    names: tuple[str, ...]
-    response_names: tuple[str, ...]
-    variable_units: tuple[str, ...]
-    correlation: Any
     followed: float = FOLLOWED
+    response_names: tuple[str, ...] = ("life",)
 
-    def nominal(self):
-        return self.inner.nominal()
-
-    def units(self):
-        return {"life": "cycles"}
-
-    def evaluate(self, values, *, discrete_derivatives=False):
-        life = self.inner.evaluate(values).responses["life"]
+    def evaluate(self, setting, *, discrete_derivatives=False):
+        scores = setting(self.subject)
+        life = 1e6 * jnp.exp(sum(SLOPES[name] * own for name, own in scores.items()))
         told = {"life": jnp.where(life > self.followed, jnp.inf, life)}
         return SampleResult(told, jnp.asarray(int(Outcome.REACHED)), jnp.zeros(()))
 
-    def endless(self, response):
-        return "it is not followed further"
+    def cost(self):
+        return Cost(1000, 512)
 
-    def told_up_to(self, response):
-        return self.followed
-
-    def sample_memory(self):
-        return 1000
-
-    def most_together(self):
-        return 512
-
-    def rerun(self, values, index, chunk):
-        return self.evaluate(values)
-
-    def ending(self, outcome, ended):
-        return "it is told."
-
-    def pathwise_limits(self):
-        return "lives end", ""
-
-    def parts(self):
-        return self.inner.parts()
+    def describe(self):
+        far = "it is not followed further"
+        known = {"life": ResponseInfo("cycles", infinite=far, horizon=self.followed)}
+        return Description("Lasting", known, derivative=("lives end", ""))
 
 
 @pytest.fixture(scope="module")
 def lasting():
     unit = jc.distribution.Normal(1.0)
-    inner = FunctionProblem(
-        lambda **x: {"life": 1e6 * jnp.exp(sum(SLOPES[n] * own for n, own in x.items()))},
-        {name: jc.Dimension(0.0, unit, unit="1") for name in SLOPES},
-    )
-    return Lasting(inner, **{name: getattr(inner, name) for name in SAME_AS_INNER})
+    spread = {name: jc.Dimension(0.0, unit, unit="1") for name in SLOPES}
+    return jc.Problem.of(Lasting(), spread)
 
 
 @pytest.fixture(scope="module")
@@ -180,7 +148,7 @@ def test_reliability_counts_endless_ones_as_safe(lasting, methods):
 def test_lives_that_hardly_any_is_followed_to_its_end_are_not_counted_twice(lasting, methods):
     """One in a hundred is followed: nothing parts those that are not."""
     threshold = 1e6 * np.exp(SPREAD * stats.norm.ppf(1e-3))
-    few = dataclasses.replace(lasting, followed=1e6 * np.exp(SPREAD * stats.norm.ppf(0.01)))
+    few = lasting.with_experiment(Lasting(1e6 * np.exp(SPREAD * stats.norm.ppf(0.01))))
     found = jc.reliability(few, jc.limit_state.Below("life", threshold), methods=methods)
     assert found.interval[0] <= 1e-3 <= found.interval[1] or np.isnan(found.probability)
     assert found.estimates["subset"].unknown == 0
@@ -209,12 +177,22 @@ def test_a_design_for_life_counts_endless_ones_as_good(lasting, at_least):
 class Unfollowed(Lasting):
     """Lives that are told to no end."""
 
-    def told_up_to(self, response):
-        return np.inf
+    def describe(self):
+        told = super().describe()
+        return told._replace(
+            responses={n: own._replace(horizon=np.inf) for n, own in told.responses.items()}
+        )
 
 
 def unfollowed(lasting):
-    return Unfollowed(lasting.inner, **{name: getattr(lasting, name) for name in SAME_AS_INNER})
+    return lasting.with_experiment(Unfollowed())
+
+
+@pytest.fixture(scope="module")
+def finite(lasting):
+    """The same lives, followed to their ends."""
+    life = lambda **x: {"life": 1e6 * jnp.exp(sum(SLOPES[n] * own for n, own in x.items()))}
+    return jc.FunctionProblem(life, lasting.variables)
 
 
 def question_of(problem, *limits):
@@ -257,11 +235,11 @@ class Median(jc.limit.Quantile):
         return ()
 
 
-def test_a_limit_that_names_no_level_is_refused_for_endless_lives(lasting):
+def test_a_limit_that_names_no_level_is_refused_for_endless_lives(lasting, finite):
     own = Median("life", at_least=LIMIT, share=0.6)
     with pytest.raises(ValueError, match=r"may be infinite .*limit.Median names no values"):
         checked_limits(own, lasting)
-    assert checked_limits(own, lasting.inner) == (own,)
+    assert checked_limits(own, finite) == (own,)
 
 
 class TooShort(jc.limit.AbstractOneSidedLimit):
@@ -300,14 +278,14 @@ class MeanLife(jc.limit.Quantile):
 
 
 @pytest.mark.parametrize("followed", [FOLLOWED, np.inf])
-def test_a_limit_that_hangs_on_how_long_endless_lives_are_is_refused(lasting, followed):
+def test_a_limit_that_hangs_on_how_long_endless_lives_are_is_refused(lasting, finite, followed):
     """By what it does, whatever it says of itself: else a life that stands for an endless one just
     beyond the levels that it names would be too short, and no candidate kept the limit."""
     problem = lasting if np.isfinite(followed) else unfollowed(lasting)
     for own in (TooShort(), MeanLife("life", at_least=LIMIT, share=0.6)):
         with pytest.raises(ValueError, match=r"hangs on how far beyond its `levels`"):
             checked_limits(own, problem)
-        assert checked_limits(own, lasting.inner) == (own,)
+        assert checked_limits(own, finite) == (own,)
     assert checked_limits(OfLives(), problem)
 
 

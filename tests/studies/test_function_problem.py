@@ -128,7 +128,7 @@ def test_a_function_without_a_derivative_is_sampled_and_its_tangent_refused():
 
     asked = jc.FunctionProblem(outside, {"a": jc.Dimension(1.0, tolerance=0.1)})
     assert jc.monte_carlo(asked, 8).responses["response"].mean() == pytest.approx(2.0, rel=0.1)
-    assert asked.pathwise_limits()[0].startswith("JAX has no derivative")
+    assert asked.description.derivative[0].startswith("JAX has no derivative")
 
 
 @pytest.mark.parametrize("values", [[1.0], np.zeros(3), "a", 1.0, {"a": 1.0}])
@@ -146,7 +146,7 @@ def test_series_are_beside_numbers_and_alone_no_question_of_a_sample():
     both = lambda a: {"largest": 2 * a, "force": a * jnp.arange(3.0)}
     problem = jc.FunctionProblem(both, {"a": PARTS["ring"]}, units={"force": "N"})
     assert problem.response_names == ("largest",) and problem.units()["force"] == "N"
-    np.testing.assert_allclose(problem.series(jnp.array([2.0]))["force"], [0.0, 2.0, 4.0])
+    np.testing.assert_allclose(problem.detail(jnp.array([2.0]))["force"], [0.0, 2.0, 4.0])
     assert list(jc.monte_carlo(problem, 16).responses) == ["largest"]
     alone = jc.FunctionProblem(lambda a: a * jnp.arange(3.0), {"a": PARTS["ring"]})
     with pytest.raises(ValueError, match="answers no number, only series"):

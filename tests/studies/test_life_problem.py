@@ -124,7 +124,7 @@ def test_values_that_no_machine_has_are_failed_lives_as_they_are_failed_runs(ask
         assert found.outcome == Outcome.OUT_OF_RANGE and found.outcome.dtype.kind == "i"
         assert np.isnan(found.responses[problem.response_names[0]])
     with pytest.raises(ValueError, match="hardness = -1"):
-        end.life(np.array([-1e9, FORCE]))
+        end.detail(np.array([-1e9, FORCE]))
 
 
 @pytest.mark.slow
@@ -146,15 +146,16 @@ def test_values_of_which_no_machine_can_be_put_together_are_told_so():
     lives = jc.LifeProblem(turn, jc.LifeUntil("depth", LIMIT))
     found = lives.evaluate(np.array([0.06]))
     assert found.outcome == Outcome.UNASSEMBLED and np.isnan(found.responses["response"])
-    assert lives.ending(int(found.outcome), 0.0) == "the mechanism cannot be assembled."
+    assert lives.description.ending(found.outcome, 0.0) == "the mechanism cannot be assembled."
 
 
 def test_warnings_of_shapes_are_none_of_the_volume(asked):
     wanted = {"deep": jc.LifeUntil("depth", LIMIT), "lost": jc.LifeUntil("volume", 1e-9)}
     lives = jc.LifeProblem(asked.problem, wanted)
-    assert lives.concerned("deep", "worn depth") and not lives.concerned("lost", "worn depth")
+    parts = {name: own.depends_on for name, own in lives.description.responses.items()}
+    assert "worn depth" in parts["deep"] and "worn depth" not in parts["lost"]
     for name in wanted:
-        assert lives.concerned(name, "motion") and not lives.concerned(name, "peak forces")
+        assert "motion" in parts[name] and "forces" not in parts[name]
 
 
 def test_a_life_whose_error_is_unknown_is_told_and_nothing_of_it_is_sure():

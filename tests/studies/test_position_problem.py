@@ -39,8 +39,8 @@ def asked():
 
 def test_one_of_a_batch_is_read_as_any_other(asked):
     nominal = asked.nominal()
-    batch = jax.vmap(asked.positions)(jnp.stack([nominal, nominal + 1e-5]))
-    alone = asked.positions(nominal)
+    batch = jax.vmap(asked.detail)(jnp.stack([nominal, nominal + 1e-5]))
+    alone = asked.detail(nominal)
     for read in (lambda own: own.coordinate("D"), lambda own: own.offset("B")):
         np.testing.assert_allclose(read(batch[0]), read(alone), atol=1e-12)
         with pytest.raises(ValueError, match="a batch of 2 runs"):

@@ -12,7 +12,7 @@ import scipy
 import jaxclear as jc
 from jaxclear.ground.printing import with_error
 from jaxclear.plot.studies import _warned_samples
-from jaxclear.studies.base import SampleResult
+from jaxclear.studies.experiment import Cost, Description, ResponseInfo, SampleResult
 from jaxclear.studies.replicas import MOST_REPLICAS
 from jaxclear.studies.store import workers
 from jaxclear.studies.store.batch import evaluate_chunk
@@ -75,7 +75,7 @@ def test_the_bias_of_euler_steps_is_that_of_the_closed_form(study):
 def test_a_replica_has_that_share_of_the_steps_that_were_taken(share):
     """Saving times 0.1 s apart shorten steps of 0.03 s to 0.025 s."""
     problem = falling(integrator=jc.integrator.FixedStep(0.03, "euler"))
-    replica = problem.replica(share)
+    replica = problem.refine(share)
     assert float(replica.integrator.step) == pytest.approx(share * 0.025)
     at = jnp.tile(problem.nominal(), (CHUNK, 1))
     own, finer = (evaluate_chunk(each, at).responses["way"][0] for each in (problem, replica))
@@ -129,7 +129,7 @@ def test_told_errors_are_true_ones_of_a_wide_swing(integrator):
 def test_responses_see_finer_runs_at_the_times_that_were_asked_for(how):
     """Counted steps are halved by twice the saving times; what hangs on these does not see them."""
     problem = falling(**how)
-    replica = problem.replica()
+    replica = problem.refine()
     counted = problem.integrator.steps_between_saves is not None
     assert len(replica.shares) == (11 if counted else 6)
     told = jc.monte_carlo(problem, 4).numerical_error("saves")
@@ -247,59 +247,37 @@ def test_replicas_that_fail_say_so_and_leave_the_study_alone():
     assert broken.mean("way") == found.mean("way") and len(broken.failed) == 0
 
 
-class Parting(jc.AbstractProblem):
+class Parting(jc.AbstractExperiment):
     """What steps of h make of a number: x + a sin(w x / h), which parts wholly for another h; a
-    stranger's problem, which refines itself."""
+    stranger's experiment, which refines itself."""
 
-    variables: dict[str, jc.Dimension]
     step: jnp.ndarray
     apart: jnp.ndarray
     refines: bool = eqx.field(static=True, default=True)
-    names: tuple[str, ...] = eqx.field(static=True, default=("x",))
     response_names: tuple[str, ...] = eqx.field(static=True, default=("y",))
-    variable_units: tuple[str, ...] = eqx.field(static=True, default=("m",))
-    correlation: None = None
 
-    def nominal(self):
-        return jnp.stack([self.variables["x"].nominal])
-
-    def units(self):
-        return {"y": "m"}
-
-    def evaluate(self, values, *, discrete_derivatives=False):
-        own = values[0] + self.apart * jnp.sin(1e5 * values[0] / self.step)
+    def evaluate(self, setting, *, discrete_derivatives=False):
+        x = setting(self.subject)["x"]
         failed = self.step < 0.3
         outcome = jnp.where(failed, jc.integrator.Outcome.TOO_MANY_STEPS, 0)
+        own = x + self.apart * jnp.sin(1e5 * x / self.step)
         return SampleResult({"y": own}, outcome, jnp.zeros(()))
 
-    def discretised(self):
-        return True
-
-    def replica(self, share=0.5):
+    def refine(self, share=0.5):
         return eqx.tree_at(lambda own: own.step, self, self.step * share) if self.refines else None
 
-    def promised(self, response, size):
-        return 0.01 * size
+    def cost(self):
+        return Cost(64, 32)
 
-    def sample_memory(self):
-        return 64
-
-    def most_together(self):
-        return 32
-
-    def rerun(self, values, index, chunk):
-        return self.evaluate(values)
-
-    def ending(self, outcome, ended):
-        return "it ended well." if outcome == 0 else "it took too many steps."
-
-    def parts(self):
-        return {"step": self.step, "apart": self.apart}
+    def describe(self):
+        many = {jc.integrator.Outcome.TOO_MANY_STEPS: "it took too many steps."}
+        known = {"y": ResponseInfo("m", promise=(0.0, 0.01))}
+        return Description("Parting", known, many, discretised=True)
 
 
 def parting(apart, step=1.0, **how):
     spread = {"x": jc.Dimension(1.0, jc.distribution.Normal(0.01))}
-    return Parting(spread, jnp.asarray(step), jnp.asarray(apart), **how)
+    return jc.Problem.of(Parting(jnp.asarray(step), jnp.asarray(apart), **how), spread)
 
 
 def test_where_paths_part_two_figures_stand_side_by_side():

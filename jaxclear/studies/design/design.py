@@ -14,13 +14,13 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.design.limit import AbstractLimit
 from jaxclear.studies.design.question import Question, checked_cost, checked_limits, freedom_of
 from jaxclear.studies.design.result import Design, prices_of
 from jaxclear.studies.design.runs import BATCH, Runs
 from jaxclear.studies.design.search import DesignSettings, Sought, sought
 from jaxclear.studies.endless import endless_sentences
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import sentences
 
@@ -28,7 +28,7 @@ from jaxclear.studies.warned import sentences
 @answering
 @stored("a design")
 def design(
-    problem: AbstractProblem,
+    problem: Problem,
     cost: Any,
     limits: Sequence[AbstractLimit] | AbstractLimit,
     *,
@@ -71,7 +71,7 @@ def design(
 @answering
 @stored("a design")
 def design_front(
-    problem: AbstractProblem,
+    problem: Problem,
     cost: Any,
     limits: Sequence[AbstractLimit] | AbstractLimit,
     bounds: Sequence[float],
@@ -126,7 +126,7 @@ def design_front(
 
 def _asked(problem: Any, cost: Any, limits: Any, tolerance: Any, nominal: Any) -> Question:
     """The question, checked."""
-    expect(problem, AbstractProblem, "what is designed", "a problem of jaxclear")
+    expect(problem, Problem, "what is designed", "a problem of jaxclear")
     freedom = freedom_of(problem, nominal, tolerance)
     checked = checked_limits(limits, problem)
     return Question(
@@ -140,16 +140,16 @@ def _settings(settings: DesignSettings | None) -> DesignSettings:
     return settings
 
 
-def _direct(problem: AbstractProblem, settings: DesignSettings) -> bool:
+def _direct(problem: Problem, settings: DesignSettings) -> bool:
     """Whether the problem answers without a surface."""
     if settings.surface is not None:
         return not settings.surface
-    return problem.at_once() and not any(problem.pathwise_limits())
+    return problem.cost().cheap and not any(problem.description.derivative)
 
 
-def _runs(problem: AbstractProblem, settings: DesignSettings, show: bool) -> Runs:
-    usual = problem.compiled() and not problem.at_once()
-    batch = BATCH if usual else problem.most_together()
+def _runs(problem: Problem, settings: DesignSettings, show: bool) -> Runs:
+    cost = problem.cost()
+    batch = BATCH if cost.compiled and not cost.cheap else cost.batch
     return Runs(problem, show, min(batch, settings.samples))
 
 

@@ -462,7 +462,7 @@ def _size(bound: Scalar, sample: Sample) -> Scalar:
 def check_levels(problem: Any, limit: AbstractLimit) -> None:
     """Raises `ValueError` for a limit that cannot take what its response may answer."""
     name, levels = limit.response, [float(level) for level in limit.levels()]
-    why = problem.endless(name)
+    why = problem.description.responses[name].infinite
     what = f'"{name}" may be infinite ({why}), and limit.{type(limit).__name__}'
     instead = "give it `levels`, or take limit.Quantile or limit.Probability."
     if why and not levels and not limit.by_moments():
@@ -473,7 +473,7 @@ def check_levels(problem: Any, limit: AbstractLimit) -> None:
     check_told(problem, name, *levels)
     if not why or limit.by_moments():
         return
-    if _hangs_on_how_far(limit, levels, problem.told_up_to(name)):
+    if _hangs_on_how_far(limit, levels, problem.description.responses[name].horizon):
         told = ", ".join(f"{level:.6g}" for level in levels)
         raise ValueError(
             f"{what} hangs on how far beyond its `levels` ({told}) a value lies, which of an "

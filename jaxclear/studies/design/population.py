@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxclear.integrators import Outcome
-from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.scrambling import scrambled_normal
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import Polynomials, products
@@ -80,7 +81,7 @@ class AbstractModel(eqx.Module):
 class Direct(AbstractModel):
     """The problem itself."""
 
-    problem: AbstractProblem
+    problem: Problem
 
     def one(self, values):
         return self.problem.evaluate(values).responses

@@ -9,11 +9,11 @@ import numpy as np
 from jaxclear.ground.printing import as_written, in_few, with_error
 from jaxclear.ground.table import as_table
 from jaxclear.studies.answer import VARIABLE, AbstractAnswer, Column, Stated, columns_of
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.design.cost import Processes
 from jaxclear.studies.design.limit import AbstractLimit
 from jaxclear.studies.design.question import NOMINAL, Question
 from jaxclear.studies.design.search import Round
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.surface.response_surface import TRUSTED
 from jaxclear.studies.warned import FEW_WARNED, sentences, warned_share
 
@@ -40,7 +40,7 @@ class Design(AbstractAnswer):
     time.
     """
 
-    problem: AbstractProblem
+    problem: Problem
     question: Question
     nominal: dict[str, float]
     tolerances: dict[str, float]

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.integrators import Outcome
-from jaxclear.studies.endless import answered, bounded
+from jaxclear.studies.endless import bounded, successes
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import CURRENT
 from jaxclear.studies.warned import codes_of
@@ -57,9 +56,8 @@ class Runs:
             self.problem, padded, chunk=self.batch, progress_bar=self.show, label=f"design, {label}"
         )
         self.computed += len(padded) - (store.loaded - before if store else 0)
-        good = (found.outcome == Outcome.REACHED) & answered(self.problem, found.responses)
-        names = self.problem.response_names
-        columns = [np.where(good, found.responses[n], np.nan)[:count] for n in names]
+        good, responses = successes(self.problem, found.outcome, found.responses)
+        columns = [responses[name][:count] for name in self.problem.response_names]
         self.values = np.concatenate([self.values, values])
         self.responses = np.concatenate([self.responses, np.stack(columns, axis=1)])
         # A failed run is none that warns.

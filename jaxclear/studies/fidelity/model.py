@@ -16,8 +16,8 @@ import numpy as np
 
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import listed
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.batch import chunk_size, evaluate_all
 from jaxclear.studies.store.digest import in_texts
 from jaxclear.studies.store.store import CURRENT, compute_address, use_store
@@ -35,7 +35,7 @@ class Model(NamedTuple):
     takes, and how many samples it runs together."""
 
     name: str
-    problem: AbstractProblem
+    problem: Problem
     columns: tuple[int, ...]
     chunk: int
 
@@ -90,7 +90,7 @@ class Model(NamedTuple):
         return clock() - begun
 
 
-def models_of(problem: AbstractProblem, cheaper: Any, samples: int) -> list[Model]:
+def models_of(problem: Problem, cheaper: Any, samples: int) -> list[Model]:
     """The accurate problem, and what is cheaper. Raises `ValueError` with a sentence for what does
     not answer the same question."""
     given = cheaper if isinstance(cheaper, Mapping) else {ALONE: cheaper}
@@ -100,7 +100,7 @@ def models_of(problem: AbstractProblem, cheaper: Any, samples: int) -> list[Mode
     models = [Model(ACCURATE, problem, every, chunk_size(problem, samples))]
     for name, own in given.items():
         expect(name, str, "a name in cheaper", "a text")
-        expect(own, AbstractProblem, f'cheaper "{name}"', "a problem of jaxclear")
+        expect(own, Problem, f'cheaper "{name}"', "a problem of jaxclear")
         strange = [n for n in own.names if n not in problem.names]
         if strange or not own.names:
             raise ValueError(

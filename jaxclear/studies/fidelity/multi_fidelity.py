@@ -14,10 +14,10 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.fidelity.levels import FIRST, Chain, Links, chosen
 from jaxclear.studies.fidelity.model import Model, models_of, told_by
 from jaxclear.studies.fidelity.result import MultiFidelity, rate
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled, draw
 from jaxclear.studies.scrambling import seed_of
 from jaxclear.studies.statistics.accuracy import asked_of, unreached
@@ -39,7 +39,7 @@ class Question(NamedTuple):
     """What is asked of which problem, and how it is sampled; `middle` (responses,) is about where
     the means lie."""
 
-    problem: AbstractProblem
+    problem: Problem
     names: tuple[str, ...]
     middle: np.ndarray
     seed: int
@@ -55,8 +55,8 @@ class Question(NamedTuple):
 @answering
 @stored("a study of several models")
 def multi_fidelity(
-    problem: AbstractProblem,
-    cheaper: AbstractProblem | Mapping[str, AbstractProblem],
+    problem: Problem,
+    cheaper: Problem | Mapping[str, Problem],
     samples: int = 1024,
     *,
     accuracy: float | Mapping[str, float] | None = None,

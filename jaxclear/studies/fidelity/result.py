@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.studies.answer import RESPONSE, AbstractAnswer, Column, Stated, means_and_deviations
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.statistics.scrambled import Statistic
 
 
@@ -22,7 +22,7 @@ class MultiFidelity(AbstractAnswer):
     pilot sample.
     """
 
-    problem: AbstractProblem
+    problem: Problem
     means: dict[str, Statistic]
     standard_deviations: dict[str, Statistic]
     correlations: dict[tuple[str, str], float]
@@ -53,7 +53,7 @@ class MultiFidelity(AbstractAnswer):
             parts.append(f"{self.failed} runs of the problem failed: numbers are of the others.")
         if self.warned:
             parts.append(f"{self.warned} runs of the problem carry warnings.")
-        return " ".join(filter(None, [*parts, self.problem.remark()]))
+        return " ".join(filter(None, [*parts, self.problem.description.remark]))
 
     def _gained(self) -> str:
         if len(self.used) == 1:

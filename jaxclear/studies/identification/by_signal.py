@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.identification.alternatives import Kept, hull, kept_models
 from jaxclear.studies.identification.forward import Forward, Record
 from jaxclear.studies.identification.several_records import (
@@ -18,6 +17,7 @@ from jaxclear.studies.identification.several_records import (
     next_record,
 )
 from jaxclear.studies.identification.signal_fit import CredibleInterval, SignalFit, fit_signal
+from jaxclear.studies.problem import Problem
 
 
 class Compared(NamedTuple):
@@ -81,7 +81,7 @@ def by_signal(
     return BySignal(fits, kept, shared, _shared(answers)[0], rest, between)
 
 
-def _within(problem: AbstractProblem, name: str, own: CredibleInterval) -> CredibleInterval:
+def _within(problem: Problem, name: str, own: CredibleInterval) -> CredibleInterval:
     """An interval of an unknown within the ends of its prior."""
     place = problem.names.index(name)
     distribution, nominal = problem.inputs.distributions[place], float(problem.nominal()[place])

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.wording import listed
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.batch import evaluate_all
 
 
@@ -52,7 +52,7 @@ class Forward(eqx.Module):
     """A problem as a function from its unknowns to the signals of a record: `shown(problem,
     values)`; `names` of the signals, in the order of the record. Pure."""
 
-    problem: AbstractProblem
+    problem: Problem
     shown: Callable[[Any, Array], Shown]
     names: tuple[str, ...] = eqx.field(static=True)
 
@@ -78,7 +78,7 @@ class _Rows(eqx.Module):
 
     forward: Forward
 
-    def __call__(self, problem: AbstractProblem, values: Array) -> tuple[Array, dict[str, Array]]:
+    def __call__(self, problem: Problem, values: Array) -> tuple[Array, dict[str, Array]]:
         """Signals (samples, n) and responses (samples,) by name."""
 
         def one(own: Array) -> tuple[Array, dict[str, Array]]:

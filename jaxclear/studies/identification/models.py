@@ -14,8 +14,7 @@ from jaxtyping import Array
 
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.wording import described, listed
-from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.function_problem import Dimension, FunctionProblem
+from jaxclear.studies.function_problem import Dimension, FunctionExperiment
 from jaxclear.studies.identification.by_signal import Compared
 from jaxclear.studies.identification.forward import Forward, Record, Shown
 from jaxclear.studies.identification.laws import Ensemble
@@ -26,18 +25,19 @@ from jaxclear.studies.identification.sample import (
     watched,
     window_end,
 )
-from jaxclear.studies.mechanism_problem import responses_of
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.responses import answers
+from jaxclear.studies.run_experiment import RunExperiment
 from jaxclear.studies.sensor import AbstractSensor, Series, passed
 
-Model: TypeAlias = AbstractProblem | Callable[[Measurement], AbstractProblem]
+Model: TypeAlias = Problem | Callable[[Measurement], Problem]
 # The model that is asked about where there is only one.
 ALONE = "the model"
 
 
 def models_of(
     given: Model | Mapping[str, Model], records: Sequence[Measurement]
-) -> dict[str, list[AbstractProblem]]:
+) -> dict[str, list[Problem]]:
     """By name of each model its problem for each record. Raises `ValueError` with a sentence for
     what is none."""
     every = given if isinstance(given, Mapping) else {ALONE: given}
@@ -52,12 +52,12 @@ def compared_records(
     """Records without what was given to the machine; those that problems were made for show what
     these do up to their end."""
     every = given.values() if isinstance(given, Mapping) else [given]
-    made = any(not isinstance(own, AbstractProblem) for own in every)
+    made = any(not isinstance(own, Problem) for own in every)
     found = [record.compared for record in records]
     return [dataclasses.replace(own, cut_off=0.0) for own in found] if made else found
 
 
-def only_one(models: Mapping[str, list[AbstractProblem]]) -> list[Any]:
+def only_one(models: Mapping[str, list[Problem]]) -> list[Any]:
     """The problems of the one model that statistics take. Raises `ValueError` for several."""
     if len(models) > 1:
         raise ValueError(
@@ -87,11 +87,11 @@ def same_sensing(one: Measurement, other: Measurement) -> bool:
     )
 
 
-def _made(name: str, given: Any, record: Measurement) -> AbstractProblem:
+def _made(name: str, given: Any, record: Measurement) -> Problem:
     found = given
-    if callable(given) and not isinstance(given, AbstractProblem):
+    if callable(given) and not isinstance(given, Problem):
         found = given(record)
-    if not isinstance(found, (Problem, FunctionProblem)):
+    if not isinstance(getattr(found, "experiment", None), (RunExperiment, FunctionExperiment)):
         raise ValueError(
             f"what is identified, {name}, is {described(found)}; it must be a jaxclear.Problem or "
             "a jaxclear.FunctionProblem, or a function that makes one for a Measurement."
@@ -99,7 +99,7 @@ def _made(name: str, given: Any, record: Measurement) -> AbstractProblem:
     return found
 
 
-def compared(problem: AbstractProblem, record: Measurement) -> Compared:
+def compared(problem: Problem, record: Measurement) -> Compared:
     """A problem as a function that gives a record's signals. Raises `ValueError` with a sentence
     where it cannot."""
     for name, sensor in record.sensors.items():
@@ -119,10 +119,10 @@ def compared(problem: AbstractProblem, record: Measurement) -> Compared:
     return Compared(_forward(problem, record), row)
 
 
-def _forward(problem: AbstractProblem, record: Measurement) -> Forward:
+def _forward(problem: Problem, record: Measurement) -> Forward:
     names, sensors = tuple(record.signals), dict(record.sensors)
     rate = jnp.asarray(record.rate)
-    if isinstance(problem, FunctionProblem):
+    if isinstance(problem.experiment, FunctionExperiment):
         for name, sensor in sensors.items():
             expect(sensor, Series, f'the sensor of signal "{name}"', "a jaxclear.sensor.Series")
             check_name(
@@ -133,7 +133,6 @@ def _forward(problem: AbstractProblem, record: Measurement) -> Forward:
             )
         return Forward(problem, _OfFunction(sensors, rate), names)
     check_identifiable(problem, record)
-    assert isinstance(problem, Problem)
     check_window(problem, record)
     end = window_end(problem, record)
     assert end is not None
@@ -147,9 +146,9 @@ class _OfFunction(eqx.Module):
     sensors: dict[str, Any]
     rate: Array
 
-    def __call__(self, asked: FunctionProblem, values: Array) -> Shown:
+    def __call__(self, asked: Problem, values: Array) -> Shown:
         """Those of one set of values."""
-        found = asked.answers(values)
+        found = asked.answers(asked.setting(values))
         signals = {n: _sensed(own, found, self.rate) for n, own in self.sensors.items()}
         return Shown(signals, {name: found[name] for name in asked.response_names})
 
@@ -164,10 +163,10 @@ class _OfRun(eqx.Module):
 
     def __call__(self, asked: Problem, values: Array) -> Shown:
         """Those of one set of values; nan where the run did not reach its end."""
-        run = asked.started(values)[2]
+        run = asked.started(asked.setting(values))[2]
         last = lambda signal: jnp.where(run.succeeded, signal, jnp.nan)[self.shown]
         signals = {n: last(_sensed(own, run, self.rate)) for n, own in self.sensors.items()}
-        return Shown(signals, responses_of(self.problem, run))
+        return Shown(signals, answers(self.problem.response, run))
 
 
 def _sensed(sensor: Any, run: Any, rate: Array) -> Array:

@@ -10,13 +10,13 @@ import scipy
 
 from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.studies.answer import DATASET, VARIABLE, AbstractAnswer, Column, Stated
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution import Empirical
-from jaxclear.studies.function_problem import Dimension, FunctionProblem
+from jaxclear.studies.experiment import Setting
+from jaxclear.studies.function_problem import Dimension, FunctionExperiment, FunctionProblem
 from jaxclear.studies.identification.regression import Regression, calibration
 from jaxclear.studies.inputs import LEAST_EIGENVALUE
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.variable import Variable, with_values
+from jaxclear.studies.variable import Variable
 
 IDENTIFIED, PARTLY, NOT = "identified", "partly identified", "not identified"
 # Of an interval beside a record that no law of the sample explains.
@@ -68,7 +68,7 @@ class Unknown(NamedTuple):
         return f"{self.name} is {self.estimate:.4g}{unit}, {ends} with 95 %{also}."
 
 
-def unknown_of(problem: AbstractProblem, name: str, shares: Any, told_by: str = "") -> Unknown:
+def unknown_of(problem: Problem, name: str, shares: Any, told_by: str = "") -> Unknown:
     """What is known of an unknown whose interval is `shares`, (estimate, low, high) of its prior
     [1]. An interval wider than 0.8 of the prior's is the prior's."""
     values = prior_quantiles(problem, name, np.array([*shares, *NOTHING]))
@@ -89,9 +89,7 @@ def verdict_of(width: float) -> str:
     return NOT if width > NOT_ABOVE else PARTLY if width > PARTLY_ABOVE else IDENTIFIED
 
 
-def end_reached(
-    problem: AbstractProblem, name: str, low: float, high: float, prior: float
-) -> float | None:
+def end_reached(problem: Problem, name: str, low: float, high: float, prior: float) -> float | None:
     """The end of an unknown's distribution at which its interval ends, beyond which it may lie as
     well; None where it ends at neither. `prior`: width of the prior's interval."""
     ends = prior_quantiles(problem, name, np.array([0.0, 1.0]))
@@ -99,7 +97,7 @@ def end_reached(
     return next((float(end) for end, own in pairs if abs(end - own) < AT_END * prior), None)
 
 
-def ends_in_words(problem: AbstractProblem, unknowns: Sequence[Unknown]) -> list[str]:
+def ends_in_words(problem: Problem, unknowns: Sequence[Unknown]) -> list[str]:
     """Which intervals end where the prior does, and not by what the record says."""
     said = []
     for own in unknowns:
@@ -121,14 +119,14 @@ def unexplained(unknowns: Sequence[Unknown]) -> tuple[Unknown, ...]:
     )
 
 
-def prior_quantiles(problem: AbstractProblem, name: str, shares: np.ndarray) -> np.ndarray:
+def prior_quantiles(problem: Problem, name: str, shares: np.ndarray) -> np.ndarray:
     """Values of an unknown below which these shares of its prior lie."""
     nominal = float(problem.nominal()[problem.names.index(name)])
     within = jnp.asarray(np.clip(shares, LEAST_SHARE, 1 - LEAST_SHARE))
     return nominal + np.asarray(problem.variables[name].distribution.quantile(within))
 
 
-def prior_shares(problem: AbstractProblem, values: np.ndarray) -> np.ndarray:
+def prior_shares(problem: Problem, values: np.ndarray) -> np.ndarray:
     """Values (runs, variables) as shares of their priors."""
     nominal = np.asarray(problem.nominal())
     found = [
@@ -163,7 +161,7 @@ class Identified(AbstractAnswer):
     the record leaves.
     """
 
-    problem: Problem | FunctionProblem
+    problem: Problem
     unknowns: tuple[Unknown, ...] = eqx.field(static=True)
     posterior_values: np.ndarray
     runs: int = eqx.field(static=True)
@@ -198,7 +196,7 @@ class Identified(AbstractAnswer):
             return {}
         return dict(zip(self.problem.names, self.evidence.held().mean(0).tolist(), strict=True))
 
-    def posterior(self, duration: float | None = None) -> Problem | FunctionProblem:
+    def posterior(self, duration: float | None = None) -> Problem:
         """The problem whose variables follow what the record leaves of their priors, with the
         correlation of their normal scores; its mechanism stands at the medians. Any study takes it.
         `duration` [s] of its runs, by default that of the problem's: lives want one period."""
@@ -247,9 +245,7 @@ class Identified(AbstractAnswer):
         )
 
 
-def posterior_of(
-    problem: Problem | FunctionProblem, values: np.ndarray, duration: float | None = None
-) -> Problem | FunctionProblem:
+def posterior_of(problem: Problem, values: np.ndarray, duration: float | None = None) -> Problem:
     """The problem with variables that follow a sample of `values` (samples, variables), its runs of
     a `duration` [s]."""
     if duration is not None:
@@ -267,14 +263,18 @@ def posterior_of(
         known[name] = eqx.tree_at(lambda variable: variable.distribution, own, shape)
         if isinstance(own, Dimension):
             known[name] = Dimension(float(centre), shape, unit=own.unit)
-    if isinstance(problem, FunctionProblem):
+    if isinstance(problem.experiment, FunctionExperiment):
         units = problem.units()
         return FunctionProblem(problem.function, known, units=units, correlation=correlation)
     lasts = float(problem.duration if duration is None else duration)
-    named: list[Any] = [own for own in varied if isinstance(own, Variable)]
-    at = [value for value, own in zip(moved, varied, strict=True) if isinstance(own, Variable)]
+    at = [i for i, own in enumerate(varied) if isinstance(own, Variable)]
+    centred = Setting(
+        tuple(problem.names[i] for i in at),
+        tuple(varied[i] for i in at),
+        jnp.asarray([moved[i] for i in at]),
+    )
     return Problem(
-        with_values(problem.mechanism, named, jnp.asarray(at)),
+        centred(problem.mechanism),
         problem.response,
         known,
         duration=lasts,

@@ -18,6 +18,7 @@ from jaxclear.results.signal import Signal, by_turns, full_turns
 from jaxclear.studies.identification.laws import Ensemble
 from jaxclear.studies.identification.measurement import Measurement
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_experiment import RunExperiment
 from jaxclear.studies.sampling import Drawing, usual_scramblings
 from jaxclear.studies.sensor import check_sensor
 from jaxclear.studies.store.batch import chunk_size, evaluate_all
@@ -77,7 +78,9 @@ def _response(name: str) -> str:
 def check_identifiable(problem: Any, record: Measurement) -> None:
     """Raises `ValueError` with a sentence where a problem's runs cannot be compared with a record,
     or cannot see what is asked."""
-    expect(problem, Problem, "what is identified", "a jaxclear.Problem, its unknowns as variables")
+    wanted = "a jaxclear.Problem of a mechanism in time, its unknowns as variables"
+    expect(problem, Problem, "what is identified", wanted)
+    expect(problem.experiment, RunExperiment, "what is identified", wanted)
     if not problem.variables:
         raise ValueError("the problem has no variables; its unknowns are these: give it some.")
     if isinstance(problem.integrator, NonColliding):

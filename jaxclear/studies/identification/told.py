@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.identification.by_signal import BySignal, by_signal
 from jaxclear.studies.identification.measurement import Measurement
 from jaxclear.studies.identification.models import compared
@@ -34,6 +33,7 @@ from jaxclear.studies.identification.several_records import (
 )
 from jaxclear.studies.identification.signal_fit import CredibleInterval, SignalFit
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_experiment import RunExperiment
 
 # Searches that begin at different places of the priors, and windows of a record of runs in time,
 # each twice as long as the one before.
@@ -45,7 +45,7 @@ TOGETHER = 0.8
 
 
 def told_by_signals(
-    models: Mapping[str, Sequence[AbstractProblem]],
+    models: Mapping[str, Sequence[Problem]],
     records: Sequence[Measurement],
     draws: int,
     seed: int,
@@ -55,15 +55,17 @@ def told_by_signals(
         name: [compared(own, record) for own, record in zip(problems, records, strict=True)]
         for name, problems in models.items()
     }
-    in_time = any(isinstance(own, Problem) for problems in models.values() for own in problems)
+    in_time = any(
+        isinstance(own.experiment, RunExperiment)
+        for problems in models.values()
+        for own in problems
+    )
     windows = WINDOWS if in_time else 1
     found = by_signal(pairs, starts=STARTS, windows=windows, draws=draws, seed=seed)
     return of_signals(models, found, seed)
 
 
-def of_signals(
-    problems: Mapping[str, Sequence[AbstractProblem]], found: BySignal, seed: int
-) -> Identified:
+def of_signals(problems: Mapping[str, Sequence[Problem]], found: BySignal, seed: int) -> Identified:
     """The answer of models and records."""
     records = len(next(iter(found.fits.values())))
     runs = sum(fit.runs for own in found.fits.values() for fit in own)
@@ -92,7 +94,7 @@ def of_signals(
     return Identified(problem, tuple(unknowns), drawn, runs, 0, how, said, answers=answers)
 
 
-def _unknown(problem: AbstractProblem, name: str, own: CredibleInterval) -> Unknown:
+def _unknown(problem: Problem, name: str, own: CredibleInterval) -> Unknown:
     found = _row(name, problem.variable_units[problem.names.index(name)], own)
     prior = found.prior_high - found.prior_low
     at_end = end_reached(problem, name, found.low, found.high, prior) is not None
@@ -109,7 +111,7 @@ def _row(name: str, unit: str, own: CredibleInterval) -> Unknown:
     return Unknown(name, unit, value, low, high, *prior, float(own.width), verdict, "")
 
 
-def _values(problem: AbstractProblem, found: BySignal, rng: np.random.Generator) -> np.ndarray:
+def _values(problem: Problem, found: BySignal, rng: np.random.Generator) -> np.ndarray:
     """Draws (draws, unknowns) of a record yet to come, from all kept models alike."""
     names, models = problem.names, found.kept.models
     of_model = {}

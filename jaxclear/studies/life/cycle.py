@@ -40,6 +40,7 @@ from jaxclear.simulation.loop import run
 from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.simulation.wear import Losses, Worn, lost_between, unworn, worn_by
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_experiment import RunExperiment
 
 # Of saving times are left, to tell what hangs on them.
 FOURTH = 4
@@ -106,7 +107,9 @@ class Asked(eqx.Module):
 def asked_of(problem: Problem, values: Any) -> Asked:
     """What a cycle needs, with the problem's variables at these values."""
     times = problem.shares * problem.duration
-    return Asked(ungiven(problem.seen(values)), problem.integrator, problem.response, times)
+    return Asked(
+        ungiven(problem.seen(problem.setting(values))), problem.integrator, problem.response, times
+    )
 
 
 @eqx.filter_jit
@@ -199,11 +202,18 @@ def first_state(problem: Problem, values: Any) -> tuple[SavedMotion, Worn]:
     return motion, unworn(model.system) if past.worn is None else past.worn
 
 
+def check_cycle(what: str, problem: Any) -> None:
+    """Raises `ValueError` with a sentence for what is no problem of a mechanism in time."""
+    expect(problem, Problem, what, "a jaxclear.Problem of one cycle")
+    expect(problem.experiment, RunExperiment, what, "a jaxclear.Problem of one cycle")
+
+
 def as_problem(owner: str, asked: Any, period: Any, state: State | None = None) -> Problem:
     """The problem whose duration is one cycle: the one given, or a mechanism with its `period` [s],
     the `state` from which it begins and the responses that one asks of it. Raises `ValueError` with
     a sentence."""
     if isinstance(asked, Problem):
+        check_cycle(f"the first argument of {owner}", asked)
         if period is not None or state is not None:
             raise ValueError(
                 f"{owner} is given a Problem, whose duration is the period and which has its own "

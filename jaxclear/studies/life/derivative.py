@@ -7,6 +7,7 @@ off, four times as large for a derivative: their error goes with the fourth powe
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -22,6 +23,7 @@ from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import CONFIDENCE, VOLUME, WearLife
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.wear_life import SETTLED, lived
+from jaxclear.studies.store.store import open_store
 
 # Moves of a variable, in widths.
 MOVES = (-1.0, -0.5, 0.5, 1.0)
@@ -54,6 +56,7 @@ def wear_life_derivatives(
     variables: Sequence[str] | None = None,
     width: float | None = None,
     most: int = 12,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> dict[str, LifeDerivative]:
     """Derivatives of a quantity at the end of a life, or of the life itself, by the variables.
@@ -69,6 +72,7 @@ def wear_life_derivatives(
         width: change of a variable, in its unit; by default a standard deviation of its
             distribution.
         most: largest number of cycles over which a rate is averaged; 12 by default.
+        store: folder that keeps every cycle, that of the life or another; None (default) for none.
         progress_bar: whether to show the progress; False by default.
 
     Returns:
@@ -91,7 +95,7 @@ def wear_life_derivatives(
     if limit is not None and not np.isfinite(life.until(quantity, limit).cycles):
         raise ValueError(f"{life.until(quantity, limit).sentence} Ask for a longer life.")
     found = {}
-    with progress.bar(progress_bar, "lives"):
+    with open_store(store, "a wear life", problem), progress.bar(progress_bar, "lives"):
         for name in names:
             deviation = problem.variables[name].distribution.deviation()
             own = float(deviation) if width is None else float(width)

@@ -14,10 +14,9 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number, expect
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.integrators import Outcome
@@ -26,16 +25,28 @@ from jaxclear.multibody.system import wearing_in
 from jaxclear.multibody.validation import check_values
 from jaxclear.results.response import REACHES
 from jaxclear.simulation.simulate import SimulationError
-from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.endless import answered
-from jaxclear.studies.life.cycle import asked_of, check_cycles, first_state, kind_of_cycle
+from jaxclear.studies.experiment import (
+    PARTS,
+    AbstractExperiment,
+    Cost,
+    Description,
+    ResponseInfo,
+    SampleResult,
+    derived,
+)
+from jaxclear.studies.life.cycle import (
+    asked_of,
+    check_cycle,
+    check_cycles,
+    first_state,
+    kind_of_cycle,
+)
 from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import CONFIDENCE, DEPTH, VOLUME, WearLife
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.wear_life import SETTLED, check_asked, lived
-from jaxclear.studies.mechanism_problem import answer, by_name, check_responses
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.variable import AbstractMechanismVariable
+from jaxclear.studies.responses import answer, by_name, check_responses
 
 # From which part of a cycle what every life tells of is drawn.
 DRAWN_FROM = {DEPTH: "worn depth", VOLUME: "wear"}
@@ -70,13 +81,17 @@ class AbstractLifeResponse(AbstractQuantified):
         already, infinite where it never will."""
         return 0.0
 
-    def concerned(self, problem: Problem, concerns: str) -> bool:
-        """Whether a warning that `concerns` a part of a cycle of the problem concerns it. A
-        response of cycles hangs on how deep these wear, too."""
-        reached = REACHES.get(concerns, (concerns,))
-        if self.name in problem.response_names:
-            return DRAWN_FROM[DEPTH] in reached or problem.concerned(self.name, concerns)
-        return DRAWN_FROM[self.name.partition(" ")[0]] in reached
+    def depends_on(self, problem: Problem) -> frozenset[str]:
+        """Parts of a cycle of the problem whose warnings concern it. A response of cycles hangs on
+        how deep these wear, too.
+
+        Args:
+            problem: the problem whose duration is one cycle.
+        """
+        of_cycle = problem.description.responses.get(self.name)
+        part = DRAWN_FROM[DEPTH if of_cycle else self.name.partition(" ")[0]]
+        reached = {own for own in PARTS if part in REACHES.get(own, (own,))}
+        return frozenset(reached) | (of_cycle.depends_on if of_cycle else frozenset())
 
     def check(self, units: dict[str, str]) -> None:
         """Raises `ValueError` for a quantity that lives with these units do not tell of."""
@@ -142,64 +157,40 @@ def _check_quantity(owner: str, quantity: str, sure: bool) -> None:
     check_flags(owner, sure=sure)
 
 
-class LifeProblem(AbstractProblem):
-    """Lives of the machine of a `problem`, whose duration is one cycle, and what is asked of them.
-
-    `response`: a `jaxclear.LifeUntil`, any function of what `jaxclear.wear_life` returns (its
-    `at_end`, say), or several by name. `cycles`: how long lives are followed, for functions; a
-    `LifeUntil` goes without, and a life is then as
-    long as it takes to reach the limits. One whose limit is not reached within `cycles`, or without
-    them by a forecast from its last rate not in 100 times what its first cycles say, is infinite:
-    longer than told. That counts as such in shares, quantiles and limits; a mean of it is refused.
-    Without `cycles` it counts as longer than any limit: give them where one is to be that long.
-    `accuracy` [1] and `most` as in `wear_life`. Variables are the problem's. A sample whose life
-    ends by a failed cycle before it tells what is asked has failed. Raises `ValueError` with a
-    sentence for what cannot be asked.
-    """
+class LifeExperiment(AbstractExperiment):
+    """Lives of the machine of a problem, and what is asked of them (`LifeProblem`)."""
 
     problem: Problem
     response: dict[str, Callable]
-    variables: dict[str, AbstractMechanismVariable]
-    correlation: Float[Array, "variables variables"] | None
     cycles: float | None = eqx.field(static=True)
     accuracy: float = eqx.field(static=True)
     most: int = eqx.field(static=True)
-    names: tuple[str, ...] = eqx.field(static=True)
-    response_names: tuple[str, ...] = eqx.field(static=True)
-    variable_units: tuple[str, ...] = eqx.field(static=True)
+    response_names: tuple[str, ...] = derived(static=True)
 
     def __init__(
         self,
         problem: Problem,
-        response: Callable | Mapping[str, Callable],
-        *,
-        cycles: float | None = None,
-        accuracy: float = 1e-2,
-        most: int = 12,
+        response: dict[str, Callable],
+        cycles: float | None,
+        accuracy: float,
+        most: int,
     ):
-        expect(problem, Problem, "the problem of a LifeProblem", "a jaxclear.Problem of one cycle")
-        check_asked(problem)
-        if cycles is not None:
-            check_cycles("a LifeProblem", cycles)
-        check_number("accuracy of a LifeProblem", accuracy, above=0)
-        check_count("most of a LifeProblem", most)
-        self.problem, self.response = problem, by_name("response", response)
-        self.variables, self.correlation = problem.variables, problem.correlation
+        self.problem, self.response = problem, response
         self.cycles = None if cycles is None else float(cycles)
         self.accuracy, self.most = float(accuracy), most
-        self.names, self.variable_units = problem.names, problem.variable_units
-        self.response_names = tuple(self.response)
-        check_responses(self.response, self.variables, "a life")
+        self.response_names = tuple(response)
         for own in self._own().values():
             own.check(self._quantities())
-        self._check_length()
+        others = [name for name in self.response_names if not self._decides(name)]
+        if self.cycles is None and others:
+            raise ValueError(
+                f'response "{others[0]}" of a LifeProblem does not decide how long a life is; it '
+                "needs cycles=, how long a life is."
+            )
 
-    def nominal(self):
-        return self.problem.nominal()
-
-    def units(self):
-        known = dict.fromkeys(self.response_names, "1")
-        return known | {n: own.unit_among(self._quantities()) for n, own in self._own().items()}
+    @property
+    def subject(self):
+        return self.problem.experiment.subject
 
     def life(self, values: Any) -> WearLife:
         """The life of one set of values. Raises `SimulationError` where it has no first cycle, and
@@ -231,14 +222,13 @@ class LifeProblem(AbstractProblem):
             life = self._lived(values, cycles)
         return life
 
-    def evaluate(self, values, *, discrete_derivatives=False):
+    def evaluate(self, setting, *, discrete_derivatives=False):
+        values = setting.values
         if isinstance(values, jax.core.Tracer):
             raise ValueError(
                 "a life chooses its own steps and is no compiled program: ask for it by surfaces, "
                 "samples or differences, and for slopes jaxclear.wear_life_derivatives."
             )
-        self.check_values(values)
-        values = jnp.asarray(values)
         try:
             life = self.life(values)
         except SimulationError:
@@ -248,61 +238,59 @@ class LifeProblem(AbstractProblem):
         found = {name: np.asarray(answer(name, own, life)) for name, own in self.response.items()}
         # One with a length asked for is of no use before its end to what is asked of that.
         whole = not life.ended or all(self._decides(name) for name in self.response_names)
-        told = whole and bool(np.all(answered(self, found)))
-        outcome = np.asarray(int(Outcome.REACHED if told else Outcome.NOT_FINITE))
-        return SampleResult(found, outcome, np.asarray(life.cycles[-1]), life.checks)
+        finite = [
+            not np.isnan(own) if self._decides(name) else np.isfinite(own)
+            for name, own in found.items()
+        ]
+        outcome = Outcome.REACHED if whole and all(finite) else Outcome.NOT_FINITE
+        ended = np.asarray(life.cycles[-1])
+        return SampleResult(found, np.asarray(int(outcome)), ended, life.checks)
 
-    def endless(self, response):
-        if not self._decides(response):
-            return ""
-        if self.cycles is None:
-            return f"its limit is forecast beyond {LONGEST:g} times what the first cycles say"
-        return f"its limit is not reached within {self.cycles:.6g} cycles"
+    def cost(self):
+        return Cost(self.problem.cost().memory, 1, compiled=False)
 
-    def told_up_to(self, response):
-        return self.cycles if self.cycles is not None and self._decides(response) else np.inf
-
-    def compiled(self):
-        return False
-
-    def sample_memory(self):
-        return self.problem.sample_memory()
-
-    def most_together(self):
-        return 1
-
-    def rerun(self, values, index, chunk) -> WearLife:
+    def detail(self, setting, index, chunk) -> WearLife:
         """The life of one sample."""
-        return self.life(values)
+        return self.life(setting.values)
 
-    def ending(self, outcome, ended):
-        if outcome == Outcome.REACHED:
-            return "the life tells what is asked of it."
-        if outcome == Outcome.OUT_OF_RANGE:
-            return "these numbers make no machine that wears."
-        if not Outcome(outcome).began:
-            said = Outcome(outcome).sentence
-            return f"{said[0].lower()}{said[1:]}"
-        return (
-            f"the life ended after {ended:.4g} cycles without telling what is asked. Rerun it and "
+    def describe(self):
+        early = (
+            "the life ended after {ended:.4g} cycles without telling what is asked. Rerun it and "
             "print the life to see what ended it."
         )
+        endings = {own: early for own in Outcome if own.began} | {
+            Outcome.REACHED: "the life tells what is asked of it.",
+            Outcome.OUT_OF_RANGE: "these numbers make no machine that wears.",
+        }
+        return Description(
+            "LifeProblem",
+            {name: self._known_of(name) for name in self.response_names},
+            endings,
+            remark=self.problem.description.remark,
+            derivative=(
+                "a life chooses its own steps; ask jaxclear.wear_life_derivatives for one.",
+                "",
+            ),
+        )
 
-    def concerned(self, response, concerns):
-        own = self._own().get(response)
-        return own is None or own.concerned(self.problem, concerns)
-
-    def remark(self):
-        return self.problem.remark()
-
-    def pathwise_limits(self):
-        return "a life chooses its own steps; ask jaxclear.wear_life_derivatives for one.", ""
+    def _known_of(self, name: str) -> ResponseInfo:
+        own = self._own().get(name)
+        if own is None:
+            return ResponseInfo()
+        unit, parts = own.unit_among(self._quantities()), own.depends_on(self.problem)
+        if not own.decides_length():
+            return ResponseInfo(unit, parts)
+        if self.cycles is None:
+            far = f"its limit is forecast beyond {LONGEST:g} times what the first cycles say"
+            return ResponseInfo(unit, parts, infinite=far)
+        far = f"its limit is not reached within {self.cycles:.6g} cycles"
+        return ResponseInfo(unit, parts, infinite=far, horizon=self.cycles)
 
     def parts(self):
         # By the names with which folders were written.
         told = {"response": "response", "cycles": "cycles", "tolerance": "accuracy", "most": "most"}
         own = {f"{name} of lives": getattr(self, what) for name, what in told.items()}
-        return self.problem.parts() | own
+        return self.problem.experiment.parts() | own
 
     def _own(self) -> dict[str, AbstractLifeResponse]:
         """Responses that are of this package's own kind."""
@@ -322,15 +310,6 @@ class LifeProblem(AbstractProblem):
                 found[f"{DEPTH} {joint} {surface}"] = "m"
                 found[f"{VOLUME} {joint} {surface}"] = "m^3"
         return found
-
-    def _check_length(self) -> None:
-        """Raises `ValueError` where nothing says how long a life is."""
-        others = [name for name in self.response_names if not self._decides(name)]
-        if self.cycles is None and others:
-            raise ValueError(
-                f'response "{others[0]}" of a LifeProblem does not decide how long a life is; it '
-                "needs cycles=, how long a life is."
-            )
 
     def _impossible(self, values: Any) -> Outcome:
         """Why a set of values makes no machine that lives."""
@@ -359,3 +338,45 @@ class LifeProblem(AbstractProblem):
         how: Any = np.asarray(int(outcome))
         ended: Any = np.zeros(())
         return SampleResult(nothing, how, ended, none)
+
+
+@answering
+def LifeProblem(
+    problem: Problem,
+    response: Callable | Mapping[str, Callable],
+    *,
+    cycles: float | None = None,
+    accuracy: float = 1e-2,
+    most: int = 12,
+) -> Problem:
+    """A problem of lives of the machine of a problem, whose duration is one cycle. Variables are
+    that problem's.
+
+    A life whose limit is not reached within `cycles`, or without them by a forecast from its last
+    rate not in 100 times what its first cycles say, is infinite: longer than told. That counts as
+    such in shares, quantiles and limits; a mean of it is refused. Without `cycles` it counts as
+    longer than any limit: give them where one is to be that long. A sample whose life ends by a
+    failed cycle before it tells what is asked has failed.
+
+    Args:
+        problem: the problem of a mechanism in time whose duration is one cycle.
+        response: a `jaxclear.LifeUntil`, any function of what `jaxclear.wear_life` returns (its
+            `at_end`, say), or several by name.
+        cycles: how long lives are followed [1], for functions; a `LifeUntil` goes without, and a
+            life is then as long as it takes to reach the limits.
+        accuracy: relative error of the wear [1], > 0, as in `wear_life`.
+        most: the largest number of cycles [1] that may settle, as in `wear_life`.
+
+    Raises:
+        ValueError: with a sentence for what cannot be asked.
+    """
+    check_cycle("the problem of a LifeProblem", problem)
+    check_asked(problem)
+    if cycles is not None:
+        check_cycles("a LifeProblem", cycles)
+    check_number("accuracy of a LifeProblem", accuracy, above=0)
+    check_count("most of a LifeProblem", most)
+    wanted = by_name("response", response)
+    check_responses(wanted, problem.variables, "a life")
+    lives = LifeExperiment(problem, wanted, cycles, accuracy, most)
+    return problem.with_experiment(lives)

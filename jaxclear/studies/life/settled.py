@@ -184,7 +184,7 @@ def settled(
     with progress.bar(progress_bar, "settling"):
         ready = lambda c: not restless(problem, float(c.end.time) - float(problem.duration))
         found = settle(one, begin, worn, Patience(tolerance, 1.0, cycles), ready)
-    run = eqx.tree_at(lambda r: r.history.mechanism, runs[0], problem.seen(values))
+    run = eqx.tree_at(lambda r: r.history.mechanism, runs[0], problem.seen(problem.setting(values)))
     result = Settled(problem, found, run, worn, tolerance)
     if found.last.fault:
         if throw:

@@ -14,13 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
+from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import wearing_in
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
-from jaxclear.studies.life.cycle import as_problem, check_cycles, check_period
+from jaxclear.studies.life.cycle import as_problem, check_cycle, check_cycles, check_period
 from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import DEPTH, VOLUME, Stage, WearLife
 from jaxclear.studies.life.settling import Patience
@@ -285,7 +285,7 @@ def wear_lives(
     Raises:
         ValueError: if an argument is wrong.
     """
-    expect(problem, Problem, "what lives", "a jaxclear.Problem")
+    check_cycle("what lives", problem)
     check_cycles("wear_lives", cycles)
     check_number("accuracy of wear_lives", accuracy, above=0)
     check_count("most of wear_lives", most)

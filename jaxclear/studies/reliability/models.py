@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.printing import with_text_repr
-from jaxclear.integrators import Outcome
-from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.endless import answered
+from jaxclear.studies.endless import successes
+from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.limit_state import AbstractLimitState
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import all_values, value_slopes
 from jaxclear.studies.statistics.scrambled import student
 from jaxclear.studies.store.batch import chunk_size, evaluate_all
@@ -48,7 +48,7 @@ class RunModel(AbstractModel):
     more; `failed` those that did not reach their end; `codes` (those that did,): of what they
     warn."""
 
-    problem: AbstractProblem
+    problem: Problem
     limit: AbstractLimitState
     progress_bar: bool = False
     label: str = "runs"
@@ -90,7 +90,7 @@ class RunModel(AbstractModel):
         own = {name: np.asarray(r, float) for name, r in found.responses.items()}
         margins = np.stack([np.asarray(limit.margin(own)) for limit in self.limit.limits()], axis=1)
         limited = {limit.response: own[limit.response] for limit in self.limit.limits()}
-        good = (np.asarray(found.outcome) == Outcome.REACHED) & answered(self.problem, limited)
+        good, _ = successes(self.problem, found.outcome, limited)
         self.failed += int((~good).sum())
         self.codes = np.concatenate([self.codes, codes_of(found.checks, len(good))[good]])
         return np.where(good[:, None], margins, np.nan)
@@ -109,7 +109,7 @@ class SurfaceModel(AbstractModel):
     limit: AbstractLimitState
 
     @property
-    def problem(self) -> AbstractProblem:
+    def problem(self) -> Problem:
         return self.surface.problem
 
     def margins(self, normal):

@@ -15,9 +15,10 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_methods, check_number, expect
-from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import check_told, endless_sentences
+from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.reliability.design_point import DesignPoint, design_points
 from jaxclear.studies.reliability.first_order import curvatures, form, sorm
 from jaxclear.studies.reliability.importance import Proposal, importance
@@ -111,7 +112,7 @@ MOST_REGIONS = 16
 @answering
 @stored("a reliability")
 def reliability(
-    problem: AbstractProblem,
+    problem: Problem,
     limit: AbstractLimitState,
     *,
     methods: Sequence[str] | None = None,
@@ -147,7 +148,7 @@ def reliability(
     Raises:
         ValueError: if an argument is wrong.
     """
-    expect(problem, AbstractProblem, "what reliability is asked of", "a problem of jaxclear")
+    expect(problem, Problem, "what reliability is asked of", "a problem of jaxclear")
     wanted = _checked(problem, limit, methods, surface)
     check_number("variation of reliability", variation, above=0, at_most=1)
     check_count("most_runs of reliability", most_runs)
@@ -202,8 +203,9 @@ def _about(
     return importance(model, control, proposal, *asked)
 
 
-def _cheap(problem: AbstractProblem) -> bool:
-    return problem.at_once() and problem.most_together() >= CHEAP
+def _cheap(problem: Problem) -> bool:
+    cost = problem.cost()
+    return cost.cheap and cost.batch >= CHEAP
 
 
 def _with_other_regions(
@@ -273,7 +275,7 @@ def _searched(
         return [], None, []
     cuts, variables = model.limit.cut_sets(), len(model.problem.names)
     hopeless = lambda: bool(reach.beyond())
-    exact = not any(model.problem.pathwise_limits())
+    exact = not any(model.problem.description.derivative)
     if surface is None and exact and _cheap(model.problem):
         return design_points(model, cuts, variables, seed, hopeless), None, []
     if surface is None:
@@ -328,7 +330,7 @@ def _second_order(
     }
 
 
-def _checked(problem: AbstractProblem, limit: Any, methods: Any, surface: Any) -> tuple[str, ...]:
+def _checked(problem: Problem, limit: Any, methods: Any, surface: Any) -> tuple[str, ...]:
     """The methods wanted. Raises `ValueError` for what cannot be asked."""
     if not problem.names:
         raise ValueError(

@@ -9,8 +9,8 @@ import scipy
 
 from jaxclear.ground.table import as_table
 from jaxclear.studies.answer import VARIABLE, AbstractAnswer, Column, Stated
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.limit_state import AbstractLimitState
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.reliability.design_point import DesignPoint
 from jaxclear.studies.reliability.models import Probability
 from jaxclear.studies.surface.response_surface import ResponseSurface
@@ -31,7 +31,7 @@ class Reliability(AbstractAnswer):
     variation that was asked for; `notes` are sentences, as are `warnings`, of what the runs warn.
     """
 
-    problem: AbstractProblem
+    problem: Problem
     limit: AbstractLimitState
     estimates: dict[str, Probability]
     points: tuple[DesignPoint, ...]
@@ -227,7 +227,7 @@ def _overlap(one: Probability, other: Probability) -> bool:
     return one.interval[0] <= other.interval[1] and other.interval[0] <= one.interval[1]
 
 
-def _shares(problem: AbstractProblem, point: DesignPoint) -> np.ndarray:
+def _shares(problem: Problem, point: DesignPoint) -> np.ndarray:
     """Importance of the variables, (variables,) [1]."""
     root = problem.inputs.inverse_root
     if root is None:

@@ -74,7 +74,10 @@ def subset(model: RunModel, variation: float, most_runs: int, seed: int) -> Prob
     runs, failed = model.runs - before, model.failed - failed
     if mean == 0.0:
         nothing = f"nothing that fails is found in {runs} runs"
-        endless = [model.problem.endless(own.response) for own in model.limit.limits()]
+        endless = [
+            model.problem.description.responses[own.response].infinite
+            for own in model.limit.limits()
+        ]
         if any(endless):
             why = f"infinite responses say nothing of how near they are ({' '.join(endless)})"
             return refused(f"{nothing}; {why}.", runs, failed)

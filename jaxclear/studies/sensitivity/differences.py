@@ -28,8 +28,9 @@ import numpy as np
 import scipy
 
 from jaxclear.integrators import Outcome
-from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.distribution.base import END_SCORE
+from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
 from jaxclear.studies.sensitivity.estimand import FEWEST_DECIDING, Direction, Functional, flow
 from jaxclear.studies.sensitivity.regression import UNSEEN, no_score_function, normal_scores_of
@@ -76,7 +77,7 @@ class Runs(NamedTuple):
         rows = np.asarray(self.found.responses[name]).reshape(len(self.group), -1)
         return rows[self.good()].T
 
-    def answer(self, problem: AbstractProblem, one: Functional, own: Estimate) -> Estimate:
+    def answer(self, problem: Problem, one: Functional, own: Estimate) -> Estimate:
         """An estimate with the runs that it took, those that warn, and what it leaves out: samples
         of which some runs fail and others do not lie at an edge of what can be run, where slopes
         may be any."""
@@ -123,7 +124,7 @@ def _places(group: np.ndarray) -> np.ndarray:
 
 
 def moved(
-    problem: AbstractProblem,
+    problem: Problem,
     sample: tuple[np.ndarray, np.ndarray],
     direction: Direction,
     *,
@@ -140,17 +141,17 @@ def moved(
     return Runs(found, group, np.zeros((len(group), 0)))
 
 
-def _found(problem: AbstractProblem, each: np.ndarray, padded: bool, bar: bool) -> SampleResult:
+def _found(problem: Problem, each: np.ndarray, padded: bool, bar: bool) -> SampleResult:
     """Runs of values (samples, runs of each, variables); where it takes long to compile, and these
     are enough, by the program of the first look."""
-    one = padded and not problem.at_once()
+    one = padded and not problem.cost().cheap
     chunk = chunk_size(problem, len(SHIFTS) * FIRST) if one else None
     flat = jnp.asarray(each.reshape(-1, each.shape[2]))
     return evaluate_all(problem, flat, chunk=chunk, progress_bar=bar, label="differences")
 
 
 def differences(
-    problem: AbstractProblem, runs: Runs, direction: Direction, wanted: list[Functional]
+    problem: Problem, runs: Runs, direction: Direction, wanted: list[Functional]
 ) -> dict[str, Estimate]:
     """Central differences over common random numbers by one step of the direction and half of it,
     extrapolated; by label of the statistics."""
@@ -195,7 +196,7 @@ def rarity(deciding: float, scramblings: int) -> float:
     return max(student(2.0 + deciding) / student(scramblings), 1.0)
 
 
-def no_differences(problem: AbstractProblem, direction: Direction) -> str:
+def no_differences(problem: Problem, direction: Direction) -> str:
     """Why differences do not tell a derivative; "" where they do."""
     own = problem.inputs.distributions[direction.variable]
     if not own.is_continuous() and direction.number:
@@ -221,7 +222,7 @@ class Opposed(NamedTuple):
         return np.stack([np.interp(shares, own, self.scores) for own in (self.gained, self.lost)])
 
 
-def opposed_of(problem: AbstractProblem, direction: Direction) -> Opposed | None:
+def opposed_of(problem: Problem, direction: Direction) -> Opposed | None:
     """What the variable's distribution gains and loses along a direction; None where that is not
     known: single sizes, correlated variables, densities without bound."""
     if no_score_function(problem, direction) or not problem.inputs.independent:
@@ -246,7 +247,7 @@ def opposed_of(problem: AbstractProblem, direction: Direction) -> Opposed | None
 
 
 def paired(
-    problem: AbstractProblem,
+    problem: Problem,
     sample: tuple[np.ndarray, np.ndarray],
     direction: Direction,
     between: Opposed,
@@ -269,7 +270,7 @@ def paired(
 
 
 def between_distributions(
-    problem: AbstractProblem, pairs: Runs, between: Opposed, wanted: list[Functional]
+    problem: Problem, pairs: Runs, between: Opposed, wanted: list[Functional]
 ) -> dict[str, Estimate]:
     """Derivatives by differences between two distributions, by label of the statistics, which are
     means of functions of the response; of those only that enough pairs decide."""

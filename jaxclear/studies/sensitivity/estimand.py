@@ -23,8 +23,8 @@ import scipy
 from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.wording import described
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import INSTEAD, check_told, finite_beside
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.statistics.scrambled import ordinary_quantile, smooth_quantile
 
 # The slope of a quantile by the score of its share is taken over +- this many scores: wide enough
@@ -197,7 +197,7 @@ class Functional(NamedTuple):
         return responses > self.number if self.kind == "above" else responses < self.number
 
 
-def functionals(of: Any, problem: AbstractProblem) -> list[Functional]:
+def functionals(of: Any, problem: Problem) -> list[Functional]:
     """What a user asks derivatives of: statistics for all responses, or {response: statistics}.
     Raises `ValueError` with a sentence, also for a limit beyond what a response is told up to."""
     if not isinstance(of, Mapping):
@@ -245,21 +245,21 @@ class Direction(NamedTuple):
     variable: int
     number: float | None
 
-    def velocities(self, problem: AbstractProblem, values: np.ndarray) -> np.ndarray:
+    def velocities(self, problem: Problem, values: np.ndarray) -> np.ndarray:
         """Of the variable's values (samples, variables), per unit: (samples,)."""
         if self.number is None:
             return np.ones(len(values))
         own = values[:, self.variable] - float(problem.nominal()[self.variable])
         return own / self.number
 
-    def step(self, problem: AbstractProblem) -> float:
+    def step(self, problem: Problem) -> float:
         """How far a difference moves it [its unit]: by one standard deviation, or half a width."""
         if self.number is None:
             return float(problem.inputs.deviations()[self.variable])
         return 0.5 * self.number
 
 
-def directions(problem: AbstractProblem, wanted: list[str]) -> list[Direction]:
+def directions(problem: Problem, wanted: list[str]) -> list[Direction]:
     """The directions of these names: a variable's own, or that of its width, "tolerance of
     clearance". Raises `ValueError` for names that there are not."""
     known = {name: Direction(name, i, None) for i, name in enumerate(problem.names)}
@@ -296,14 +296,14 @@ def _flow(distribution, number, scores):
     return _speed(distribution, number)(scores) * jax.scipy.stats.norm.pdf(scores)
 
 
-def flow(problem: AbstractProblem, direction: Direction, scores: np.ndarray) -> np.ndarray:
+def flow(problem: Problem, direction: Direction, scores: np.ndarray) -> np.ndarray:
     """Share of parts [1/unit] that pass the values of standard normal scores (points,) as the
     distribution moves; upwards is positive."""
     own = problem.inputs.distributions[direction.variable]
     return np.array(_flow(own, direction.number, jnp.asarray(scores)))
 
 
-def weights(problem: AbstractProblem, direction: Direction, normal: np.ndarray) -> np.ndarray:
+def weights(problem: Problem, direction: Direction, normal: np.ndarray) -> np.ndarray:
     """Score function of the sample's distribution, (samples,) [1/unit]: the derivative of a mean is
     the mean of the response times this, and what its ends add.
 

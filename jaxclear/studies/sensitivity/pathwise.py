@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.integrators import Outcome
-from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
 from jaxclear.studies.sensitivity.estimand import Direction, Functional
 from jaxclear.studies.statistics.scrambled import pseudo_values
@@ -25,9 +26,7 @@ REFUSAL_SPREAD = 30.0
 
 
 @eqx.filter_jit
-def _tangents_of_chunk(
-    problem: AbstractProblem, packed: Float[Array, "samples pairs"]
-) -> SampleResult:
+def _tangents_of_chunk(problem: Problem, packed: Float[Array, "samples pairs"]) -> SampleResult:
     """Responses and their tangents along a direction, stacked: `packed` (samples, 2 variables) are
     values and directions.
     """
@@ -46,7 +45,7 @@ def _tangents_of_chunk(
 
 
 def pathwise(
-    problem: AbstractProblem,
+    problem: Problem,
     sample: tuple[np.ndarray, np.ndarray],
     direction: Direction,
     wanted: list[Functional],
@@ -56,7 +55,7 @@ def pathwise(
     """Mean over the `sample`, values (samples, variables) and their scramblings (samples,), of the
     derivative of each run; refused where it has no mean, in doubt where contacts open and close.
     """
-    refusal, doubt = problem.pathwise_limits()
+    refusal, doubt = problem.description.derivative
     values, group = sample
     if refusal:
         return {one.label: refused(refusal) for one in wanted}

@@ -25,10 +25,10 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.monte_carlo import MonteCarlo
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import by_scrambling, draw
 from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
@@ -76,9 +76,7 @@ class Outer(NamedTuple):
     scrambling: np.ndarray
 
 
-def runs_outside(
-    problem: AbstractProblem, scramblings: np.ndarray, seed: int, progress_bar: bool
-) -> Outer:
+def runs_outside(problem: Problem, scramblings: np.ndarray, seed: int, progress_bar: bool) -> Outer:
     """Runs that belong to a sample of these scramblings (samples,)."""
     names, count = np.unique(scramblings), len(problem.names)
     each = min(len(scramblings) // SHARE, MOST) // len(names)
@@ -136,7 +134,7 @@ def widened(
     return float(np.hypot(known, UNSEEN / count * rms * min(1.0, parts / deciding)))
 
 
-def no_score_function(problem: AbstractProblem, direction: Direction) -> str:
+def no_score_function(problem: Problem, direction: Direction) -> str:
     """Why the score function does not tell a derivative; "" where it does."""
     inputs, i = problem.inputs, direction.variable
     own = inputs.distributions[i]
@@ -156,7 +154,7 @@ def no_score_function(problem: AbstractProblem, direction: Direction) -> str:
 
 
 def runs_at_ends(
-    problem: AbstractProblem, variable: int, scramblings: int, seed: int, progress_bar: bool
+    problem: Problem, variable: int, scramblings: int, seed: int, progress_bar: bool
 ) -> Ends | None:
     """Runs with a variable at its ends, one for each scrambling; None where it has none."""
     own = problem.inputs.distributions[variable]
@@ -179,7 +177,7 @@ class LocalPolynomial:
     """Polynomials of the variables in standard deviations about nominal: as many terms as the
     samples bear, those of the variable in question up to its cube."""
 
-    def __init__(self, problem: AbstractProblem, variable: int, samples: int):
+    def __init__(self, problem: Problem, variable: int, samples: int):
         self.nominal = np.asarray(problem.nominal())
         self.scale = np.asarray(problem.inputs.deviations())
         count, i = len(self.nominal), variable

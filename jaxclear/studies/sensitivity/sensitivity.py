@@ -14,8 +14,8 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_methods, expect
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.monte_carlo import MonteCarlo, monte_carlo
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import draw, groups, usual_scramblings
 from jaxclear.studies.scrambling import seed_of
 from jaxclear.studies.sensitivity.derivative import (
@@ -60,7 +60,7 @@ SEEDS = 811
 @answering
 @stored("a sensitivity study")
 def sensitivity(
-    problem: AbstractProblem,
+    problem: Problem,
     variables: str | Sequence[str] | None = None,
     *,
     sample: GivenSample | int = 256,
@@ -103,7 +103,7 @@ def sensitivity(
     Raises:
         ValueError: if an argument is wrong, or the sample is of another problem.
     """
-    expect(problem, AbstractProblem, "what is differentiated", "a jaxclear.Problem")
+    expect(problem, Problem, "what is differentiated", "a jaxclear.Problem")
     variables = [variables] if isinstance(variables, str) else variables
     _check(variables, sample, difference_samples, methods, seed)
     wanted = directions(problem, list(problem.names if variables is None else variables))
@@ -141,7 +141,7 @@ class _Sequential(NamedTuple):
     """Differences along a direction on as much of a sample, `values` (samples, variables) and their
     scramblings `group` (samples,), as confirms what `others` answer, by method and label."""
 
-    problem: AbstractProblem
+    problem: Problem
     direction: Direction
     values: np.ndarray
     group: np.ndarray
@@ -233,7 +233,7 @@ def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarl
     return Sensitivity(derivatives, drawn, units)
 
 
-def _shared(problem: AbstractProblem, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def _shared(problem: Problem, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """A sample of a method's own: values (samples, variables) and scramblings (samples,)."""
     parts = SCRAMBLINGS if samples >= 4 * SCRAMBLINGS else usual_scramblings(samples)
     return draw(problem, samples, seed, scramblings=parts), groups(samples, parts)

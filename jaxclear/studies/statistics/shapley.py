@@ -25,9 +25,9 @@ from jaxclear.ground.arguments import check_count, check_flags
 from jaxclear.ground.printing import failed_samples_sentence
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, with_interval
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.inputs import Inputs
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, student
@@ -58,7 +58,7 @@ class ShapleyEffects(AbstractAnswer):
     surface, where one was given) and how many samples `failed`; `remark` says what a surface leaves
     out, `warnings` of what runs warn."""
 
-    problem: AbstractProblem
+    problem: Problem
     effects: dict[tuple[str, str], Statistic]
     runs: int = eqx.field(static=True)
     failed: int = eqx.field(static=True)
@@ -84,7 +84,7 @@ class ShapleyEffects(AbstractAnswer):
 @answering
 @stored("a study of Shapley effects")
 def shapley_effects(
-    of: AbstractProblem | ResponseSurface,
+    of: Problem | ResponseSurface,
     samples: int = 1024,
     *,
     seed: int = 0,

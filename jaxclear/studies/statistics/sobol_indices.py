@@ -29,9 +29,9 @@ from jaxclear.ground.arguments import check_flags
 from jaxclear.ground.printing import failed_samples_sentence
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, with_interval
-from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import refuse_endless, undrawn_levels
 from jaxclear.studies.inputs import Inputs
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import (
@@ -58,7 +58,7 @@ class SobolIndices(AbstractAnswer):
     """`first` and `total` indices [1] by (response, variable), each with its 95 % interval; `runs`
     that they took, how many of the base samples `failed`, and of what runs warn (`warnings`)."""
 
-    problem: AbstractProblem
+    problem: Problem
     first: dict[tuple[str, str], Statistic]
     total: dict[tuple[str, str], Statistic]
     runs: int = eqx.field(static=True)
@@ -81,7 +81,7 @@ class SobolIndices(AbstractAnswer):
 @answering
 @stored("a study of Sobol' indices")
 def sobol_indices(
-    of: AbstractProblem | ResponseSurface,
+    of: Problem | ResponseSurface,
     samples: int = 512,
     *,
     seed: int = 0,
@@ -155,7 +155,7 @@ def sobol_indices(
 
 
 def open_shares(
-    problem: AbstractProblem, values: np.ndarray, *shares: dict[tuple[str, str], Statistic]
+    problem: Problem, values: np.ndarray, *shares: dict[tuple[str, str], Statistic]
 ) -> tuple[str, ...]:
     """Sentences for variables with a level that no run (runs, variables) has seen, whose shares of
     a variance are then open: 0 to 1."""

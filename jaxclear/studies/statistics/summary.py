@@ -57,7 +57,7 @@ def summary_row(study: Any, name: str, limits: Mapping[str, Limits]) -> dict[str
         row |= _by_steps(study, name)
     row["mean without warned"] = clean.mean() if bounded and len(clean) else np.nan
     row["standard deviation without warned"] = deviation(clean, clean_group) if bounded else np.nan
-    if study.problem.endless(name):
+    if study.problem.description.responses[name].infinite:
         row["infinite"] = int(np.isinf(values).sum())
     return row
 
@@ -75,7 +75,7 @@ def failure(study: Any, i: int) -> str:
     problem = study.problem
     numbers = zip(problem.names, study.values[i], strict=True)
     named = ", ".join(f"{name} = {value:.6g}" for name, value in numbers)
-    ending = problem.ending(int(study.outcome[i]), float(study.ended[i]))
+    ending = problem.description.ending(study.outcome[i], study.ended[i])
     if study.outcome[i] == Outcome.REACHED:
         ending = f"{ending.rstrip('.')}, but a response is not finite."
     return f"With {named} {ending}"
@@ -84,7 +84,7 @@ def failure(study: Any, i: int) -> str:
 def ends_of(study: Any) -> list[str]:
     """How each sample of a study ended."""
     sentences = study.failures()
-    good = study.problem.ending(Outcome.REACHED, 0.0)
+    good = study.problem.description.ending(Outcome.REACHED, 0.0)
     good = f"{good[0].upper()}{good[1:]}"
     return [sentences.get(i, good) for i in range(study.count)]
 

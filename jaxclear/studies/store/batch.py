@@ -28,7 +28,8 @@ from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators.checks import Check, Checks
 from jaxclear.native import calls_lapack, stop, stoppable, stops
 from jaxclear.native.compiled import Prepared, prepared
-from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.digest import describe, in_texts
 from jaxclear.studies.store.store import CURRENT, Chunk, Store, compute_address
 
@@ -49,9 +50,7 @@ class Stopped(Exception):
 
 
 @eqx.filter_jit
-def evaluate_chunk(
-    problem: AbstractProblem, values: Float[Array, "samples variables"]
-) -> SampleResult:
+def evaluate_chunk(problem: Problem, values: Float[Array, "samples variables"]) -> SampleResult:
     """Outcomes of a chunk of samples."""
     return jax.vmap(problem.evaluate)(values)
 
@@ -78,20 +77,20 @@ def threads_of() -> int:
     return 1 if jax.default_backend() != "cpu" else cores()
 
 
-def usual_batch(problem: AbstractProblem) -> int:
+def usual_batch(problem: Problem) -> int:
     """Samples of a problem that are best computed together."""
-    fits = max(CHUNK_MEMORY // max(problem.sample_memory(), 1), 1)
-    return int(min(problem.most_together(), fits))
+    cost = problem.cost()
+    return int(min(cost.batch, max(CHUNK_MEMORY // max(cost.memory, 1), 1)))
 
 
-def chunk_size(problem: AbstractProblem, samples: int, chunk: int | None = None) -> int:
+def chunk_size(problem: Problem, samples: int, chunk: int | None = None) -> int:
     """Samples a chunk: those wanted, or else all threads busy and no chunk above the memory set
     aside for it.
     """
     if chunk is not None:
         return min(chunk, samples)
     whole = min(usual_batch(problem), -(-samples // threads_of()))
-    if jax.default_backend() == "cpu" and not problem.at_once():
+    if jax.default_backend() == "cpu" and not problem.cost().cheap:
         whole = min(whole, max(LEAST_CHUNK, -(-samples // (CHUNKS_A_THREAD * threads_of()))))
     return max(1, whole)
 
@@ -113,7 +112,7 @@ def sample_of_chunk(
         return jax.tree.map(lambda leaf: leaf[index % chunk], jax.block_until_ready(found))
 
 
-def _of_chunk(function: Callable, problem: AbstractProblem, values: Array) -> Any:
+def _of_chunk(function: Callable, problem: Problem, values: Array) -> Any:
     return function(problem, values)
 
 
@@ -121,9 +120,7 @@ class Program:
     """A function of chunks of a problem, compiled in this process and shared by its threads. `wide`
     ones lie in equal parts on all devices."""
 
-    def __init__(
-        self, problem: AbstractProblem, function: Callable = evaluate_chunk, wide: bool = False
-    ):
+    def __init__(self, problem: Problem, function: Callable = evaluate_chunk, wide: bool = False):
         self.problem = problem
         many = wide and devices() > 1
         self._function = _on_each if many else function
@@ -166,7 +163,9 @@ class Program:
             return asked(self._function, problem, self._laid_out(values))
 
         # Compiled by a run of no length.
-        lapack = not once and bool(evaluated(self.problem.idle(), values)[1])
+        idle = self.problem.cost().idle
+        little = self.problem if idle is None else self.problem.with_experiment(idle)
+        lapack = not once and bool(evaluated(little, values)[1])
         return Prepared(lambda values: evaluated(self.problem, values)[0], lapack)
 
 
@@ -179,7 +178,7 @@ def _on_all_devices(values: np.ndarray) -> Array:
     return jax.device_put(values, NamedSharding(_mesh(), PartitionSpec("samples")))
 
 
-def _on_each(problem: AbstractProblem, values: Float[Array, "samples variables"]) -> SampleResult:
+def _on_each(problem: Problem, values: Float[Array, "samples variables"]) -> SampleResult:
     """A chunk of samples, an equal part of it on each device."""
     numbers, rest = eqx.partition(problem, eqx.is_array)
 
@@ -278,7 +277,7 @@ class _Saved:
     """Chunks of these values (chunks, samples, variables) in a store: what a function of a chunk
     gives, as samples or as any tree of arrays."""
 
-    def __init__(self, store: Store, problem: AbstractProblem, function: Any, pieces: np.ndarray):
+    def __init__(self, store: Store, problem: Problem, function: Any, pieces: np.ndarray):
         question = compute_address(in_texts(problem), describe([("", function)]))
         self.store, self.pieces, self.names = store, pieces, problem.response_names
         self.addresses = [compute_address(question, piece) for piece in pieces]
@@ -317,7 +316,7 @@ def as_tree(kind: Any, chunk: Chunk | None) -> Any:
 
 
 def evaluate_all(
-    problem: AbstractProblem,
+    problem: Problem,
     values: Any,
     *,
     chunk: int | None = None,
@@ -331,7 +330,7 @@ def evaluate_all(
     check_double_precision()
     samples, values, store = len(values), np.asarray(values), CURRENT.get()
     # Any other function of a chunk is a compiled program, which a problem that is none refuses.
-    compiled = problem.compiled() or function is not evaluate_chunk
+    compiled = problem.cost().compiled or function is not evaluate_chunk
     chunk = chunk_size(problem, samples, chunk) if compiled else 1
     count = -(-samples // chunk)
     # The last chunk is filled up with copies, so that all chunks run the one compiled program.

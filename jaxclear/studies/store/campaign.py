@@ -21,14 +21,14 @@ from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, listed, meant
 from jaxclear.integrators.checks import Checks
-from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.campaign.recorded import RecordedProblem, in_json
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import MOST_REPLICAS
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.sequential import FIRST_SAMPLES, first_of, until_accurate
 from jaxclear.studies.statistics.accuracy import Piece, asked_of
 from jaxclear.studies.store.batch import RESPONSES, VALUES
 from jaxclear.studies.store.digest import in_texts
+from jaxclear.studies.store.recorded import in_json, of_json
 from jaxclear.studies.store.result import Campaign
 from jaxclear.studies.store.samples import KIND, Plan, Samples, batch_of, planned
 from jaxclear.studies.store.store import check_folder
@@ -51,7 +51,7 @@ VERIFYING = "replicas"
 
 @answering
 def campaign(
-    problem: AbstractProblem,
+    problem: Problem,
     samples: int | None = None,
     *,
     folder: str | Path,
@@ -71,12 +71,12 @@ def campaign(
 
     Args:
         problem: the problem.
-        samples: number of samples; None for that of the folder.
+        samples: number of samples; None (default) for 1024, or those of `study`.
         folder: path of the folder. One of another problem or other samples is refused with the
             difference.
         study: another study function to store, such as `jaxclear.sensitivity`, with its arguments
             in `settings`; None (default) for a Monte Carlo study.
-        seed: seed of the random numbers; None for that of the folder, or 0.
+        seed: seed of the random numbers; None (default) for 0, or that of `study`.
         client: a `dask.distributed.Client` whose workers compute the chunks; None (default) for
             this process.
         verify: whether to repeat the first 16 samples with finer steps, as of `monte_carlo`; True
@@ -127,7 +127,7 @@ def campaign(
 
 
 @answering
-def open_campaign(folder: str | Path, problem: AbstractProblem | None = None) -> Campaign:
+def open_campaign(folder: str | Path, problem: Problem | None = None) -> Campaign:
     """Open the campaign in a folder, finished or not.
 
     Args:
@@ -142,8 +142,8 @@ def open_campaign(folder: str | Path, problem: AbstractProblem | None = None) ->
     """
     kept = Samples.open(folder)
     if problem is None:
-        return Campaign(kept, RecordedProblem.of_json(kept.description["recorded"]))
-    expect(problem, AbstractProblem, "problem of open_campaign", "a jaxclear.Problem")
+        return Campaign(kept, of_json(kept.description["recorded"]))
+    expect(problem, Problem, "problem of open_campaign", "a jaxclear.Problem")
     kept.store.refuse_other(kept.description, KIND, in_texts(problem))
     return Campaign(kept, problem)
 
@@ -171,7 +171,7 @@ def _run_study(
 
 
 @contextmanager
-def _workers(problem: AbstractProblem, client: Any) -> Iterator[AbstractWork]:
+def _workers(problem: Problem, client: Any) -> Iterator[AbstractWork]:
     """Who computes: the threads here, or the workers of a client."""
     if client is None:
         yield Threads(problem)
@@ -195,8 +195,8 @@ def _plan(problem: Any, samples: Any, seed: Any, settings: dict[str, Any]) -> Pl
             )
     sampling, scramblings = settings.get("sampling", "sobol"), settings.get("scramblings")
     check_sampled(problem, samples, seed, sampling)
-    if not problem.compiled():
-        raise ValueError(f"problem of campaign ({type(problem).__name__}) {OTHERWISE}")
+    if not problem.cost().compiled:
+        raise ValueError(f"problem of campaign ({type(problem.experiment).__name__}) {OTHERWISE}")
     to_accuracy = settings.get("accuracy") is not None
     first = min(samples, FIRST_SAMPLES) if to_accuracy else samples
     parts = checked_scramblings("campaign", first, scramblings)
@@ -208,7 +208,7 @@ def _plan(problem: Any, samples: Any, seed: Any, settings: dict[str, Any]) -> Pl
 
 
 def _begin(
-    problem: AbstractProblem, plan: Plan, checked: tuple[str, ...], most: int, folder: Any
+    problem: Problem, plan: Plan, checked: tuple[str, ...], most: int, folder: Any
 ) -> Samples:
     """The samples in a folder, which is told of them where there are none. `checked`: what of a
     plan must be as in the folder."""
@@ -229,7 +229,7 @@ def _begin(
     return found
 
 
-def _with_room(kept: Samples, samples: int, most: int, problem: AbstractProblem) -> Samples:
+def _with_room(kept: Samples, samples: int, most: int, problem: Problem) -> Samples:
     """The same with room for so many samples; for more, up to the `most`, where other processes
     have planned these."""
     if kept.plan.samples >= samples:
@@ -287,7 +287,7 @@ def _verify(samples: Samples, by: AbstractWork) -> None:
         parts = [own for own in (known, found) if own is not None]
         samples.keep_finer(values, jax.tree.map(lambda *own: np.concatenate(own), *parts))
 
-    if by.problem.replica() is not None:
+    if by.problem.refine() is not None:
         samples.store.obtain(VERIFYING, load, compute, wait=True)
 
 

@@ -25,7 +25,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.ground.wording import listed
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.problem import Problem
 
 # Longest text of one piece, in characters; what is longer ends in a digest, of so many.
 LONGEST, DIGITS = 60, 16
@@ -44,7 +44,7 @@ LIBRARIES = tuple(
 )
 
 
-def in_texts(problem: AbstractProblem) -> dict[str, str]:
+def in_texts(problem: Problem) -> dict[str, str]:
     """A text for each part of a problem, by its path. Numbers with all their digits, large arrays
     and functions by a digest."""
     parts = problem.parts()
@@ -64,7 +64,7 @@ def describe(things: Iterable[tuple[str, Any]]) -> dict[str, str]:
     return description.texts
 
 
-def difference(one: AbstractProblem, other: AbstractProblem) -> str:
+def difference(one: Problem, other: Problem) -> str:
     """The first thing in which `one` differs from `other`, in words; "" where they are the same. A
     problem built anew by the same lines is the same."""
     for kind in ("names", "response_names"):
@@ -72,8 +72,9 @@ def difference(one: AbstractProblem, other: AbstractProblem) -> str:
         if mine != others:
             what = "variables" if kind == "names" else "responses"
             return f"its {what} are {listed(mine) or 'none'}, not {listed(others) or 'none'}"
-    if type(one) is not type(other):
-        return f"it is a {type(one).__name__}, not a {type(other).__name__}"
+    mine, others = type(one.experiment), type(other.experiment)
+    if mine is not others:
+        return f"it is of a {mine.__name__}, not of a {others.__name__}"
     return first_difference(in_texts(one), in_texts(other))
 
 
@@ -189,13 +190,13 @@ def _items(thing: Any) -> dict[str, Any] | None:
 def _attributes(thing: Any) -> dict[str, Any]:
     """What a thing holds, in slots too, each by what follows its own path."""
     held = dict(getattr(thing, "__dict__", {}))
-    # Of what wraps a function, and another one in a script.
-    held.pop("__module__", None)
     for owner in type(thing).__mro__:
         slots = (n for n, own in vars(owner).items() if isinstance(own, MemberDescriptorType))
         # A slot that has no value counts as None.
         held |= {name: getattr(thing, name, None) for name in slots}
-    return {f".{name}": value for name, value in held.items()}
+    # What wraps a function has its module's name, a partial function an address.
+    special = ("__module__", "__vectorcalloffset__")
+    return {f".{name}": value for name, value in held.items() if name not in special}
 
 
 def _is_field(kind: type, name: str) -> bool:

@@ -12,9 +12,10 @@ import numpy as np
 from jaxclear.ground.arguments import check_name
 from jaxclear.ground.printing import with_text_repr
 from jaxclear.integrators.checks import Checks, Figure
-from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import answered
+from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.monte_carlo import MonteCarlo
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.statistics.limits import Limits, check_limits
 from jaxclear.studies.statistics.summary import summary_of, summary_row
 from jaxclear.studies.store.batch import VALUES
@@ -48,7 +49,7 @@ class Campaign:
     chunks that others were still at.
     """
 
-    def __init__(self, samples: Samples, problem: AbstractProblem, unreached: str = ""):
+    def __init__(self, samples: Samples, problem: Problem, unreached: str = ""):
         self._samples, self.problem, self._unreached = samples, problem, unreached
         self.folder, self.plan = samples.folder, samples.plan
         self._chunks = samples.finished()
@@ -88,7 +89,7 @@ class Campaign:
         values = np.concatenate([self._samples.read(at, VALUES)[VALUES] for at in self._spans()])
         return self._study(values, found)
 
-    def sample_of(self, problem: AbstractProblem) -> MonteCarlo:
+    def sample_of(self, problem: Problem) -> MonteCarlo:
         """The finished samples in memory as a study of this problem. Raises `ValueError` with a
         sentence where they are of another one."""
         differs = first_difference(
@@ -152,7 +153,9 @@ class Campaign:
         if not self.finished:
             return f"None of {self.count} samples is finished yet."
         first, *others = self.problem.response_names
-        return self._reduced(first, *filter(self.problem.endless, others)).sentence()
+        return self._reduced(
+            first, *filter(lambda name: self.problem.description.responses[name].infinite, others)
+        ).sentence()
 
     def __str__(self) -> str:
         return self.sentence()
@@ -225,7 +228,7 @@ def _as_figure(beyond: np.ndarray) -> Figure:
 GivenSample = MonteCarlo | Campaign
 
 
-def given_sample(problem: AbstractProblem, sample: GivenSample) -> MonteCarlo:
+def given_sample(problem: Problem, sample: GivenSample) -> MonteCarlo:
     """The sample that a study is given instead of drawing one, in memory. Raises `ValueError` with
     a sentence for one of another problem."""
     if isinstance(sample, Campaign):

@@ -15,7 +15,8 @@ import numpy as np
 
 from jaxclear.ground.datasets import library_versions
 from jaxclear.ground.warning import warn
-from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import Replicas, together_with
 from jaxclear.studies.sampling import groups
 from jaxclear.studies.store.batch import (
@@ -74,23 +75,23 @@ class Plan(NamedTuple):
         return groups(self.samples, self.scramblings)
 
 
-def batch_of(problem: AbstractProblem, samples: int) -> int:
+def batch_of(problem: Problem, samples: int) -> int:
     """Samples of a batch of a campaign. One of runs has many of them: each is lost where the
     process ends in it."""
     batch = usual_batch(problem)
-    if problem.idle() is problem:
+    if problem.cost().idle is None:
         return batch
     return min(batch, max(LEAST_CHUNK, samples // OF_CAMPAIGN))
 
 
 def planned(
-    problem: AbstractProblem, drawn: tuple[int, int, str, int], chunk: int | None, most: int
+    problem: Problem, drawn: tuple[int, int, str, int], chunk: int | None, most: int
 ) -> Plan:
     """The plan of samples, seed, sampling and scramblings to begin with, of which there will be
     `most`; in chunks of at least so many samples if they are given. Chunks are of whole batches of
     the usual size, also where there are not as many samples."""
     # Runs have an idle form; what is evaluated at once has none.
-    cheap, batch = problem.idle() is problem, batch_of(problem, most)
+    cheap, batch = problem.cost().idle is None, batch_of(problem, most)
     if chunk is None:
         some = min(BATCHES * batch, most // OF_CAMPAIGN)
         chunks, least = (MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK) if cheap else (MOST_CHUNKS, some)

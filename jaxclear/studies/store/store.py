@@ -26,7 +26,7 @@ import numpy as np
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.digest import first_difference, in_texts
 
 P, R = ParamSpec("P"), TypeVar("R")
@@ -84,6 +84,7 @@ class Store:
     def __init__(self, folder: Path, description: dict[str, Any] | None = None):
         self.folder, self.description = folder, description
         self.damaged: set[str] = set()
+        self._made: set[str] = set()
         self.loaded = 0
 
     @classmethod
@@ -100,7 +101,7 @@ class Store:
 
     def path(self, address: str) -> Path:
         """Of the chunk with this address."""
-        return self.folder / CHUNKS / f"{address}.chunk"
+        return self.folder / f"{CHUNKS}/{address}.chunk"
 
     def read(self, address: str) -> Chunk | None:
         """A chunk; None where it is absent, damaged, or that of another address."""
@@ -139,11 +140,10 @@ class Store:
         numbers = {name: np.asarray(own, order="C") for name, own in arrays.items()}
         kinds = [(name, own.dtype.str, own.shape) for name, own in numbers.items()]
         head = json.dumps([about, kinds]).encode()
-        parts = [head, b" " * (-(len(head) + 1) % ALIGNMENT), b"\n"]
+        parts: list[Any] = [head, b" " * (-(len(head) + 1) % ALIGNMENT), b"\n"]
         for own in numbers.values():
-            parts += [own.tobytes(), bytes(-own.nbytes % ALIGNMENT)]
-        body = b"".join(parts)
-        self._put(self.path(address), _checksum(address, body) + body)
+            parts += [own, bytes(-own.nbytes % ALIGNMENT)]
+        self._put(self.path(address), b"".join([_checksum(address, *parts), *parts]))
         self.damaged.discard(address)
 
     @contextmanager
@@ -256,11 +256,12 @@ class Store:
             )
 
     def _put(self, path: Path, content: bytes) -> None:
-        temporary = self.folder / UNFINISHED / secrets.token_hex(16)
+        temporary = self.folder / f"{UNFINISHED}/{secrets.token_hex(16)}"
         try:
-            for parent in (temporary.parent, path.parent):
-                if not parent.exists():
-                    parent.mkdir(parents=True, exist_ok=True)
+            # Asked once: a chunk of quick samples takes little longer.
+            for parent in {UNFINISHED, CHUNKS} - self._made:
+                (self.folder / parent).mkdir(parents=True, exist_ok=True)
+                self._made.add(parent)
             temporary.write_bytes(content)
             temporary.replace(path)
         except BaseException as reason:
@@ -285,9 +286,10 @@ class Store:
         )
 
 
-def _checksum(address: str, body: Any) -> bytes:
+def _checksum(address: str, *parts: Any) -> bytes:
     digest = hashlib.sha256(address.encode())
-    digest.update(body)
+    for part in parts:
+        digest.update(part)
     return digest.digest()
 
 
@@ -306,7 +308,7 @@ CURRENT: ContextVar[Store | None] = ContextVar("store of the current study", def
 
 
 @contextmanager
-def open_store(folder: Any, what: str, problem: AbstractProblem) -> Iterator[None]:
+def open_store(folder: Any, what: str, problem: Problem) -> Iterator[None]:
     """What a study of this kind computes of a problem within is kept in a folder, if one is
     given."""
     if folder is None:
@@ -348,7 +350,7 @@ def stored(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
             if folder is None:
                 return study(*arguments, **options)
             problem: Any = arguments[0] if arguments else options.get(first)
-            expect(problem, AbstractProblem, f"the {first} of {what}", "a problem, for its store")
+            expect(problem, Problem, f"the {first} of {what}", "a problem, for its store")
             with open_store(folder, what, problem):
                 return study(*arguments, **options)
 

@@ -26,10 +26,10 @@ import jax
 import numpy as np
 
 from jaxclear.ground.wording import described
-from jaxclear.integrators import Outcome
 from jaxclear.native import stops
-from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.endless import answered
+from jaxclear.studies.endless import successes
+from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import finer_runs
 from jaxclear.studies.sampling import Drawing
 from jaxclear.studies.store.batch import (
@@ -97,9 +97,9 @@ class Evaluation:
         return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *found)
 
 
-def failures(problem: AbstractProblem, outcome: Any, responses: dict[str, Any]) -> int:
+def failures(problem: Problem, outcome: Any, responses: dict[str, Any]) -> int:
     """How many of these samples failed."""
-    return int(np.sum((outcome != Outcome.REACHED) | ~answered(problem, responses)))
+    return int(np.sum(~successes(problem, outcome, responses)[0]))
 
 
 def done(samples: Samples, evaluation: Evaluation, number: int) -> int | None:
@@ -126,7 +126,7 @@ def done(samples: Samples, evaluation: Evaluation, number: int) -> int | None:
 class AbstractWork(ABC):
     """Who computes the chunks of a campaign of a `problem`."""
 
-    problem: AbstractProblem
+    problem: Problem
 
     @abstractmethod
     def compute(self, samples: Samples, numbers: Sequence[int], heard: Heard) -> None:
@@ -142,7 +142,7 @@ class AbstractWork(ABC):
 class Threads(AbstractWork):
     """The threads of this process, side by side. Interrupted, it loses the chunks in work."""
 
-    def __init__(self, problem: AbstractProblem):
+    def __init__(self, problem: Problem):
         self.problem, self._program = problem, Program(problem, wide=True)
 
     def compute(self, samples, numbers, heard):
@@ -167,7 +167,7 @@ class Workers(AbstractWork):
     """All workers of a client. Interrupted, it asks for no more; blocks in work are finished.
     Where none has joined, it waits for the first, for a minute."""
 
-    def __init__(self, problem: AbstractProblem, client: Any):
+    def __init__(self, problem: Problem, client: Any):
         self.problem, self.client = problem, client
         # The texts that a problem is known by tell a worker whether it has compiled it before.
         self.token = compute_address(in_texts(problem))
@@ -241,13 +241,13 @@ def _answer(future: Any, block: list[int]) -> list[int | None]:
         ) from reason
 
 
-def _itself(problem: AbstractProblem) -> AbstractProblem:
+def _itself(problem: Problem) -> Problem:
     """The problem, as something that Dask holds for all workers."""
     return problem
 
 
 def _on_worker(
-    problem: AbstractProblem, token: str, folder: str, most: int, campaign: str, block: list[int]
+    problem: Problem, token: str, folder: str, most: int, campaign: str, block: list[int]
 ) -> list[int | None]:
     """Computes and keeps chunks of a block, on a worker, for as long as a task is to take: what
     `done` says of each."""
@@ -265,7 +265,7 @@ class _Once:
     """A problem that counts as the one that came first with the same token: its program is compiled
     once, however often Dask sends it."""
 
-    def __init__(self, token: str, problem: AbstractProblem):
+    def __init__(self, token: str, problem: Problem):
         self.token, self.problem = token, problem
 
     def __eq__(self, other: object) -> bool:

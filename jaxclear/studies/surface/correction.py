@@ -9,6 +9,7 @@ Source: Nelson 1990, Oper. Res. 38, 974, doi:10.1287/opre.38.6.974 (control vari
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,13 +20,13 @@ import numpy as np
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.printing import with_error, with_text_repr
-from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, AbstractAnswer, Column, Stated, means_and_deviations
-from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.endless import refuse_endless, successes
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
 from jaxclear.studies.sampling import all_values
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
 from jaxclear.studies.store.batch import evaluate_all
+from jaxclear.studies.store.store import open_store
 from jaxclear.studies.surface.control_variate import Known, normal_blocks, regressed
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.warned import told
@@ -105,6 +106,7 @@ def corrected(
     scramblings: int = 16,
     limits: Mapping[str, AbstractLimitState] | None = None,
     seed: int = 1,
+    store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> Corrected:
     """Statistics of a problem from its surface and new runs that remove the surface's bias.
@@ -116,6 +118,7 @@ def corrected(
         limits: limit states by name, whose probabilities are computed (for rare ones use
             `jaxclear.reliability`); None (default) for none.
         seed: seed of the random numbers; 1 by default.
+        store: folder that keeps the runs; None (default) for none.
         progress_bar: whether to show the progress; False by default.
 
     Returns:
@@ -134,11 +137,11 @@ def corrected(
         check_limit(limit, problem.response_names, "corrected")
     normal = normal_blocks(scramblings, samples, len(problem.names), (seed, 0))
     values = jnp.asarray(all_values(problem, normal))
-    found = evaluate_all(problem, values, progress_bar=progress_bar, label="corrected")
+    with open_store(store, "a corrected surface", problem):
+        found = evaluate_all(problem, values, progress_bar=progress_bar, label="corrected")
     own = {name: np.asarray(found.responses[name], float) for name in problem.response_names}
     refuse_endless(problem, own, "mean or deviation", "jaxclear.monte_carlo serves")
-    finite = np.all([np.isfinite(own[name]) for name in own], axis=0)
-    good = (np.asarray(found.outcome) == Outcome.REACHED) & finite
+    good, _ = successes(problem, found.outcome, own)
     many = normal_blocks(SURFACE_SCRAMBLINGS, SURFACE_POINTS, len(problem.names), (seed, 1))
     there, free = _evaluated(surface, np.asarray(values)), _of_normal(surface, many)
     means, deviations, probabilities = {}, {}, {}

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.integrators import Outcome
-from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.surface.polynomials import (
     MOST_TERMS,
     levels,
@@ -73,7 +74,7 @@ def least_squares(design: np.ndarray, target: np.ndarray) -> Fit:
 
 
 def fitted(
-    problem: AbstractProblem,
+    problem: Problem,
     values: np.ndarray,
     found: SampleResult,
     *,

@@ -15,7 +15,7 @@ from jaxclear.studies.answer import (
     Column,
     Stated,
 )
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.surface.polynomials import Polynomials, products
 
 # Below this leave-one-out R2 a surface does not stand for runs.
@@ -33,7 +33,7 @@ class ResponseSurface(AbstractAnswer):
     runs warn.
     """
 
-    problem: AbstractProblem
+    problem: Problem
     polynomials: Polynomials
     powers: Int[Array, "terms variables"]
     coefficients: dict[str, Float[Array, " terms"]]

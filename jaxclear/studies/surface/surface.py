@@ -19,9 +19,10 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number, expect
-from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.monte_carlo import MonteCarlo
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import all_values
 from jaxclear.studies.scrambling import scrambled_normal
 from jaxclear.studies.store.batch import evaluate_all
@@ -36,7 +37,7 @@ NUMBER = (int, float, np.integer, np.floating)
 Region = float | Mapping[str, tuple[float, float]]
 
 
-def drawn(problem: AbstractProblem, runs: int, over: Region, seed: int) -> np.ndarray:
+def drawn(problem: Problem, runs: int, over: Region, seed: int) -> np.ndarray:
     """Values (runs, variables) that fill a region."""
     rng = np.random.default_rng(seed)
     normal = scrambled_normal(runs, len(problem.names), rng)
@@ -48,7 +49,7 @@ def drawn(problem: AbstractProblem, runs: int, over: Region, seed: int) -> np.nd
     return values
 
 
-def check_region(problem: AbstractProblem, over: Any) -> None:
+def check_region(problem: Problem, over: Any) -> None:
     """What a surface may be fitted over."""
     if not isinstance(over, Mapping):
         check_number("over of surface (or ranges by name)", over, above=0)
@@ -75,7 +76,7 @@ INSTEAD = "limits of jaxclear.design and jaxclear.reliability take it"  # what h
 @answering
 @stored("a response surface")
 def surface(
-    problem: AbstractProblem,
+    problem: Problem,
     sample: int | GivenSample | None = None,
     *,
     degree: int | None = None,
@@ -108,7 +109,7 @@ def surface(
     Raises:
         ValueError: if an argument is wrong, or too few runs reach their end.
     """
-    expect(problem, AbstractProblem, "what a surface is fitted to", "a problem of jaxclear")
+    expect(problem, Problem, "what a surface is fitted to", "a problem of jaxclear")
     if not problem.names:
         raise ValueError("the problem has no variables; a surface would have none: give it some.")
     if degree is not None:
@@ -116,7 +117,7 @@ def surface(
     check_count("seed of surface", seed, at_least=0)
     check_flags("surface", slopes=slopes, progress_bar=progress_bar)
     check_region(problem, over)
-    why = "; ".join(filter(None, problem.pathwise_limits())) if slopes else ""
+    why = "; ".join(filter(None, problem.description.derivative)) if slopes else ""
     if why:
         raise ValueError(f"this problem has no exact slopes ({why}); take slopes=False.")
     if isinstance(sample, GivenSample):
@@ -144,7 +145,7 @@ def _there(study: MonteCarlo, slopes: bool) -> tuple[np.ndarray, SampleResult, s
 
 
 @eqx.filter_jit
-def _with_slopes(problem: AbstractProblem, values: Float[Array, "samples variables"]):
+def _with_slopes(problem: Problem, values: Float[Array, "samples variables"]):
     """Outcomes of a chunk of samples, and the slopes of their responses, (samples, variables)."""
 
     def one(own):
@@ -158,7 +159,7 @@ def _with_slopes(problem: AbstractProblem, values: Float[Array, "samples variabl
 
 
 def run(
-    problem: AbstractProblem,
+    problem: Problem,
     values: np.ndarray,
     *,
     slopes: bool = False,

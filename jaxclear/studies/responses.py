@@ -1,16 +1,11 @@
-"""A question about a mechanism: which of its numbers vary, which responses are wanted of it, by
-name, and what they may answer.
-
-What is done with the mechanism, a run in time (`Problem`) or positions (`PositionProblem`), tells
-its own class.
-"""
+"""Responses that are wanted of a mechanism, by name, and what they may answer."""
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxclear.errors.verification import thin_run
 from jaxclear.ground.arguments import expect
@@ -18,68 +13,26 @@ from jaxclear.ground.quantity import inside, is_one_number, numbers
 from jaxclear.ground.warning import call_user, shape_of
 from jaxclear.ground.wording import described
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.results.response import AbstractSignal, unit_of
-from jaxclear.studies.base import AbstractProblem, check_names_differ, stacked
-from jaxclear.studies.inputs import correlation_matrix
-from jaxclear.studies.variable import (
-    AbstractMechanismVariable,
-    check_variables,
-    places_of,
-    with_values,
-)
+from jaxclear.results.response import AbstractSignal
+from jaxclear.studies.experiment import check_names_differ
+from jaxclear.studies.variable import check_variables
 
 
-class AbstractMechanismProblem(AbstractProblem):
-    """A mechanism whose `variables` vary, and the responses wanted of it."""
-
-    mechanism: eqx.AbstractVar[Mechanism]
-    response: eqx.AbstractVar[dict[str, Callable]]
-    variables: eqx.AbstractVar[dict[str, AbstractMechanismVariable]]
-
-    def nominal(self) -> Float[Array, " variables"]:
-        """Nominal value of each variable."""
-        return stacked([self.variables[n].nominal_in(self.mechanism) for n in self.names])
-
-    def units(self) -> dict[str, str]:
-        """Unit of each response."""
-        return {n: unit_of(self.response[n], self.mechanism) for n in self.response_names}
-
-    def _varied(self, values: Float[Array, " variables"]) -> Mechanism:
-        """The mechanism with its variables set, and what follows from them."""
-        return with_values(self.mechanism, [self.variables[n] for n in self.names], values)
-
-    def _told(self, *fields: str) -> dict[str, Any]:
-        """These of its fields, and what its variables point at: all that tells it from another."""
-        own = {what: getattr(self, what) for what in fields}
-        return own | places_of(self.mechanism, self.variables)
+def answers(response: dict[str, Callable], found: Any) -> dict[str, Array]:
+    """The responses of what a mechanism does, by name."""
+    return {name: answer(name, own, found) for name, own in response.items()}
 
 
-def responses_of(problem: AbstractMechanismProblem, found: Any) -> dict[str, Array]:
-    """The responses of what a problem's mechanism does, by name."""
-    return {name: answer(name, own, found) for name, own in problem.response.items()}
-
-
-class Wanted(NamedTuple):
-    """What is asked of a mechanism, by name and checked: `response`, `variables`, their units and
-    the correlation of their normal scores."""
-
-    response: dict[str, Callable]
-    variables: dict[str, AbstractMechanismVariable]
-    units: tuple[str, ...]
-    correlation: Float[Array, "variables variables"] | None
-
-
-def wanted_of(
-    mechanism: Mechanism, response: Any, variables: Any, correlation: Any, owner: str, of: str
-) -> Wanted:
-    """What a user asks of a mechanism; responses are functions `of` something. Raises `ValueError`
-    with a sentence for what cannot be asked."""
+def checked_question(
+    mechanism: Mechanism, response: Any, variables: Any, owner: str, of: str
+) -> tuple[dict[str, Callable], dict[str, Any]]:
+    """Responses, which are functions `of` something, and variables of a mechanism by name. Raises
+    `ValueError` with a sentence for what cannot be asked."""
     expect(mechanism, Mechanism, f"the mechanism of a {owner}", "a jaxclear.Mechanism")
-    own, varied = by_name("response", response), by_name("variables", variables)
-    check_responses(own, varied, of)
+    wanted, varied = by_name("response", response), by_name("variables", variables)
+    check_responses(wanted, varied, of)
     check_variables(varied, mechanism)
-    units = tuple(variable.unit_in(mechanism) for variable in varied.values())
-    return Wanted(own, varied, units, correlation_matrix(correlation, tuple(varied)))
+    return wanted, varied
 
 
 def in_range(*parts: Any) -> Array:

@@ -1,0 +1,405 @@
+"""A mechanism that runs in time, as an experiment of studies.
+
+The whole path from varied numbers to responses is one pure function, `evaluate`, that maps over
+samples and differentiates.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.errors.observables import GAPS
+from jaxclear.errors.verification import refine_times, replica
+from jaxclear.ground.printing import part_in_words
+from jaxclear.ground.quantity import on_device
+from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
+from jaxclear.integrators.base import PART_OF, STUDIES, Promise
+from jaxclear.integrators.checks import Checks
+from jaxclear.multibody.assembly import (
+    Sampled,
+    Start,
+    assemble_arrays,
+    carried_on,
+    guess,
+    is_sound,
+    sampled,
+)
+from jaxclear.multibody.assembly_modes import Nominal
+from jaxclear.multibody.mechanism import Mechanism, loosened, with_redundancy
+from jaxclear.multibody.reach import narrowest_gap, rooms
+from jaxclear.multibody.state import lay_out
+from jaxclear.multibody.system import longest_arm, prepare, wear_maps
+from jaxclear.multibody.topology import Redundancy
+from jaxclear.native import has_kernels
+from jaxclear.native.compiled import compiled_for_kernels
+from jaxclear.results.response import concerned, needs_of, unit_of
+from jaxclear.results.state_history import State
+from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.derivatives import (
+    backwards,
+    compared,
+    guarded,
+    in_other_steps,
+    is_compared,
+    order_of,
+    refusal,
+    until_the_end,
+    where_alike,
+)
+from jaxclear.simulation.initial_state import Past, past_of, state_of
+from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
+from jaxclear.simulation.loop import Extras, sketched
+from jaxclear.simulation.saving import Saving, as_saving, check_steps, checked_saving
+from jaxclear.simulation.simulate import (
+    How,
+    check_duration,
+    check_one_of_two,
+    check_run,
+    run,
+    saving_times,
+)
+from jaxclear.simulation.singular_positions import diagnosed, diagnosed_outcome
+from jaxclear.studies.chosen_integrator import allowed, checked_asked, chosen_integrator, unasked
+from jaxclear.studies.experiment import (
+    LEAST_CHUNK,
+    PARTS,
+    AbstractExperiment,
+    Cost,
+    Description,
+    ResponseInfo,
+    SampleResult,
+    Setting,
+    derived,
+    sample_of_chunk,
+)
+from jaxclear.studies.responses import Thinned, answers, check_answers, in_range
+
+# Histories that a response may build from the saved states, in multiples of these.
+HISTORY_FACTOR = 12
+# A call of a compiled program costs some tenth of a millisecond, whatever it is given: the time per
+# sample falls up to chunks of about this length. It rises again where one takes more memory [bytes]
+# than stays near a core (benchmarks/claims/fixed_costs.py). An accelerator wants many at once.
+LARGEST_CHUNK = {"cpu": 1024}
+NEAR_A_CORE = 1 << 26
+LARGEST_ELSEWHERE = 4096
+# Threads of kernels that fill a large GPU some times.
+LARGEST_BY_KERNELS = 1 << 17
+
+
+class RunExperiment(AbstractExperiment):
+    """A mechanism that runs in time, how it runs, and the responses wanted of a run (`Problem`)."""
+
+    mechanism: Mechanism
+    response: dict[str, Callable]
+    duration: Array
+    shares: Float[Array, " saves"]
+    integrator: AbstractIntegrator
+    state: State
+    past: Past = derived()
+    # Of worn surfaces in a saving interval.
+    updates: Array = derived()
+    # JAX sorts the keys of a dictionary; the order in which things were given is kept here.
+    response_names: tuple[str, ...] = derived(static=True)
+    # Coordinates given for the start that the loops determine: they move with what varies.
+    determined: tuple[str, ...] = derived(static=True)
+    why_integrator: str = derived(static=True)
+    # The accuracy that its runs were chosen for: a share of each response, or numbers by name.
+    accuracy: float | tuple[tuple[str, float], ...] | None = derived(static=True)
+    # Whether the integrator is the usual one of studies, for which nobody asked.
+    unasked: bool = derived(static=True)
+    # Redundant rows of loops, which all samples share.
+    redundancy: Redundancy | None = derived(static=True)
+    # The mode of the nominal mechanism, which samples keep.
+    mode: Nominal | None = derived()
+    # Touches and releases of each contact that are kept between two saving times.
+    events: int = derived(static=True)
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        response: dict[str, Callable],
+        duration: float,
+        integrator: AbstractIntegrator | None,
+        accuracy: Any = None,
+        save: Any = 201,
+        state: State | None = None,
+    ):
+        self.mechanism, self.response = mechanism, response
+        self.response_names = tuple(response)
+        asked = as_saving(save)
+        times = on_device(saving_times(check_duration(duration), asked.at))
+        self.state = state_of(state)
+        self._check_answers(integrator, times, asked.events)
+        given = mechanism, self.response, times[-1]
+        chosen: Any = (integrator, "", None)
+        if accuracy is not None:
+            check_one_of_two("a Problem", integrator)
+            share = checked_asked(accuracy, self.response)
+            found = chosen_integrator(*given, share, How(asked, state))
+            chosen = found.integrator, found.why, share
+        elif integrator is None:
+            chosen = unasked(*given, How(asked, state))
+        self.integrator, self.why_integrator, self.accuracy = chosen
+        self.unasked = integrator is None and self.accuracy is None
+        self.events = checked_saving(asked, self.integrator).events
+        self.duration, self.shares = times[-1], times / times[-1]
+        check_run(mechanism, self.integrator)
+        check_steps(integrator, times)
+        seen = self.integrator.formulation.seen(mechanism)
+        self.past = past_of(seen, self.integrator.formulation, self.state)
+        self.updates = jnp.asarray(1)
+        self.integrator = self._load_steps().integrator
+        motion = self.state.motion
+        if motion is None:
+            known = sampled(seen, self.state.concentric, self.past.worn)
+        else:
+            known = Sampled((), motion.redundancy, None)
+        self.determined, self.redundancy, self.mode = known
+
+    def _check_answers(
+        self, integrator: AbstractIntegrator | None, times: Array, events: int
+    ) -> None:
+        """Raises `ValueError` where a response of the nominal sample is not one number."""
+        usual = FixedStep() if integrator is None else integrator
+        try:
+            check_run(self.mechanism, usual)
+        except ValueError:
+            # Without an integrator one is chosen yet, for rigid contact and dry friction too.
+            if integrator is not None:
+                raise
+            usual = MoreauJean()
+            check_run(self.mechanism, usual)
+        seen = usual.formulation.seen(self.mechanism)
+        check_answers(self.response, lambda: sketched(seen, usual.formulation, times, events))
+
+    @property
+    def subject(self):
+        return self.mechanism
+
+    def with_integrator(self, integrator: AbstractIntegrator) -> "RunExperiment":
+        """The same runs by another integrator."""
+        save = Saving(len(self.shares), self.events)
+        given = self.mechanism, self.response, float(self.duration), integrator
+        found = RunExperiment(*given, save=save, state=self.state)
+        # Times given, as they are: their shares times the duration may be off by rounding.
+        return eqx.tree_at(lambda run: run.shares, found, self.shares)
+
+    def with_values(self, setting):
+        """The mechanism with its variables set. Leaves that vary together move by the same
+        amount. Coordinates of the start that the loops determine become guesses."""
+        return loosened(setting(self.mechanism), self.determined)
+
+    def seen(self, setting: Setting) -> Mechanism:
+        """The mechanism of one setting as it is simulated."""
+        seen = self.integrator.formulation.seen(self.with_values(setting))
+        return with_redundancy(seen, self.redundancy)
+
+    def started(
+        self, setting: Setting, discrete: bool = False
+    ) -> tuple[Mechanism, Start, Trajectory]:
+        """The mechanism of one setting as it is simulated, its start, and its run; pure.
+        `discrete`: derivatives are those of the steps."""
+        mechanism = self.seen(setting)
+        motion = self.state.motion
+        if motion is None:
+            rough = self._beginning(mechanism)
+            start = assemble_arrays(
+                mechanism, self.state.concentric, rough=rough, worn=self.past.worn
+            )
+        else:
+            start = carried_on(mechanism, *motion.moving)
+        extras = Extras(events=self.events, discrete=discrete)
+        given = mechanism, *start[:2], self._times(), self.integrator, extras, self.past
+        found = until_the_end(run(*given, self.updates))
+        return mechanism, start, found
+
+    def _times(self) -> Array:
+        """Saving times [s]."""
+        return self.state.begins + self.shares * self.duration
+
+    def _beginning(self, mechanism: Mechanism) -> tuple[Array, Array] | None:
+        """Coordinates and speeds from which the start of a sample is sought; None for its own
+        guess."""
+        known = self.mode
+        if known is None or known.coordinates is None or not known.fits(mechanism):
+            return None
+        return known.coordinates, guess(mechanism)[1]
+
+    def keeps_mode(self, mechanism: Mechanism, start: Start) -> Any:
+        """Whether a sample is assembled in the nominal mode, as far as it is known; pure."""
+        return True if self.mode is None else self.mode.keeps(mechanism, start)
+
+    def evaluate(self, setting, *, discrete_derivatives=False):
+        return _answers_alone(self, setting, discrete_derivatives)
+
+    def refine(self, share=0.5):
+        """Runs in finer steps, whose surfaces wear more often; where steps between saving times are
+        counted there are more of these, and responses see runs at those that were asked for."""
+        mechanism = with_redundancy(
+            self.integrator.formulation.seen(loosened(self.mechanism, self.determined)),
+            self.redundancy,
+        )
+        seen, counting = prepare(mechanism), self.integrator
+        if seen.bearings:
+            counting = counting.counting_in(narrowest_gap(seen), longest_arm(seen))
+        how = replica(counting, self._times(), share)
+        if how is None:
+            return None
+        places = lambda own: (own.integrator, own.updates)
+        found = eqx.tree_at(places, self, (how.integrator, jnp.asarray(how.updates)))
+        if how.every == 1:
+            return found
+        responses = {name: Thinned(own, how.every) for name, own in self.response.items()}
+        shares = jnp.asarray(refine_times(self.shares, how.every))
+        return eqx.tree_at(lambda own: (own.response, own.shares), found, (responses, shares))
+
+    def cost(self):
+        # Saved states and worn surfaces.
+        system = prepare(self.mechanism)
+        cells = sum(
+            math.prod(m.cells) for own in wear_maps(system).values() for m, _ in own.values()
+        )
+        states = len(self.shares) * (HISTORY_FACTOR * lay_out(system).size)
+        memory = 8 * (states + 8 * cells)
+        batch = LARGEST_CHUNK.get(jax.default_backend())
+        if batch is None:
+            batch = LARGEST_BY_KERNELS if has_kernels() else LARGEST_ELSEWHERE
+        else:
+            near = max(NEAR_A_CORE // max(memory, 1), LEAST_CHUNK)
+            batch = min(batch, 1 << (near.bit_length() - 1))
+        # Runs of no length.
+        idle = eqx.tree_at(lambda run: run.duration, self, jnp.zeros(()))
+        return Cost(memory, batch, idle=idle)
+
+    def describe(self):
+        lasts, saves = f"{float(self.duration):.6g} s", len(self.shares)
+        how = f"over {lasts}, {saves} saved instants, by {part_in_words(self.integrator)}"
+        early = {
+            own: f"the run ended after {{ended:.6g}} s. {own.sentence}"
+            for own in Outcome
+            if own.began and own != Outcome.REACHED
+        }
+        return Description(
+            f"Problem {how}",
+            {name: self._known_of(name) for name in self.response_names},
+            early,
+            True,
+            checked_by(self._load_steps().passed, Checks()).warnings,
+            self.why_integrator,
+            self._limits_of_derivatives(),
+        )
+
+    def _known_of(self, name: str) -> ResponseInfo:
+        response = self.response[name]
+        unit = unit_of(response, self.mechanism)
+        concerns = frozenset(part for part in PARTS if concerned(response, part))
+        if self.accuracy is not None:
+            promise = allowed(self.accuracy, name)
+        else:
+            wanted = STUDIES if self.unasked else self.integrator.promise
+            promise = _promise_of(self.mechanism, wanted, response, unit)
+        return ResponseInfo(unit, concerns, promise, self.integrator.remedy)
+
+    def _limits_of_derivatives(self) -> tuple[str, str]:
+        seen = self.integrator.formulation.seen(self.mechanism)
+        if self.integrator.through_contacts and not self.integrator.pathwise:
+            doubt = "nothing controls the error of derivatives"
+            return refusal(seen, self.integrator), doubt
+        if not self.integrator.pathwise:
+            return (
+                "derivatives of finished runs of this integrator are wrong near contact; use "
+                "integrator.Adaptive with an explicit solver, or one with fixed steps."
+            ), ""
+        return "", refusal(seen, self.integrator, discrete=True)
+
+    def detail(self, setting, index, chunk) -> Trajectory:
+        """The run of one sample, bit for bit as it ran in its chunk."""
+        return diagnosed(sample_of_chunk(self._simulated, setting, index, chunk))
+
+    def _simulated(self, setting: Setting) -> Trajectory:
+        """The run of one setting; pure."""
+        return self.started(setting)[2]
+
+    def _load_steps(self) -> LoadSteps:
+        return load_steps(self.mechanism, self.integrator, self._times())
+
+
+def _answers(experiment: RunExperiment, setting: Setting, discrete: bool) -> SampleResult:
+    """Responses of a run for one setting; `discrete`: derivatives of the discrete run
+    are wanted, where the integrator has them."""
+    integrator = experiment.integrator
+    own = discrete and integrator.pathwise
+    seen = integrator.formulation.seen(experiment.mechanism)
+    if not own and is_compared(seen, integrator):
+        known = compared(_answered, _finer, _alike, _steps, order_of(integrator))
+        return backwards(integrator)(known, experiment, setting)
+    started = lambda experiment, setting: experiment.started(setting, own)
+    mechanism, start, run = backwards(integrator)(started, experiment, setting)
+    return _taken(experiment, mechanism, start, guarded(run, integrator, discrete))
+
+
+# Called by itself it is one program; a loop of a user's, as SciPy's are, asks thousands of times.
+_answers_alone = compiled_for_kernels(_answers)
+
+
+def _taken(experiment: RunExperiment, mechanism: Any, start: Any, run: Trajectory) -> SampleResult:
+    possible = in_range(mechanism)
+    sound = is_sound(mechanism, start)
+    kept = experiment.keeps_mode(mechanism, start)
+    outcome = jnp.where(kept, diagnosed_outcome(run), Outcome.OTHER_MODE)
+    outcome = jnp.where(sound, outcome, Outcome.UNASSEMBLED)
+    outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)
+    return SampleResult(answers(experiment.response, run), outcome, run.ended, run.invariants)
+
+
+def _answered(experiment: RunExperiment, setting: Setting) -> SampleResult:
+    return _taken(experiment, *experiment.started(setting))
+
+
+def _finer(share: Any, experiment: RunExperiment, setting: Setting) -> tuple[Any, Setting]:
+    """The same in other steps."""
+    steps = in_other_steps(experiment.integrator, share, experiment.shares * experiment.duration)
+    return eqx.tree_at(lambda known: known.integrator, experiment, steps), setting
+
+
+def _steps(experiment: RunExperiment, _: Any) -> tuple[Any, Any]:
+    return experiment.integrator.asked_step(), experiment.shares * experiment.duration
+
+
+def _alike(found: SampleResult, ways: SampleResult, ratios: Array, least: Any) -> SampleResult:
+    """Derivatives of what is answered; those of responses are nan where steps decide them."""
+    told = {
+        name: where_alike(way, ratios, abs(way[0]), least * abs(found.responses[name]))
+        for name, way in ways.responses.items()
+    }
+    moves = jax.tree.map(lambda each: each[0], ways)
+    return SampleResult(told, moves.outcome, moves.ended, moves.checks)
+
+
+def _promise_of(
+    mechanism: Mechanism, promise: Promise, response: Any, unit: str
+) -> tuple[float, float] | None:
+    """Largest error of a response within a promise, in its unit and as a share of its size; None
+    where that says nothing of what the response is drawn from. Places are promised relative to the
+    ways of bodies, of which the response may be a small rest: relative to the longest arm of a body
+    and a hundred times the widest gap at least, and angles relative to 1 rad."""
+    part = PART_OF.get(needs_of(response))
+    share = None if part is None else promise._asdict()[part]
+    if share is None:
+        return None
+    return share * (_way(mechanism, unit) if part == "places" else 0.0), share
+
+
+def _way(mechanism: Mechanism, unit: str) -> float:
+    """Of what goes by a unit the least way that places are measured beside."""
+    if unit != "m":
+        return 1.0 if unit == "rad" else 0.0
+    system = prepare(mechanism)
+    widest = float(np.max(np.asarray(rooms(system)), initial=0.0)) if system.bearings else 0.0
+    return max(float(longest_arm(system)), GAPS * widest)
