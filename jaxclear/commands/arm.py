@@ -33,7 +33,7 @@ from jaxclear.scenes.arm import (
     REST,
     SWING,
     TIP,
-    Way,
+    JointPath,
     arm,
     pick_and_place,
 )
@@ -61,7 +61,7 @@ HALF_WAY, PERIOD, ROUND = 0.04, 1.8, 0.98
 TABLE_STEP = PERIOD / 60
 
 
-def simulated(rig: jc.Mechanism, way: Way | None = None, **options: Any) -> Any:
+def simulated(rig: jc.Mechanism, way: JointPath | None = None, **options: Any) -> Any:
     """A run along a way, saved where its table stands."""
     times = (pick_and_place() if way is None else way).times
     step = jc.integrator.FixedStep(STEP)
@@ -111,11 +111,11 @@ def asked(play: float, without_play: Any) -> jc.Problem:
     )
 
 
-def to_and_fro() -> Way:
+def to_and_fro() -> JointPath:
     """All joints turn slowly by a little about the lifted arm, forwards and back."""
     times = TABLE_STEP * np.arange(len(pick_and_place().times))
     swing = np.arcsin(ROUND * -np.cos(2 * np.pi * times / PERIOD)) / np.arcsin(ROUND)
-    return Way(times, np.array(LIFTED) + HALF_WAY * swing[:, None])
+    return JointPath(times, np.array(LIFTED) + HALF_WAY * swing[:, None])
 
 
 def lost_motion(run: Any, play: float) -> pandas.DataFrame:
@@ -287,7 +287,7 @@ def study(folder: Path, samples: int = 128, show: bool = True) -> None:
         "1 arcmin of play": simulated(arm("play", REDUCED)),
         "3 arcmin of play": simulated(arm("play", STANDARD)),
     }
-    loop = simulated(arm("play", REDUCED, way=to_and_fro()), to_and_fro())
+    loop = simulated(arm("play", REDUCED, path=to_and_fro()), to_and_fro())
     report_warnings(runs | {"to and fro": loop})
     problem = asked(STANDARD, runs["elastic"])
     tables = {

@@ -43,7 +43,7 @@ def natural_map(
 
 
 def one_contact(
-    own: Float[Array, "d d"], free: Float[Array, " d"], mu: Scalar
+    block: Float[Array, "d d"], free: Float[Array, " d"], mu: Scalar
 ) -> Float[Array, " d"]:
     r"""Reaction of a single contact with v = own r + free; it exists for every positive definite
     `own`, and is found up to condition numbers of some 1e8.
@@ -52,13 +52,13 @@ def one_contact(
     stick at alpha = 0; otherwise mu r_n / \|r_t\| - 1, nearly linear in alpha, has a root, which
     Newton's method finds between bounds.
     """
-    stiff = jnp.where(own[0, 0] > 0, own[0, 0], jnp.inf)
+    stiff = jnp.where(block[0, 0] > 0, block[0, 0], jnp.inf)
     pressed = free[0] < 0
     if free.shape[0] == 1:
         return jnp.where(pressed, -free / stiff, 0.0)
-    coupling = own[0, 1:] / stiff
-    tangents = own[1:, 1:] - jnp.outer(own[1:, 0], coupling)
-    push = free[1:] - own[1:, 0] * free[0] / stiff
+    coupling = block[0, 1:] / stiff
+    tangents = block[1:, 1:] - jnp.outer(block[1:, 0], coupling)
+    push = free[1:] - block[1:, 0] * free[0] / stiff
     normal = lambda tangent: -free[0] / stiff - coupling @ tangent
     stick = -_inverse(tangents, 0.0) @ push
     sticks = safe_sqrt(stick @ stick) <= mu * normal(stick)
@@ -66,7 +66,7 @@ def one_contact(
         direction = -jnp.sign(push)
     else:
         direction = _sliding_direction(tangents, push, normal, coupling, mu)
-    resistance = stiff + mu * (own[0, 1:] @ direction)
+    resistance = stiff + mu * (block[0, 1:] @ direction)
     pressure = safe_divide(-free[0], jnp.maximum(resistance, 0.0))
     slide = jnp.append(pressure, pressure * mu * direction)
     return jnp.where(pressed, jnp.where(sticks, jnp.append(normal(stick), stick), slide), 0.0)

@@ -64,11 +64,11 @@ class FrictionContact(AbstractLinearProblem):
         check_shapes(
             owner, {f"row {i} of delassus": (r, (m,)) for i, r in enumerate(self.delassus)}
         )
-        given = self.directions
+        directions = self.directions
         if len(self.sizes) != c or sum(self.sizes) != m or not set(self.sizes) <= {1, 2, 3}:
             raise ValueError(
                 f"{owner} with {c} coefficients mu has {c} (without friction), {2 * c} (planar) or "
-                f"{3 * c} (spatial) rows, or as many as its directions {given} say, not {m}."
+                f"{3 * c} (spatial) rows, or as many as its directions {directions} say, not {m}."
             )
         if not isinstance(self.mu, jax.core.Tracer) and bool(jnp.any(self.mu < 0)):
             raise ValueError(f"mu of {owner} is {self.mu}; no coefficient may be negative.")
@@ -102,16 +102,16 @@ class FrictionContact(AbstractLinearProblem):
     @property
     def acts(self) -> Bool[Array, " m"]:
         """For each unknown whether its contact may act."""
-        given = jnp.ones(len(self.sizes), bool) if self.active is None else self.active
-        parts = [jnp.broadcast_to(given[i], (d,)) for i, d in enumerate(self.sizes)]
+        is_active = jnp.ones(len(self.sizes), bool) if self.active is None else self.active
+        parts = [jnp.broadcast_to(is_active[i], (d,)) for i, d in enumerate(self.sizes)]
         return jnp.concatenate(parts)
 
     def acting(self) -> tuple[Float[Array, "m m"], Float[Array, " m"]]:
         """W and b in which contacts that may not act are open ones by themselves."""
         acts, m = self.acts, self.starts[-1]
-        apart = np.isin(np.arange(m), self.starts).astype(float)
+        open_velocity = np.isin(np.arange(m), self.starts).astype(float)
         matrix = jnp.where(acts[:, None] & acts, jnp.stack(self.delassus), jnp.eye(m))
-        return matrix, jnp.where(acts, self.free_velocity, apart)
+        return matrix, jnp.where(acts, self.free_velocity, open_velocity)
 
     def to_lcp(self):
         """Without tangents v_n = W r_n + b_n itself; with one, three rows a contact (Pfeiffer &
@@ -119,17 +119,17 @@ class FrictionContact(AbstractLinearProblem):
         - r_t, v_t = v_right - v_left.
         """
         matrix, offset = self.acting()
-        turn, mu = self._turned()
+        turn, mu = self._change_of_unknowns()
         order = np.array([*self._normals(), *self._tangents()])
         velocity, c, t = (matrix @ turn)[order], len(self.sizes), len(self._tangents())
-        left = jnp.concatenate([jnp.zeros((c, t)), jnp.eye(t)])
+        slack = jnp.concatenate([jnp.zeros((c, t)), jnp.eye(t)])
         return LCP(
-            jnp.block([[velocity, left], [2 * mu, -jnp.eye(t), jnp.zeros((t, t))]]),
+            jnp.block([[velocity, slack], [2 * mu, -jnp.eye(t), jnp.zeros((t, t))]]),
             jnp.append(offset[order], jnp.zeros(t)),
         )
 
     def from_lcp(self, z):
-        r = self._turned()[0] @ z[: len(self.free_velocity)]
+        r = self._change_of_unknowns()[0] @ z[: len(self.free_velocity)]
         return r, jnp.stack(self.delassus) @ r + self.free_velocity
 
     def residual(self, z, w):
@@ -149,7 +149,7 @@ class FrictionContact(AbstractLinearProblem):
     def _tangents(self) -> list[int]:
         return [i for i in range(self.free_velocity.shape[0]) if i not in self._normals()]
 
-    def _turned(self):
+    def _change_of_unknowns(self):
         """(turn, mu): r = turn (all r_n, then all mu r_n + r_t), and mu beside each tangent."""
         if max(self.sizes) > 2:
             raise ValueError(

@@ -109,21 +109,21 @@ class InteriorPoint(AbstractSolver):
         small = scaled(lcp)
         kappa = jax.lax.stop_gradient(self.kappa) / (small.z_scale * small.w_scale)
         finite = small.finite & jnp.all(jnp.isfinite(kappa))
-        found, outcome, steps = _follow_path(
+        scaled_z, outcome, steps = _follow_path(
             small.matrix, small.offset, jnp.where(finite, kappa, 1.0), self.max_steps
         )
         outcome = jnp.where(finite, outcome, Outcome.NOT_FINITE)
-        kept = jax.lax.stop_gradient(jnp.where(small.finite, found, 0.0) * small.z_scale)
+        relaxed_z = jax.lax.stop_gradient(jnp.where(small.finite, scaled_z, 0.0) * small.z_scale)
         z = _keep_relaxation(
-            kept,
+            relaxed_z,
             outcome == Outcome.SOLVED,
             (small.z_scale, small.w_scale),
             lcp.matrix,
             lcp.offset,
             self.kappa,
         )
-        own = problem.from_lcp(z)
-        return Solution(*own, problem.residual(*own), outcome, steps)
+        solution = problem.from_lcp(z)
+        return Solution(*solution, problem.residual(*solution), outcome, steps)
 
 
 @jax.custom_jvp
@@ -142,12 +142,12 @@ def _keep_relaxation_jvp(primals, tangents):
     # its two weights
     weight = w * z_scale + out * w_scale
     share = jnp.where(solved, out * w_scale / weight, 0.0)
-    held = (
+    matrix_of_dz = (
         jnp.diag(1 - share)
         + share[:, None] * jnp.where(solved, matrix, 0.0) * z_scale / w_scale[:, None]
     )
     right = d_kappa / weight - share * (d_matrix @ out + d_offset) / w_scale
-    return out, z_scale * jnp.linalg.solve(held, jnp.where(solved, right, 0.0))
+    return out, z_scale * jnp.linalg.solve(matrix_of_dz, jnp.where(solved, right, 0.0))
 
 
 def _follow_path(matrix, offset, kappa, max_steps):

@@ -124,8 +124,8 @@ class JointFriction(AbstractProblem):
             the ratio [1]; of a ball a tuple of three.
         """
         place = self.place(k)
-        own = [safe_divide(friction[i], load) for i in range(place.start, place.stop)]
-        return own[0] if len(own) == 1 else tuple(own)
+        shares = [safe_divide(friction[i], load) for i in range(place.start, place.stop)]
+        return shares[0] if len(shares) == 1 else tuple(shares)
 
     def improved(
         self, k: int, friction: Float[Array, " k"], load: Any, relaxation: Any
@@ -147,14 +147,14 @@ class JointFriction(AbstractProblem):
         i = place.start
         if isinstance(rule, Between):
             stiff = jnp.maximum(self.delassus[i][i], self.softest[i])
-            wanted = friction[i] - self.slip(i, friction) / stiff
-            found = jnp.clip(wanted, rule.low, rule.high)
-            return [found], jnp.abs(found), found == wanted
+            target = friction[i] - self.slip(i, friction) / stiff
+            friction_there = jnp.clip(target, rule.low, rule.high)
+            return [friction_there], jnp.abs(friction_there), friction_there == target
         low, high = (share * load for share in rule)
         stiff = jnp.maximum(self.delassus[i][i], self.softest[i])
-        wanted = friction[i] - self.slip(i, friction) / stiff
-        found = _within(wanted, low, high, relaxation)
-        return [found], jnp.maximum(low, high), found == wanted
+        target = friction[i] - self.slip(i, friction) / stiff
+        friction_there = _within(target, low, high, relaxation)
+        return [friction_there], jnp.maximum(low, high), friction_there == target
 
     def _on_ball(self, k: int, friction: Float[Array, " k"], rule: Any) -> tuple[list, Any, Any]:
         """A ball that would stick with friction inside the disc sticks; one that would not is moved
@@ -166,23 +166,27 @@ class JointFriction(AbstractProblem):
             slip = [sp.dot(axis, rule.slip) for axis in frame]
             speed = sp.norm(slip)
             bound = rule.share(speed) * size
-            found = [-bound * safe_divide(x, speed) for x in slip]
+            friction_there = [-bound * safe_divide(x, speed) for x in slip]
         else:
             bound = rule.share * size
-            found = self._caught(k, friction, frame, bound)
-        within = sp.norm(found) < bound
-        return [sp.dot(found, column) for column in zip(*frame, strict=True)], bound, within
+            friction_there = self._caught(k, friction, frame, bound)
+        within = sp.norm(friction_there) < bound
+        return (
+            [sp.dot(friction_there, column) for column in zip(*frame, strict=True)],
+            bound,
+            within,
+        )
 
     def _caught(self, k: int, friction: Float[Array, " k"], frame: tuple, bound: Any) -> list:
-        own = range(self.place(k).start, self.place(k).stop)
-        block = [[self.delassus[i][j] for j in own] for i in own]
+        components = range(self.place(k).start, self.place(k).stop)
+        block = [[self.delassus[i][j] for j in components] for i in components]
         pulled = [[sp.dot(row, axis) for row in block] for axis in frame]
         (a, b), (c, d) = ([sp.dot(axis, column) for column in pulled] for axis in frame)
-        softest = self.softest[own[0]]
+        softest = self.softest[components[0]]
         a, d = jnp.maximum(a, softest), jnp.maximum(d, softest)
-        slips = [self.slip(i, friction) for i in own]
+        slips = [self.slip(i, friction) for i in components]
         s = [sp.dot(axis, slips) for axis in frame]
-        now = [sp.dot(axis, [friction[i] for i in own]) for axis in frame]
+        now = [sp.dot(axis, [friction[i] for i in components]) for axis in frame]
         det = a * d - b * c
         sticks = [now[0] - (d * s[0] - b * s[1]) / det, now[1] - (a * s[1] - c * s[0]) / det]
         slides = [x - y / (a + d) for x, y in zip(now, s, strict=True)]
@@ -197,12 +201,12 @@ class JointFriction(AbstractProblem):
         for _ in range(2):  # the second with the shares of friction that the first finds
             loads = [self.load(k, z, self.shares(k, z, total[k])) for k in range(len(self.ratios))]
             total = sp.stack(loads)
-        left = [jnp.zeros(())]
+        residuals = [jnp.zeros(())]
         for k, pair in enumerate(self.ratios):
             if pair is not None:
-                found, *_ = self.improved(k, z, total[k], None)
-                left += [z[self.place(k).start + i] - x for i, x in enumerate(found)]
-        return jnp.max(jnp.abs(jnp.stack(left)))
+                improved, *_ = self.improved(k, z, total[k], None)
+                residuals += [z[self.place(k).start + i] - x for i, x in enumerate(improved)]
+        return jnp.max(jnp.abs(jnp.stack(residuals)))
 
 
 class BoxedGaussSeidel(AbstractSolver):
@@ -228,11 +232,11 @@ class BoxedGaussSeidel(AbstractSolver):
 
     def solve(self, problem: JointFriction) -> Solution:
         check_double_precision()
-        found = self.iterate(problem)
-        slips = sp.stack([problem.slip(i, found.z) for i in range(problem.components())])
-        solved = jnp.where(found.residual <= self.tolerance, Outcome.SOLVED, Outcome.LIMIT)
-        outcome = jnp.where(jnp.isfinite(found.residual), solved, Outcome.NOT_FINITE)
-        return Solution(found.z, slips, problem.residual(found.z, slips), outcome, found.sweeps)
+        last = self.iterate(problem)
+        slips = sp.stack([problem.slip(i, last.z) for i in range(problem.components())])
+        solved = jnp.where(last.residual <= self.tolerance, Outcome.SOLVED, Outcome.LIMIT)
+        outcome = jnp.where(jnp.isfinite(last.residual), solved, Outcome.NOT_FINITE)
+        return Solution(last.z, slips, problem.residual(last.z, slips), outcome, last.sweeps)
 
     def iterate(self, problem: JointFriction) -> Iterate:
         """The sweeps themselves, which a time step calls.
@@ -275,8 +279,8 @@ class BoxedGaussSeidel(AbstractSolver):
                 continue
             load = problem.load(k, friction, problem.shares(k, friction, total[k]))
             total = total.at[k].set(load)
-            found, bound, within = problem.improved(k, friction, load, self.relaxation)
-            for i, x in enumerate(found, problem.place(k).start):
+            improved, bound, within = problem.improved(k, friction, load, self.relaxation)
+            for i, x in enumerate(improved, problem.place(k).start):
                 all_within &= within | (friction[i] == x)
                 friction = friction.at[i].set(x)
             largest = jnp.maximum(largest, bound)

@@ -37,7 +37,7 @@ class Scaled(NamedTuple):
 
     rows: list[list[Array]]
     free: list[Array]
-    own: list[Array]
+    blocks_of_contacts: list[Array]
     mu: Array
     rho: list[Array]
     weight: Array
@@ -58,15 +58,15 @@ def scaled_contacts(problem: FrictionContact) -> Scaled:
     largest = jnp.max(jnp.abs(jnp.where(acts, problem.free_velocity, 0.0)))
     size = jnp.where(largest > 0, largest, 1.0)
     # A contact that may not act stands there as an open one by itself.
-    eye, apart = np.eye(starts[-1]), np.isin(np.arange(starts[-1]), starts).astype(float)
+    eye, open_velocity = np.eye(starts[-1]), np.isin(np.arange(starts[-1]), starts).astype(float)
     rows = [
         jnp.where(acts[k] & acts, row / weight, eye[k]) for k, row in enumerate(problem.delassus)
     ]
-    free = jnp.where(acts, problem.free_velocity / size, apart)
-    own = [jnp.stack([row[a:b] for row in rows[a:b]]) for a, b in spans]
+    free = jnp.where(acts, problem.free_velocity / size, open_velocity)
+    blocks_of_contacts = [jnp.stack([row[a:b] for row in rows[a:b]]) for a, b in spans]
     rho = [1 / jnp.max(jnp.stack([rows[k][k] for k in range(a, b)])) for a, b in spans]
     blocks = [rows[a:b] for a, b in spans]
-    return Scaled(blocks, problem.split(free), own, problem.mu, rho, weight, size)
+    return Scaled(blocks, problem.split(free), blocks_of_contacts, problem.mu, rho, weight, size)
 
 
 def linearised(
@@ -125,15 +125,15 @@ def with_kept_states(problem: FrictionContact, r: Array) -> Array:
         posed = FrictionContact(matrix, offset, mu, problem.sizes, active)
         drift = jnp.stack([row @ r for row in d_matrix]) + d_offset
         unit, lines, change = _moved(posed, r, (jnp.where(posed.acts, drift, 0.0), d_mu), REGULAR)
-        found = eliminate([jnp.append(line, -x) for line, x in zip(lines, change, strict=True)])
-        return unit * jnp.stack(found)
+        solution = eliminate([jnp.append(line, -x) for line, x in zip(lines, change, strict=True)])
+        return unit * jnp.stack(solution)
 
     data = problem.delassus, problem.free_velocity, problem.mu, problem.active
     return derived(lambda _, r: r, tangent)(data, r)
 
 
 def _moved(
-    problem: FrictionContact, r: Array, ways: tuple[Array, Array], regular: float
+    problem: FrictionContact, r: Array, tangents: tuple[Array, Array], regular: float
 ) -> tuple[Array, list[Array], Array]:
     """(unit of reactions, rows of the Jacobian of the laws at a solution r, by how much `ways` of
     the velocities with these reactions and of mu move the laws)."""
@@ -144,9 +144,9 @@ def _moved(
     s = [scaled.rho[i] * scaled.velocity(i, flat) for i in range(len(sizes))]
     largest = jnp.maximum(jnp.max(jnp.abs(flat)), jnp.max(jnp.abs(jnp.concatenate(s))))
     laws, lines = linearised(scaled, blocks, CORNER * jax.lax.stop_gradient(largest), regular)
-    drifts = problem.split(ways[0] / scaled.size)
+    drifts = problem.split(tangents[0] / scaled.size)
     change = [
-        law.of_s @ (scaled.rho[i] * drifts[i]) + law.of_mu * ways[1][i]
+        law.of_s @ (scaled.rho[i] * drifts[i]) + law.of_mu * tangents[1][i]
         for i, law in enumerate(laws)
     ]
     return unit, lines, jnp.concatenate(change)

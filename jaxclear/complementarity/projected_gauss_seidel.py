@@ -80,15 +80,15 @@ class ProjectedGaussSeidel(AbstractSolver):
             jax.lax.stop_gradient(jnp.where(finite, x, y)) for x, y in zip(data, blank, strict=True)
         )
         # A library's elimination: the written-out one takes XLA minutes to compile.
-        found = self._iterate(
+        last = self._iterate(
             FrictionContact(matrix, offset, mu, problem.directions), None, in_kernel=False
         )
-        solved = jnp.where(found.residual <= self.tolerance, Outcome.SOLVED, Outcome.LIMIT)
-        outcome = jnp.where(finite & jnp.isfinite(found.residual), solved, Outcome.NOT_FINITE)
-        r = jnp.where(jnp.isfinite(found.z), found.z, 0.0)
+        solved = jnp.where(last.residual <= self.tolerance, Outcome.SOLVED, Outcome.LIMIT)
+        outcome = jnp.where(finite & jnp.isfinite(last.residual), solved, Outcome.NOT_FINITE)
+        r = jnp.where(jnp.isfinite(last.z), last.z, 0.0)
         r = keep_states(r, outcome == Outcome.SOLVED, *data, problem.sizes)
         v = jnp.stack(problem.delassus) @ r + problem.free_velocity
-        return Solution(r, v, problem.residual(r, v), outcome, found.sweeps)
+        return Solution(r, v, problem.residual(r, v), outcome, last.sweeps)
 
     def iterate(
         self, problem: FrictionContact, start: Array | None = None, sweep: bool = False
@@ -117,10 +117,10 @@ class ProjectedGaussSeidel(AbstractSolver):
         if start is not None:
             guess = [x / unit for x in problem.split(jnp.where(problem.acts, start, 0.0))]
         first = _sweep(scaled, tuple(guess)) if sweep else tuple(guess)
-        found, residual, sweeps = _sweep_until(
+        reactions, residual, sweeps = _sweep_until(
             scaled, first, self.max_sweeps, self.tolerance, in_kernel
         )
-        reaction = jnp.where(problem.acts, jnp.concatenate(found) * unit, 0.0)
+        reaction = jnp.where(problem.acts, jnp.concatenate(reactions) * unit, 0.0)
         return Iterate(reaction, residual, sweeps)
 
 
@@ -131,8 +131,8 @@ def _residual(problem: Scaled, r: tuple) -> Array:
     flat = jnp.concatenate(r)
     sizes = []
     for i, part in enumerate(r):
-        left = natural_map(part, problem.velocity(i, flat), problem.mu[i], problem.rho[i])
-        sizes.append(jnp.max(jnp.abs(left)) / problem.rho[i])
+        natural = natural_map(part, problem.velocity(i, flat), problem.mu[i], problem.rho[i])
+        sizes.append(jnp.max(jnp.abs(natural)) / problem.rho[i])
     worst = jnp.max(jnp.stack(sizes)) / size_of(flat)
     return jnp.where(jnp.isfinite(worst), worst, jnp.inf)
 
@@ -140,8 +140,8 @@ def _residual(problem: Scaled, r: tuple) -> Array:
 def _sweep(problem: Scaled, r: tuple) -> tuple:
     """Every contact solved in turn, with the newest reactions of the others."""
     for i, part in enumerate(r):
-        free = problem.velocity(i, jnp.concatenate(r)) - problem.own[i] @ part
-        r = (*r[:i], one_contact(problem.own[i], free, problem.mu[i]), *r[i + 1 :])
+        free = problem.velocity(i, jnp.concatenate(r)) - problem.blocks_of_contacts[i] @ part
+        r = (*r[:i], one_contact(problem.blocks_of_contacts[i], free, problem.mu[i]), *r[i + 1 :])
     return r
 
 
@@ -151,31 +151,33 @@ def _sweep_until(
     """(reactions by contact, residual, sweeps)."""
 
     def unfinished(carry):
-        _, left, _, sweeps = carry
-        return (left > tolerance) & (sweeps < max_sweeps)
+        _, residual, _, sweeps = carry
+        return (residual > tolerance) & (sweeps < max_sweeps)
 
     def improve(carry):
         r, _, best, sweeps = carry
         r = jax.lax.fori_loop(0, SWEEPS, lambda _, r: _sweep(problem, r), r)
-        left = _residual(problem, r)
+        residual = _residual(problem, r)
         if not in_kernel or sum(map(len, r)) <= LARGEST_ELIMINATED:
-            there = _newton(problem, r, in_kernel)
-            left_there = _residual(problem, there)
+            newton_reactions = _newton(problem, r, in_kernel)
+            newton_residual = _residual(problem, newton_reactions)
             # Steps that are no better than what was known would lead round in circles.
-            nearer = left_there < 0.5 * jnp.minimum(best, left)
-            r = tuple(jnp.where(nearer, a, b) for a, b in zip(there, r, strict=True))
-            left = jnp.where(nearer, left_there, left)
-        return r, left, jnp.minimum(best, left), sweeps + SWEEPS
+            nearer = newton_residual < 0.5 * jnp.minimum(best, residual)
+            r = tuple(jnp.where(nearer, a, b) for a, b in zip(newton_reactions, r, strict=True))
+            residual = jnp.where(nearer, newton_residual, residual)
+        return r, residual, jnp.minimum(best, residual), sweeps + SWEEPS
 
     none, first = jnp.zeros((), int), _residual(problem, start)
     if len(start) == 1:
         # A single contact is solved by one sweep.
         still = first <= tolerance
         swept = _sweep(problem, start)
-        found = tuple(jnp.where(still, a, b) for a, b in zip(start, swept, strict=True))
-        return found, _residual(problem, found), jnp.where(still, none, none + 1)
-    found, left, _, sweeps = jax.lax.while_loop(unfinished, improve, (start, first, first, none))
-    return found, left, sweeps
+        reactions = tuple(jnp.where(still, a, b) for a, b in zip(start, swept, strict=True))
+        return reactions, _residual(problem, reactions), jnp.where(still, none, none + 1)
+    reactions, residual, _, sweeps = jax.lax.while_loop(
+        unfinished, improve, (start, first, first, none)
+    )
+    return reactions, residual, sweeps
 
 
 def _newton(problem: Scaled, r: tuple, in_kernel: bool) -> tuple:

@@ -54,7 +54,7 @@ RENAMED = {
     "jaxclear.heated": "apply_thermal_expansion",
 }
 
-RENAMED_ARGUMENTS = {"most_steps": "max_steps", "most_sweeps": "max_sweeps"}
+RENAMED_ARGUMENTS = {"most_steps": "max_steps", "most_sweeps": "max_sweeps", "way": "path"}
 
 
 def with_new_arguments(owner: str, known: Container[str], given: dict) -> dict:
@@ -133,6 +133,10 @@ def answering(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        if not kwargs.keys().isdisjoint(RENAMED_ARGUMENTS):
+            parameters = inspect.signature(function).parameters
+            renamed: Any = with_new_arguments(public_name(function), parameters, kwargs)
+            kwargs = renamed
         try:
             return function(*args, **kwargs)
         except TypeError:

@@ -27,12 +27,12 @@ CRITICAL = 1e-6
 def restitution_of(damping_ratio: Scalar) -> Scalar:
     """Share [1] of its speed with which a mass comes back, by the damping ratio [1]."""
     z = jnp.asarray(damping_ratio, float)
-    left = 1 - z * z
-    left = jnp.where(jnp.abs(left) < CRITICAL, CRITICAL, left)
-    slow = left > 0
-    s = jnp.sqrt(jnp.where(slow, left, 0.5))
+    remainder = 1 - z * z
+    remainder = jnp.where(jnp.abs(remainder) < CRITICAL, CRITICAL, remainder)
+    slow = remainder > 0
+    s = jnp.sqrt(jnp.where(slow, remainder, 0.5))
     under = jnp.arctan2(4 * z * s, 4 * z * z - 1) / s
-    r = jnp.sqrt(jnp.where(slow, 0.5, -left))
+    r = jnp.sqrt(jnp.where(slow, 0.5, -remainder))
     past = jnp.where(slow, 2.0, z)
     over = jnp.arctanh(4 * past * r / (4 * past * past - 1)) / r
     return jnp.exp(-z * jnp.where(slow, under, over))
@@ -41,17 +41,17 @@ def restitution_of(damping_ratio: Scalar) -> Scalar:
 def damping_ratio_of(restitution: Scalar) -> Scalar:
     """The damping ratio [1] by which a share [1] of the speed comes back; that of a thousandth for
     less."""
-    asked = jnp.asarray(restitution, float)
+    target = jnp.asarray(restitution, float)
 
     def halved(_, ends):
         middle = 0.5 * (ends[0] + ends[1])
-        more = restitution_of(jnp.exp(middle)) > jax.lax.stop_gradient(asked)
+        more = restitution_of(jnp.exp(middle)) > jax.lax.stop_gradient(target)
         return jnp.where(more, middle, ends[0]), jnp.where(more, ends[1], middle)
 
-    first = (jnp.full(asked.shape, jnp.log(LEAST)), jnp.full(asked.shape, jnp.log(LARGEST)))
+    first = (jnp.full(target.shape, jnp.log(LEAST)), jnp.full(target.shape, jnp.log(LARGEST)))
     low, high = jax.lax.fori_loop(0, HALVINGS, halved, first)
     near = jnp.exp(0.5 * (low + high))
     # A step of Newton's method, by which the derivative is that of the inverse.
-    found, slope = jax.jvp(restitution_of, (near,), (jnp.ones_like(near),))
-    asked = jnp.clip(asked, restitution_of(LARGEST), 1.0)
-    return near - (found - asked) / slope
+    value, slope = jax.jvp(restitution_of, (near,), (jnp.ones_like(near),))
+    target = jnp.clip(target, restitution_of(LARGEST), 1.0)
+    return near - (value - target) / slope

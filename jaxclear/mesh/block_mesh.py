@@ -134,7 +134,7 @@ class BlockDeformation(eqx.Module):
     and over `links` [1] between these."""
 
     mesh: BlockMesh
-    held: Int[np.ndarray, " held"]
+    wall: Int[np.ndarray, " held"]
     free: Int[np.ndarray, " vertices"]
     spline: Float[Array, "vertices held"]
     affine: Float[Array, "4 held"]
@@ -147,16 +147,16 @@ class BlockDeformation(eqx.Module):
         """Displacement of every point [m]."""
         points = self.mesh.points
         everywhere = _with_ones(points) @ (self.affine @ displacement)
-        rest = displacement - everywhere[self.held]
-        moved = jnp.zeros_like(points).at[self.held].set(rest)
+        rest = displacement - everywhere[self.wall]
+        moved = jnp.zeros_like(points).at[self.wall].set(rest)
         moved = moved.at[self.free].set(self.spline @ rest)
-        known = jnp.zeros(len(points), bool).at[self.held].set(True).at[self.free].set(True)
-        moved = self._smoothed(self._filled(moved, known))
-        return everywhere + self._filled(moved, known.at[self.faces].set(True))
+        is_set = jnp.zeros(len(points), bool).at[self.wall].set(True).at[self.free].set(True)
+        moved = self._smoothed(self._filled(moved, is_set))
+        return everywhere + self._filled(moved, is_set.at[self.faces].set(True))
 
-    def _filled(self, moved, known: Bool[Array, " points"]):
+    def _filled(self, moved, is_set: Bool[Array, " points"]):
         for group, lengths in zip(self.mesh.groups, self.lengths, strict=True):
-            filled = jax.vmap(_filled)(moved[group], known[group], lengths)
+            filled = jax.vmap(_filled)(moved[group], is_set[group], lengths)
             moved = moved.at[group].set(filled)
         return moved
 
@@ -168,17 +168,17 @@ class BlockDeformation(eqx.Module):
         return moved
 
 
-def deformation(mesh: BlockMesh, held: Int[np.ndarray, " held"]) -> BlockDeformation:
+def deformation(mesh: BlockMesh, wall: Int[np.ndarray, " held"]) -> BlockDeformation:
     """What moves a mesh of which the points `held` are displaced by hand."""
     points = np.asarray(mesh.points)
-    free = np.setdiff1d(_corners(mesh), held)
-    faces = np.setdiff1d(_between_blocks(mesh), np.union1d(held, free))
+    free = np.setdiff1d(_corners(mesh), wall)
+    faces = np.setdiff1d(_between_blocks(mesh), np.union1d(wall, free))
     return BlockDeformation(
         mesh=mesh,
-        held=held,
+        wall=wall,
         free=free,
-        spline=jnp.asarray(_spline(points, held, free)),
-        affine=jnp.asarray(np.linalg.pinv(np.insert(points[held], 0, 1.0, axis=1))),
+        spline=jnp.asarray(_spline(points, wall, free)),
+        affine=jnp.asarray(np.linalg.pinv(np.insert(points[wall], 0, 1.0, axis=1))),
         lengths=tuple(_arc_lengths(points[group]) for group in mesh.groups),
         faces=faces,
         links=_links(mesh, points, faces),
@@ -204,14 +204,14 @@ def _between_blocks(mesh: BlockMesh) -> Int[np.ndarray, " points"]:
     return numbers[times > 1]
 
 
-def _spline(points, held, free) -> Float[np.ndarray, "free held"]:
+def _spline(points, wall, free) -> Float[np.ndarray, "free held"]:
     """Weights of the walls' displacements in those of the free vertices."""
     from scipy.interpolate import RBFInterpolator
 
-    weights = np.zeros((len(free), len(held)))
+    weights = np.zeros((len(free), len(wall)))
     if len(free):
-        centres = np.unique(np.linspace(0, len(held) - 1, min(len(held), MOST_CENTRES)).astype(int))
-        places = points[held[centres]]
+        centres = np.unique(np.linspace(0, len(wall) - 1, min(len(wall), MOST_CENTRES)).astype(int))
+        places = points[wall[centres]]
         spline = RBFInterpolator(places, np.eye(len(centres)), kernel="linear", degree=1)
         weights[:, centres] = spline(points[free])
     return weights
@@ -240,15 +240,15 @@ def _arc_lengths(points: Float[np.ndarray, "blocks i j k 3"]) -> Float[Array, "b
     return jnp.asarray(np.stack(shares, axis=-1))
 
 
-def _filled(moved, known, lengths):
+def _filled(moved, is_set, lengths):
     """Displacements of a block: those known, then of edges, faces and the inside."""
-    inner = [_inner(known.shape, axis) for axis in range(3)]
+    inner = [_inner(is_set.shape, axis) for axis in range(3)]
     for count in (1, 2, 3):
         for axes in itertools.combinations(range(3), count):
             others = [~inner[axis] for axis in range(3) if axis not in axes]
             region = np.logical_and.reduce([inner[axis] for axis in axes] + others)
-            wanted = jnp.asarray(region) & ~known
-            moved = jnp.where(wanted[..., None], _transfinite(moved, lengths, axes), moved)
+            missing = jnp.asarray(region) & ~is_set
+            moved = jnp.where(missing[..., None], _transfinite(moved, lengths, axes), moved)
     return moved
 
 

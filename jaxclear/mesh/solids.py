@@ -19,7 +19,7 @@ GROWTH = 1.3
 # Half the side of a pin's square core, as a share of the radius.
 CORE = 0.4
 # Components of a place in which walls face away from the axis, or from the centre.
-ACROSS, ALL_WAYS = (1.0, 1.0, 0.0), (1.0, 1.0, 1.0)
+ACROSS, ALL_AXES = (1.0, 1.0, 0.0), (1.0, 1.0, 1.0)
 
 
 class Solid(eqx.Module):
@@ -63,7 +63,7 @@ class Solid(eqx.Module):
             displacements [m], an array (points, 3).
         """
         wall = self.wall_depth(depth)[:, None] * self.into
-        fixed = jnp.zeros((len(self.follow.held) - len(wall), 3))
+        fixed = jnp.zeros((len(self.follow.wall) - len(wall), 3))
         return self.follow(jnp.concatenate([wall, fixed]))
 
     def worn(self, depth: Float[Array, "around along"]) -> BlockMesh:
@@ -140,7 +140,7 @@ def socket(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Soli
     ]
     mesh = joined([np.stack(blocks)])
     distance = np.linalg.norm(np.asarray(mesh.points), axis=1)
-    return _solid(mesh, wear_map, distance, (radius, outward[-1]), ALL_WAYS)
+    return _solid(mesh, wear_map, distance, (radius, outward[-1]), ALL_AXES)
 
 
 def _heights(count: int) -> Float[np.ndarray, " count+1"]:
@@ -182,5 +182,5 @@ def _solid(
     outward = outward / jnp.linalg.norm(outward, axis=1, keepdims=True)
     # Away from the gap: a bearing's material lies outside its wall, a journal's inside.
     into = outward if np.min(distance) >= walls[0] * (1 - 1e-9) else -outward
-    held = np.concatenate(on).astype(int)
-    return Solid(deformation(mesh, held), into, wear_map.position(*points.T))
+    wall = np.concatenate(on).astype(int)
+    return Solid(deformation(mesh, wall), into, wear_map.position(*points.T))

@@ -58,26 +58,27 @@ def solid(
             f"{0.5 * float(wear_map.radius):g} m, is the most."
         )
     least = _as_fine_as(wear_map, surface)
-    wanted = (*least, 8) if cells is None else _checked(cells, part)
-    if wanted[0] < least[0] or (surface != "socket" and wanted[1] < least[1]):
+    counts = (*least, 8) if cells is None else _checked(cells, part)
+    if counts[0] < least[0] or (surface != "socket" and counts[1] < least[1]):
         raise ValueError(
-            f"{wanted[0]} cells around and {wanted[1]} along {part} would miss worn places of its "
+            f"{counts[0]} cells around and {counts[1]} along {part} would miss worn places of its "
             f"map; take at least {least[0]} and {least[1]}."
         )
-    return PARTS[surface](wear_map, float(thickness), wanted)
+    return PARTS[surface](wear_map, float(thickness), counts)
 
 
 def _wear_map(mechanism: Mechanism, joint: str, surface: str) -> Any:
     maps = {
-        (name, own): wear_map
+        (name, surface_name): wear_map
         for name in mechanism.topology.clearances
-        for own, (wear_map, _) in mechanism.connections[name].joint.maps().items()
-        if own in PARTS
+        for surface_name, (wear_map, _) in mechanism.connections[name].joint.maps().items()
+        if surface_name in PARTS
     }
     if (joint, surface) not in maps:
-        known = ", ".join(f'"{name}" {own}' for name, own in maps) or "none"
+        meshable = ", ".join(f'"{name}" {surface_name}' for name, surface_name in maps) or "none"
         raise ValueError(
-            f"joint {joint!r} has no {surface} that wears and could be meshed; there are: {known}."
+            f"joint {joint!r} has no {surface} that wears and could be meshed; there are: "
+            f"{meshable}."
         )
     return maps[joint, surface]
 

@@ -95,15 +95,15 @@ LINKS = (
     ),
     Link(0.17, (0.0, -0.00677, -0.01098), (9.3e-05, 5.87e-05, 0.000132, 0.0, 0.0, -3.6e-06)),
 )
-WHOLE = 2 * pi
+TURN = 2 * pi
 HINGES = (
-    Hinge((0.0, 0.0, 0.267), 0, -WHOLE, WHOLE, 50.0, 10.0),
+    Hinge((0.0, 0.0, 0.267), 0, -TURN, TURN, 50.0, 10.0),
     Hinge((0.0, 0.0, 0.0), -1, -2.059, 2.0944, 50.0, 10.0),
-    Hinge((0.0, -0.293, 0.0), 1, -WHOLE, WHOLE, 30.0, 5.0),
+    Hinge((0.0, -0.293, 0.0), 1, -TURN, TURN, 30.0, 5.0),
     Hinge((0.0525, 0.0, 0.0), 1, -0.19198, 3.927, 30.0, 5.0),
-    Hinge((0.0775, -0.3425, 0.0), 1, -WHOLE, WHOLE, 30.0, 5.0),
+    Hinge((0.0775, -0.3425, 0.0), 1, -TURN, TURN, 30.0, 5.0),
     Hinge((0.0, 0.0, 0.0), 1, -1.69297, pi, 20.0, 2.0),
-    Hinge((0.076, 0.097, 0.0), -1, -WHOLE, WHOLE, 20.0, 2.0),
+    Hinge((0.076, 0.097, 0.0), -1, -TURN, TURN, 20.0, 2.0),
 )
 FRICTION, FASTEST = 1.0, 3.14
 # Speed at which three quarters of the friction act [rad/s].
@@ -132,14 +132,14 @@ ARCMIN = pi / 180 / 60
 PLAY = 1.0 * ARCMIN
 
 # The gripper with its part, a cube, and where it holds it in the flange's frame [m].
-TOOL_MASS, TOOL_EDGE, HELD_AT = 1.0, 80e-3, (60e-3, 0.0, 120e-3)
+TOOL_MASS, TOOL_EDGE, GRIPPER_TIP = 1.0, 80e-3, (60e-3, 0.0, 120e-3)
 TOOL_COM = (30e-3, 0.0, 80e-3)
 
 
 def __getattr__(name: str) -> Marker:
     """`TIP`: where the gripper holds its part. It holds arrays, and importing builds none."""
     if name == "TIP":
-        return Marker("tool", HELD_AT)
+        return Marker("tool", GRIPPER_TIP)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
@@ -156,14 +156,14 @@ BANDWIDTH, DAMPING = 8.0, 0.7
 TABLE_STEP = 0.02
 
 
-class Way(NamedTuple):
+class JointPath(NamedTuple):
     """What servos follow: `times` [s] and `angles` [rad] (times, joints)."""
 
     times: np.ndarray
     angles: np.ndarray
 
 
-def pick_and_place() -> Way:
+def pick_and_place() -> JointPath:
     """From pick to place: rests, and moves between them of the fifth degree, whose speed and
     acceleration begin and end at 0."""
     stops = (PICKED, LIFTED, OVER, PLACED)
@@ -176,7 +176,7 @@ def pick_and_place() -> Way:
         share = s**3 * (10 - 15 * s + 6 * s * s)
         angles += share[:, None] * (np.array(after) - np.array(before))
         begin += taken + REST
-    return Way(times, angles)
+    return JointPath(times, angles)
 
 
 def _quarter(turn: int) -> np.ndarray:
@@ -224,23 +224,23 @@ def _inertias() -> np.ndarray:
     )
 
 
-def servos(way: Way) -> dict[str, Servo]:
-    """A servo for each joint, that follows a way and is told what gravity, damping and friction
-    take along it."""
-    speeds = np.gradient(way.angles, way.times, axis=0)
-    told = gravity_torques(way.angles) + FRICTION * np.tanh(speeds / CREEP)
-    told += speeds * np.array([hinge.damping for hinge in HINGES])
-    rate, found = 2 * pi * BANDWIDTH, {}
+def servos(path: JointPath) -> dict[str, Servo]:
+    """A servo for each joint that follows a path, with the torques of gravity, damping and friction
+    along it as feedforward."""
+    speeds = np.gradient(path.angles, path.times, axis=0)
+    feedforward_torques = gravity_torques(path.angles) + FRICTION * np.tanh(speeds / CREEP)
+    feedforward_torques += speeds * np.array([hinge.damping for hinge in HINGES])
+    rate, loads = 2 * pi * BANDWIDTH, {}
     for k, (name, inertia) in enumerate(zip(JOINTS, _inertias(), strict=True)):
-        found[f"{name} servo"] = Servo(
+        loads[f"{name} servo"] = Servo(
             name,
-            TimeTable(way.times, way.angles[:, k]),
+            TimeTable(path.times, path.angles[:, k]),
             kp=rate**2 * inertia,
             kd=2 * DAMPING * rate * inertia,
-            feedforward=TimeTable(way.times, told[:, k]),
+            feedforward=TimeTable(path.times, feedforward_torques[:, k]),
             torque_limit=HINGES[k].effort,
         )
-    return found
+    return loads
 
 
 def reducer(name: str, play: Any = None) -> Gear:
@@ -262,13 +262,13 @@ def _bodies() -> dict[str, Body]:
 
 
 def _connections(drives: Sequence[AbstractDrive | None]) -> dict[str, Connection]:
-    before, found = "ground", {}
+    before, connections = "ground", {}
     for k, (name, hinge, drive) in enumerate(zip(JOINTS, HINGES, drives, strict=True), 1):
-        turned = (sqrt(0.5), hinge.turn * sqrt(0.5), 0.0, 0.0) if hinge.turn else None
-        parent = Marker(before, hinge.at, quaternion=turned)
-        found[name] = Connection(Revolute(drive=drive), parent, Marker(f"link{k}"))
+        quaternion = (sqrt(0.5), hinge.turn * sqrt(0.5), 0.0, 0.0) if hinge.turn else None
+        parent = Marker(before, hinge.at, quaternion=quaternion)
+        connections[name] = Connection(Revolute(drive=drive), parent, Marker(f"link{k}"))
         before = f"link{k}"
-    return found | {"flange": Connection(Fixed(), before, "tool")}
+    return connections | {"flange": Connection(Fixed(), before, "tool")}
 
 
 @answering
@@ -276,7 +276,7 @@ def arm(
     kind: str | Sequence[str] = "ideal",
     play: float | Sequence[float] = PLAY,
     *,
-    way: Way | None = None,
+    path: JointPath | None = None,
     driven: bool = False,
 ) -> Mechanism:
     """The robot arm xArm7 with its gripper, moving from pick to place.
@@ -287,7 +287,8 @@ def arm(
             being ideal.
         play: play of the joint between both flanks [rad], >= 0, one number or seven; 0 leaves the
             elasticity.
-        way: path of the joint angles that the servos follow; None: that of `pick_and_place()`.
+        path: path of the joint angles that the servos follow, a `JointPath`; None: that of
+            `pick_and_place()`.
         driven: whether joints are driven along the path, without servos: the commanded path.
 
     Returns:
@@ -303,10 +304,10 @@ def arm(
         raise ValueError(f"play of arm has shape {np.shape(play)}; it must be one number or seven.")
     for one in np.ravel(np.asarray(play, float)):
         check_number("play of arm", float(one), "rad", at_least=0)
-    way = pick_and_place() if way is None else way
+    path = pick_and_place() if path is None else path
     loads: dict[str, Any] = {"gravity": Gravity((0.0, 0.0, -GRAVITY))}
     if driven:
-        drives = [Position(TimeTable(way.times, angles)) for angles in way.angles.T]
+        drives = [Position(TimeTable(path.times, angles)) for angles in path.angles.T]
         return Mechanism(_bodies(), _connections(drives), loads)
     for name, hinge in zip(JOINTS, HINGES, strict=True):
         loads[f"{name} damping"] = JointSpring(name, damping=hinge.damping)
@@ -315,7 +316,7 @@ def arm(
     return Mechanism(
         _bodies(),
         _connections((None,) * 7),
-        loads | servos(way),
+        loads | servos(path),
         couplings={name: reducer(name, plays[name] if name in slack else None) for name in JOINTS},
-        start=dict(zip(JOINTS, map(float, way.angles[0]), strict=True)),
+        start=dict(zip(JOINTS, map(float, path.angles[0]), strict=True)),
     )

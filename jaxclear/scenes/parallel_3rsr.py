@@ -105,16 +105,16 @@ def foot(body: str, leg: int) -> Marker:
 
 
 def _connections(balls: dict[str, Any], drives: Sequence[AbstractDrive]) -> dict[str, Connection]:
-    found = {}
+    connections = {}
     for leg, drive in zip(LEGS, drives, strict=True):
         revolute = Revolute(drive=drive)
-        found[f"A{leg}"] = Connection(revolute, foot("ground", leg), Marker(f"drive {leg}"))
+        connections[f"A{leg}"] = Connection(revolute, foot("ground", leg), Marker(f"drive {leg}"))
     for leg, (name, ball) in zip(LEGS, balls.items(), strict=True):
         ends = Marker(f"drive {leg}", (ROD, 0.0, 0.0)), Marker(f"rod {leg}", (ROD, 0.0, 0.0))
-        found[name] = Connection(ball, *ends)
+        connections[name] = Connection(ball, *ends)
     for leg in LEGS:
-        found[f"B{leg}"] = Connection(Revolute(), foot("platform", leg), Marker(f"rod {leg}"))
-    return found
+        connections[f"B{leg}"] = Connection(Revolute(), foot("platform", leg), Marker(f"rod {leg}"))
+    return connections
 
 
 @answering

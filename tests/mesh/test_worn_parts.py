@@ -98,7 +98,7 @@ def test_an_affine_displacement_is_met_exactly(solids, surface):
     draw = np.random.default_rng(0)
     stretch, shift = 1e-3 * draw.normal(size=(3, 3)), 1e-3 * draw.normal(size=3)
     wanted = solid.new.points @ stretch.T + shift
-    found = solid.follow(wanted[solid.follow.held])
+    found = solid.follow(wanted[solid.follow.wall])
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-17)
 
 

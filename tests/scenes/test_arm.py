@@ -147,7 +147,7 @@ def test_play_that_no_scene_can_have_is_refused():
 @pytest.mark.slow
 def test_a_reversal_loses_play_and_twice_the_twist():
     way = study.to_and_fro()
-    lost = study.lost_motion(study.simulated(arm("play", PLAY, way=way), way), PLAY)
+    lost = study.lost_motion(study.simulated(arm("play", PLAY, path=way), way), PLAY)
     closed = lost["2 t/k, and the play if crossed [arcmin]"]
     # by the acceleration that is left at the middle of the way
     np.testing.assert_allclose(lost["loses [arcmin]"], closed, rtol=2e-3)

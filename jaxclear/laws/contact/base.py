@@ -130,7 +130,7 @@ class AbstractDissipation(AbstractLaw):
 # which Hertz's is.
 FIRST, TURNS = 1e-5, 4
 # Indentations that tell the power differ by this share.
-APART = 1e-3
+RELATIVE_STEP = 1e-3
 # What presses by next to nothing presses so deep [m]: at 0 a root has no slope.
 SHALLOWEST = 1e-10
 
@@ -140,10 +140,10 @@ def indentation_under(law: AbstractNormalLaw, force: Scalar) -> Scalar:
     bodies do not overlap."""
     if not law.compliant:
         return jnp.zeros(())
-    wanted = force + law.elastic_force(jnp.asarray(SHALLOWEST))
+    target = force + law.elastic_force(jnp.asarray(SHALLOWEST))
     depth = jnp.asarray(FIRST)
     for _ in range(TURNS):
-        here, beyond = law.elastic_force(depth), law.elastic_force((1 + APART) * depth)
-        power = jnp.log(beyond / here) / jnp.log1p(APART)
-        depth = depth * (wanted / here) ** (1 / power)
+        here, beyond = law.elastic_force(depth), law.elastic_force((1 + RELATIVE_STEP) * depth)
+        power = jnp.log(beyond / here) / jnp.log1p(RELATIVE_STEP)
+        depth = depth * (target / here) ** (1 / power)
     return depth

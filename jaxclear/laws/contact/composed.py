@@ -142,22 +142,22 @@ def _product(
     """
     loss: type[AbstractDissipation] = factor or dissipation.CarvalhoMartins
     parts = (force, loss, ImpactMemory) if loss.remembers_impact_speed else (force, loss)
-    known = {number: field for part in parts for number, field in _fields(part).items()}
+    fields = {number: field for part in parts for number, field in _fields(part).items()}
 
     def build(*slots: Any, **numbers: Any) -> ContactForce:
-        unknown = sorted(set(numbers).difference(known))
+        unknown = sorted(set(numbers).difference(fields))
         if unknown:
             raise ValueError(
-                f"contact.{name} has no number {', '.join(unknown)}; it takes {listed(known)}."
-                f"{meant(unknown[0], known)}"
+                f"contact.{name} has no number {', '.join(unknown)}; it takes {listed(fields)}."
+                f"{meant(unknown[0], fields)}"
             )
-        own, lossy, remembered = (
+        elastic_numbers, lossy, remembered = (
             {number: value for number, value in numbers.items() if number in _fields(part)}
             for part in (force, loss, ImpactMemory)
         )
         lossless = factor is None and lossy.get("restitution") is None
         return ContactForce(
-            force(*slots, **own),
+            force(*slots, **elastic_numbers),
             None if lossless else loss(**lossy),
             ImpactMemory(**remembered) if remembered else None,
         )
@@ -170,13 +170,13 @@ def _product(
         f"Elastic force `{force.__name__}`{with_loss} dissipation factor `{loss.__name__}`."
         f"\n\n{prose}\n\nArgs:\n{entries}\n\n{source}"
     )
-    given = {n: p for part in parts for n, p in inspect.signature(part).parameters.items()}
+    parameters = {n: p for part in parts for n, p in inspect.signature(part).parameters.items()}
     if factor is None:
-        given["restitution"] = given["restitution"].replace(default=None)
+        parameters["restitution"] = parameters["restitution"].replace(default=None)
     build.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [given[n].replace(kind=inspect.Parameter.KEYWORD_ONLY) for n in known]
+        [parameters[n].replace(kind=inspect.Parameter.KEYWORD_ONLY) for n in fields]
     )
-    build.fields = known  # type: ignore[attr-defined]
+    build.fields = fields  # type: ignore[attr-defined]
     return build
 
 

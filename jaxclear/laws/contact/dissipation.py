@@ -70,17 +70,17 @@ class AbstractRestitutionFactor(AbstractDissipation):
         """d [1] >= 0, 0 at restitution 1."""
 
     def __check_init__(self):
-        asked, factor = concrete(self.restitution), concrete(on_host(self).factor())
-        if asked is None or factor is None:
+        prescribed, factor = concrete(self.restitution), concrete(on_host(self).factor())
+        if prescribed is None or factor is None:
             return
-        found = rebound_by(factor)
-        off = found / asked - 1
+        rebound = rebound_by(factor)
+        off = rebound / prescribed - 1
         if abs(off) > MISSED:
             side = "high" if off > 0 else "low"
             warn(
-                f"{public_name(type(self))} with restitution {asked:g} rebounds with {found:.3g}, "
-                f"{abs(100 * off):.2g} % too {side}, in compliant contact. CarvalhoMartins is the "
-                "closest closed formula, Gonthier exact.",
+                f"{public_name(type(self))} with restitution {prescribed:g} rebounds with "
+                f"{rebound:.3g}, {abs(100 * off):.2g} % too {side}, in compliant contact. "
+                "CarvalhoMartins is the closest closed formula, Gonthier exact.",
                 RestitutionMissed,
             )
 
