@@ -121,6 +121,9 @@ INNER = {
     "WallMap",
 }
 # A folder of samples remembers its problem by one.
+INNER |= {"RecordedExperiment", "RecordedVariable", "StateGroup"}
+# What functions make problems of.
+INNER |= {"RunExperiment", "PositionExperiment", "FunctionExperiment", "LifeExperiment"}
 # What a beam becomes in a mechanism.
 INNER |= {"Elasticity", "Piece"}
 # Laws of which a number says which acts, in the sample of an identification; what sensors are.
