@@ -271,3 +271,10 @@ def test_of_a_long_table_the_ends_are_shown():
 )
 def test_a_number_beside_its_error(value, error, words):
     assert with_error(value, error) == words
+
+
+def test_nothing_stands_in_the_way_of_printing():
+    """What is shown goes through `_parts` without arguments: no class gives the name to another."""
+    kinds = [kind for kind in CLASSES.values() if issubclass(kind, AbstractShown)]
+    assert len(kinds) > 10
+    assert all(kind._parts is AbstractShown._parts for kind in kinds)

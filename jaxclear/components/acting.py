@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 
@@ -12,7 +12,13 @@ from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 
 
 class AbstractLoad(AbstractQuantified):
-    """A load on bodies, or on the coordinate of a joint."""
+    """A load on bodies, or on the coordinate of a joint.
+
+    `switches`: whether its force may bend or jump as the mechanism moves, as that of a stop; it may
+    unless overridden. Derivatives of steps that do not end there are off in proportion to them.
+    """
+
+    switches: ClassVar[bool] = True
 
     def springs_back(self) -> bool:
         """Whether what it acts on may swing by it, as by a spring; it may unless overridden."""

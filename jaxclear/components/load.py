@@ -11,7 +11,7 @@ for rad.
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -192,6 +192,7 @@ class Gravity(AbstractLoad):
         acceleration: acceleration of free fall [m/s^2], 2 or 3 numbers in the ground frame.
     """
 
+    switches: ClassVar = False
     acceleration: tuple = vector((0.0, -9.81), "m/s^2", counts=(2, 3), usual=USUAL_GRAVITY)
 
     def springs_back(self):
@@ -207,6 +208,7 @@ class Force(AbstractBodyLoad):
         follows: whether the axes are those of the marker, a flag; by default those of the ground.
     """
 
+    switches: ClassVar = False
     marker: Marker
     value: tuple | Callable = vector(unit="N", counts=(2, 3), converter=vector_or_function)
     follows: bool = eqx.field(static=True, default=False)
@@ -239,6 +241,7 @@ class Torque(AbstractBodyLoad):
         follows: whether the axes are those of the marker, a flag; by default those of the ground.
     """
 
+    switches: ClassVar = False
     marker: Marker
     value: tuple | Callable = vector(unit="N m", counts=(1, 3), converter=one_or_more_or_function)
     follows: bool = eqx.field(static=True, default=False)
@@ -311,6 +314,7 @@ class Spring(AbstractBodyLoad):
         ValueError: if neither stiffness nor damping is given.
     """
 
+    switches: ClassVar = False
     start: Marker
     end: Marker
     stiffness: Scalar | None = quantity(None, "N/m", at_least=0)
@@ -361,6 +365,7 @@ class JointSpring(AbstractCoordinateLoad):
         ValueError: if neither stiffness nor damping is given.
     """
 
+    switches: ClassVar = False
     connection: str = eqx.field(static=True)
     stiffness: Scalar | None = quantity(None, "N m/rad", sliding="N/m", at_least=0)
     rest: Scalar = quantity(0.0, "rad", sliding="m")
@@ -391,6 +396,7 @@ class JointTorque(AbstractCoordinateLoad):
         value: torque [N m; N for a sliding joint], a number or a function of time [s].
     """
 
+    switches: ClassVar = False
     connection: str = eqx.field(static=True)
     value: Scalar | Callable = quantity(unit="N m", sliding="N", converter=number_or_function)
 
@@ -422,6 +428,7 @@ class RotorInertia(AbstractCoordinateLoad):
     doi:10.1007/978-1-4899-7560-7.
     """
 
+    switches: ClassVar = False
     connection: str = eqx.field(static=True)
     reflected_inertia: Scalar = quantity(unit="kg m^2", sliding="kg", at_least=0)
 

@@ -206,7 +206,7 @@ class PointingError(AbstractShown):
             shares [1]; its last rows are the model's error and the exact one.
         """
         check_flags("budget", by_play=by_play)
-        parts = self._parts(by_play)
+        parts = self._twists(by_play)
         rows = {name: self._row(twist) | self._shares(twist) for name, twist in parts}
         rows["model"] = self._row(self.model) | self._shares(self.model)
         unshared = dict.fromkeys(self._shares(self.model), np.nan)
@@ -237,7 +237,7 @@ class PointingError(AbstractShown):
         about: dict[str, Any] = {"tip": self.tip, "base": self.base, "warnings": self.warnings}
         return dataset(columns, coordinates, what="pointing error", **about)
 
-    def _parts(self, by_play):
+    def _twists(self, by_play):
         if not by_play:
             return [(name, self.contributions[name]) for name in self.names]
         motion = {name: self.contributions[name] for name in self.names if name == MOTION}

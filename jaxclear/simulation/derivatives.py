@@ -36,6 +36,7 @@ from jaxclear.ground.wording import public_name
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.topology import rubbing_in
 from jaxclear.native import by_columns
 from jaxclear.results.trajectory import Trajectory
 
@@ -177,9 +178,12 @@ def in_other_steps(integrator: Any, share: Any, times: Any) -> Any:
     return finer.held(jnp.where(share < 1, share * jnp.max(jnp.diff(times)), jnp.inf))
 
 
-def order_of(integrator: AbstractIntegrator) -> int:
-    """Power of the step in proportion to which its derivatives are off, on the safe side."""
-    return 1 if integrator.first_order_slopes else 2
+def order_of(mechanism: Mechanism, integrator: AbstractIntegrator) -> int:
+    """Power of the step in proportion to which derivatives of runs of a mechanism are off, on the
+    safe side: forces that switch within a step leave its first."""
+    acting: list[Any] = [*mechanism.loads.values(), *mechanism.couplings.values()]
+    switch = any(own.switches for own in acting) or rubbing_in(mechanism.connections)
+    return 1 if integrator.first_order_slopes or switch else 2
 
 
 def compared(

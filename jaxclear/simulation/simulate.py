@@ -81,7 +81,7 @@ def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, 
     if is_compared(mechanism, integrator):
         finer = lambda share, *own: (*own[:4], in_other_steps(own[4], share, own[3]), *own[5:])
         steps = lambda *own: (own[4].asked_step(), own[3])
-        whole = compared(run, finer, run_where_alike, steps, order_of(integrator))
+        whole = compared(run, finer, run_where_alike, steps, order_of(mechanism, integrator))
     found = backwards(integrator)(whole, *given)
     shown = extras.report and integrator.steps_between_saves is None
     return forwards_only(NOT_BACKWARDS, found) if shown else found

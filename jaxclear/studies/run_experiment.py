@@ -337,7 +337,7 @@ def _answers(experiment: RunExperiment, setting: Setting, discrete: bool) -> Sam
     own = discrete and integrator.pathwise
     seen = integrator.formulation.seen(experiment.mechanism)
     if not own and is_compared(seen, integrator):
-        known = compared(_answered, _finer, _alike, _steps, order_of(integrator))
+        known = compared(_answered, _finer, _alike, _steps, order_of(seen, integrator))
         return backwards(integrator)(known, experiment, setting)
     started = lambda experiment, setting: experiment.started(setting, own)
     mechanism, start, run = backwards(integrator)(started, experiment, setting)

@@ -12,6 +12,7 @@ from scipy.optimize import brentq, minimize, minimize_scalar
 import jaxclear as jc
 from jaxclear.statics import least_energy
 from jaxclear.statics.position_path import spots_along
+from jaxclear.statics.positions import Positions
 from jaxclear.statics.quasi_static import posed
 
 LAW = jc.contact.Hertz(stiffness=1e9)
@@ -335,8 +336,9 @@ def test_energy_and_loops_find_the_same_place():
     by_loops = jc.positions(rig, {"O": angles})
     scene = posed(rig, ("O",), loose=True)
     start, way = least_energy.begun(scene.at(angles[:1]))
+    position = jnp.asarray(angles[:, None])
     spots = spots_along(scene, angles[:, None], way, start)
-    by_energy = way.read(scene, jnp.asarray(angles[:, None]), spots)
+    by_energy = Positions(scene, position, *way.read(scene, position, spots))
     np.testing.assert_allclose(by_energy.coordinate("D"), by_loops.coordinate("D"), atol=1e-12)
     np.testing.assert_allclose(by_energy.offset("B"), by_loops.offset("B"), atol=1e-12)
     np.testing.assert_allclose(by_energy.reaction("A"), by_loops.reaction("A"), atol=1e-8)

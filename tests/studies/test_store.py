@@ -4,6 +4,7 @@ import errno
 import json
 import shutil
 import threading
+import time
 from pathlib import Path
 
 import filelock
@@ -294,3 +295,28 @@ def test_two_at_one_folder_share_the_chunks_of_any_study(tmp_path, computed, mon
         one.join()
     assert len(computed) == alone and len(set(found)) == 1
     assert contents(tmp_path / "both") == contents(tmp_path / "alone")
+
+
+def test_who_waits_for_a_chunk_gets_what_the_other_one_computed(tmp_path):
+    """As two processes do that follow the same life, cycle by cycle."""
+    computed, found = [], []
+
+    def ask():
+        store = Store(tmp_path)
+        load = lambda: store.read("cycle")
+
+        def compute():
+            computed.append(1)
+            time.sleep(0.05)
+            store.write("cycle", {"wear": np.arange(3.0)})
+            return store.read("cycle")
+
+        found.append(store.obtain("cycle", load, compute, wait=True).arrays["wear"])
+
+    threads = [threading.Thread(target=ask) for _ in range(4)]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    assert len(computed) == 1 and len(found) == 4
+    assert all(np.array_equal(own, np.arange(3.0)) for own in found)

@@ -274,6 +274,7 @@ def test_long_texts_that_differ_at_their_end_are_two():
 def test_texts_hold_no_address():
     for thing in (jnp.sin, jax.jit(jnp.cos), functools.partial(jnp.add, 1.0), eqx.Module()):
         assert not any(" at 0x" in text for text in texts_of(thing).values())
+        assert not any("__vectorcall" in part for part in texts_of(thing))
 
 
 PROGRAM = """

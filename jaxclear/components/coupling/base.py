@@ -134,6 +134,11 @@ class AbstractCoupling(AbstractQuantified):
         """Its thread, if it rubs; None unless a class has one."""
         return None
 
+    @property
+    def switches(self) -> bool:
+        """Whether what it transmits bends or jumps as it moves, other than at its flanks."""
+        return self.efficiency is not None or self.thread is not None
+
     @abstractmethod
     def joints(self) -> tuple[str, ...]:
         """Names of the joints that it speaks of, each once."""

@@ -1,7 +1,7 @@
 """Couplings that are no equation: forces between coordinates, with states where they need some."""
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 from jaxclear.components.acting import AbstractStateLoad, CoordinateEffect
 from jaxclear.components.coupling.base import AbstractCoupling
@@ -11,6 +11,8 @@ class AbstractForceCoupling(AbstractCoupling, AbstractStateLoad):
     """Forces on the coordinates of joints that turn or slide, or of motors, by what they all do and
     by states of its own: a load, as `load.AbstractStateLoad` has it, that belongs to the drive
     train. It may act on joints that are driven, whose drives bring its power."""
+
+    switches: ClassVar = True
 
     @abstractmethod
     def transmitted(self, effect: CoordinateEffect) -> Any:

@@ -84,7 +84,7 @@ class Store:
     def __init__(self, folder: Path, description: dict[str, Any] | None = None):
         self.folder, self.description = folder, description
         self.damaged: set[str] = set()
-        self._made: set[str] = set()
+        self._made: set[Path] = set()
         self.loaded = 0
 
     @classmethod
@@ -259,8 +259,8 @@ class Store:
         temporary = self.folder / f"{UNFINISHED}/{secrets.token_hex(16)}"
         try:
             # Asked once: a chunk of quick samples takes little longer.
-            for parent in {UNFINISHED, CHUNKS} - self._made:
-                (self.folder / parent).mkdir(parents=True, exist_ok=True)
+            for parent in {temporary.parent, path.parent} - self._made:
+                parent.mkdir(parents=True, exist_ok=True)
                 self._made.add(parent)
             temporary.write_bytes(content)
             temporary.replace(path)
