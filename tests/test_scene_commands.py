@@ -21,7 +21,7 @@ import jaxclear as jc
 from jaxclear import commands
 from jaxclear.files.scene import scene_text
 from jaxclear.ground.printing import with_error
-from jaxclear_command import offered
+from jaxclear_command import command_list
 from jaxclear_command.cli import main
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -138,7 +138,7 @@ def test_a_mistake_with_a_file_ends_in_a_sentence(mistake, here, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", offered.EXAMPLES)
+@pytest.mark.parametrize("name", command_list.EXAMPLES)
 def test_an_example_can_be_run_and_asked(name, here, capsys):
     main(["example", name])
     (here / "example.yaml").write_text(capsys.readouterr().out)
@@ -174,7 +174,7 @@ EXAMPLES = {
 
 def test_every_example_is_offered():
     files = (Path(commands.__file__).parent / "examples").glob("*.yaml")
-    assert {file.stem for file in files} == set(EXAMPLES) == set(offered.EXAMPLES)
+    assert {file.stem for file in files} == set(EXAMPLES) == set(command_list.EXAMPLES)
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

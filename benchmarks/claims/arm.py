@@ -18,7 +18,7 @@ from jaxclear.commands.arm import (
     BOUGHT,
     REDUCED,
     STANDARD,
-    asked,
+    tip_problem,
     designed,
     every_choice,
     named,
@@ -40,7 +40,7 @@ def seconds(call: Callable[[], Any]) -> tuple[Any, float]:
 def main() -> None:
     options = arguments(__doc__)
     repeats = 1 if options.quick else 5
-    problem = asked(STANDARD, simulated(arm("play", 0.0), verify=False))
+    problem = tip_problem(STANDARD, simulated(arm("play", 0.0), verify=False))
     error = eqx.filter_jit(lambda plays: problem.evaluate(plays).responses["tip error"])
     sizes = {f"{play / ARCMIN:g} arcmin": np.full(len(JOINTS), play) for play in PLAYS}
     nominal = problem.nominal()

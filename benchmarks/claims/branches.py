@@ -93,7 +93,7 @@ def puck(clearance, restitution, impulse):
     return {f"after bounce {k + 1}": place[..., k] for k in range(BOUNCES)}
 
 
-def of_functions(variables: int) -> tuple[jc.FunctionProblem, dict]:
+def of_functions(variables: int) -> tuple[jc.Problem, dict]:
     """The problem, and (truth, its error) by response and variable."""
     names = [f"z{i}" for i in range(variables)]
     slopes = np.linspace(1.0, 2.0, variables)
@@ -108,7 +108,7 @@ def of_functions(variables: int) -> tuple[jc.FunctionProblem, dict]:
     return problem, truth
 
 
-def of_puck() -> tuple[jc.FunctionProblem, dict]:
+def of_puck() -> tuple[jc.Problem, dict]:
     """The same, by central differences over common points."""
     normal = jc.distribution.Normal
     problem = jc.FunctionProblem(

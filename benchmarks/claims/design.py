@@ -22,7 +22,7 @@ from scipy.optimize import NonlinearConstraint, differential_evolution, minimize
 
 import jaxclear as jc
 from benchmarks.measure import report, sign
-from jaxclear.commands.design import QUESTIONS, Asked
+from jaxclear.commands.design import QUESTIONS, DesignQuestion
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.design.question import TOLERANCE
 from jaxclear.studies.design.population import points
@@ -158,7 +158,7 @@ def fresh_excess(found: Any, place: np.ndarray) -> float:
     return max(shares)
 
 
-def scene_row(name: str, asked: Asked, options: Any) -> dict[str, Any]:
+def scene_row(name: str, asked: DesignQuestion, options: Any) -> dict[str, Any]:
     """A design of a scene beside the global search."""
     begun = time.process_time()
     found = asked.designed()

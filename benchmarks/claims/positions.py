@@ -18,7 +18,7 @@ from jaxclear.studies.sampling import draw
 POSITIONS = 36
 
 
-def four_bar() -> jc.PositionProblem:
+def four_bar() -> jc.Problem:
     """Largest error of the follower's angle over a turn of the crank; eight dimensions vary."""
     angles = np.linspace(0.0, 2 * np.pi, POSITIONS, endpoint=False)
     ideal = jc.positions(jc.scenes.four_bar("ideal"), {"O": angles}).coordinate("D")
@@ -41,7 +41,7 @@ def four_bar() -> jc.PositionProblem:
     )
 
 
-def stack() -> jc.FunctionProblem:
+def stack() -> jc.Problem:
     """Play that ten parts leave in a housing."""
     parts = {f"part {i}": jc.Dimension(10e-3, tolerance=20e-6) for i in range(9)}
     housing = {"housing": jc.Dimension(90.3e-3, tolerance=80e-6)}
@@ -67,7 +67,7 @@ def rows_of(name: str, problem: Any, chunks: tuple[int, ...], many: int) -> list
     return out
 
 
-def derivative_rows(problem: jc.PositionProblem, chunk: int) -> list[dict[str, Any]]:
+def derivative_rows(problem: jc.Problem, chunk: int) -> list[dict[str, Any]]:
     """Cost of the slope along one direction, beside the value."""
     values = jnp.asarray(draw(problem, chunk, 0))
     direction = jnp.zeros(len(problem.names)).at[0].set(1.0)

@@ -119,7 +119,7 @@ def limit_states(names, seeds: int) -> list[dict]:
     return rows
 
 
-def openturns_runs(problem: jc.FunctionProblem, limit) -> float | None:
+def openturns_runs(problem: jc.Problem, limit) -> float | None:
     """Runs that OpenTURNS' subset sampling takes to the same coefficient of variation, by the
     spread of repetitions with 1000 samples a level, whatever it says of itself; None where it is
     not installed or ends with an error."""

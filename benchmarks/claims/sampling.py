@@ -66,7 +66,7 @@ FUNCTIONS: dict[str, tuple[Callable, Any]] = {
 }
 
 
-def problem_of(function: Callable, law: Any) -> jc.FunctionProblem:
+def problem_of(function: Callable, law: Any) -> jc.Problem:
     names = [f"x{i}" for i in range(VARIABLES)]
     of = lambda **x: function(jnp.stack(list(x.values()), axis=-1))
     return jc.FunctionProblem(of, {name: jc.Dimension(0.0, law) for name in names})

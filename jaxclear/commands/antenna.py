@@ -56,13 +56,13 @@ def friction_runs(duration: float) -> dict[str, Any]:
 def motion_table(runs: dict[str, Any]) -> pandas.DataFrame:
     """One row a joint model: swing of both joints, and what they carry and lose."""
     rows = []
-    for kind, found in runs.items():
+    for kind, run in runs.items():
         row: dict[str, Any] = {"joints": kind}
         for name in JOINTS:
-            row[f"{name} swing [rad]"] = np.ptp(np.asarray(found.coordinate(name)))
+            row[f"{name} swing [rad]"] = np.ptp(np.asarray(run.coordinate(name)))
             if kind != "ideal":
-                mean = jc.response.MeanContactForce(name)(found)
-                friction = np.asarray(found.contact(name).traction).sum(1).mean()
+                mean = jc.response.MeanContactForce(name)(run)
+                friction = np.asarray(run.contact(name).traction).sum(1).mean()
                 row[f"{name} mean normal force [N]"] = float(mean)
                 row[f"{name} mean friction at the saves [N]"] = friction
         rows.append(row)
@@ -72,58 +72,58 @@ def motion_table(runs: dict[str, Any]) -> pandas.DataFrame:
 def friction_table(runs: dict[str, Any]) -> pandas.DataFrame:
     """One row a friction law: how slowly joint 1 slips while Coulomb's law makes it stick."""
     first = BEARING_RADIUS * np.abs(np.asarray(runs[COULOMB].speed("J1")))
-    held = first < STUCK
-    held[0] = False
+    sticks = first < STUCK
+    sticks[0] = False
     rows = []
-    for label, found in runs.items():
-        slip = BEARING_RADIUS * np.abs(np.asarray(found.speed("J1")))
+    for label, run in runs.items():
+        slip = BEARING_RADIUS * np.abs(np.asarray(run.speed("J1")))
         share = np.mean(slip[1:] < STUCK)
         row = {"friction": label, "share of time stuck [1]": share}
-        row["largest slip while Coulomb sticks [m/s]"] = np.max(slip[held], initial=0.0)
-        row["median [m/s]"] = np.median(slip[held]) if held.any() else np.nan
+        row["largest slip while Coulomb sticks [m/s]"] = np.max(slip[sticks], initial=0.0)
+        row["median [m/s]"] = np.median(slip[sticks]) if sticks.any() else np.nan
         rows.append(row)
     return as_table(rows)
 
 
 def study(folder: Path, duration: float = 4.0) -> None:
     """Runs everything and writes it to `folder`; `duration` [s] of the periodic drive."""
-    kept = StudyFolder(folder)
+    files = StudyFolder(folder)
     print("periodic drive: ideal, planar and spatial joints", flush=True)
     periodic = {kind: _simulate(kind, "periodic", duration) for kind in reversed(KINDS)}
     print("step drive: Coulomb's law and two regularised ones", flush=True)
     stepped = friction_runs(HOLD)
     report_warnings(periodic | stepped)
-    found = {
+    errors = {
         "periodic": jc.pointing_error(periodic["spatial"], TIP, BASE),
         "step": jc.pointing_error(stepped[COULOMB], TIP, BASE),
     }
-    tables = _tables(periodic, stepped, found)
-    kept.write_tables(**tables)
+    tables = _tables(periodic, stepped, errors)
+    files.write_tables(**tables)
     for name in ("motion", "stick_slip"):
         print(f"\n{tables[name]}", flush=True)
-    for drive, error in found.items():
+    for drive, error in errors.items():
         print(f"\n{drive} drive: {error.sentence()}")
-    figures = _figures(periodic, stepped, found)
-    kept.write_figures(**figures)
-    print(f"\n{kept.sentence()}")
+    figures = _figures(periodic, stepped, errors)
+    files.write_figures(**figures)
+    print(f"\n{files.sentence()}")
 
 
-def _tables(periodic: dict, stepped: dict, found: dict) -> dict[str, pandas.DataFrame]:
+def _tables(periodic: dict, stepped: dict, errors: dict) -> dict[str, pandas.DataFrame]:
     tables = {"motion": motion_table(periodic), "stick_slip": friction_table(stepped)}
-    tables |= {f"pointing_{drive}": error.budget().reset_index() for drive, error in found.items()}
+    tables |= {f"pointing_{drive}": error.budget().reset_index() for drive, error in errors.items()}
     parts = [stepped[COULOMB].switchings(name).assign(joint=name) for name in JOINTS]
     return tables | {"switchings_step": pandas.concat(parts, ignore_index=True)}
 
 
-def _figures(periodic: dict, stepped: dict, found: dict) -> dict[str, Any]:
-    spatial, error = periodic["spatial"], found["periodic"]
+def _figures(periodic: dict, stepped: dict, errors: dict) -> dict[str, Any]:
+    spatial, error = periodic["spatial"], errors["periodic"]
     figures = {
         "motion": motion_figure(periodic),
         "stick_slip": stick_slip_figure(stepped, "J1", BEARING_RADIUS, CLOSE),
-        "errors": errors_figure(found),
+        "errors": errors_figure(errors),
         "tip_path": tip_path_figure(spatial, error, periodic["ideal"], EXAGGERATION),
     }
-    budgets = {f"pointing_budget_{drive}": plot.pointing_budget(e) for drive, e in found.items()}
+    budgets = {f"pointing_budget_{drive}": plot.pointing_budget(e) for drive, e in errors.items()}
     return figures | budgets
 
 
@@ -180,10 +180,10 @@ def stick_slip_figure(
             axes[2][column].plot(time[1:], friction, **style)
     first = next(iter(runs.values()))
     time, speed = np.asarray(first.time), np.asarray(first.speed(joint))
-    held = np.abs(speed) * radius < STUCK
-    held[0] = False
+    sticks = np.abs(speed) * radius < STUCK
+    sticks[0] = False
     for axis in axes.flat:
-        _shade(axis, time, held)
+        _shade(axis, time, sticks)
     for axis in axes[:, 1]:
         _fit(axis, (time > close[0]) & (time < close[1]))
         axis.set_xlim(*close)
@@ -199,11 +199,11 @@ def stick_slip_figure(
     return warned(figure, runs)
 
 
-def _shade(axis, time, held):
+def _shade(axis, time, mask):
     """Grey where `held`, over the whole height of the axis."""
     low, high = axis.get_ylim()
-    whole = axis.get_xaxis_transform()
-    axis.fill_between(time, 0, 1, where=held, color="0.88", transform=whole, zorder=0, lw=0)
+    across = axis.get_xaxis_transform()
+    axis.fill_between(time, 0, 1, where=mask, color="0.88", transform=across, zorder=0, lw=0)
     axis.set_ylim(low, high)
 
 
@@ -216,13 +216,13 @@ def _fit(axis, inside):
     axis.set_ylim(low - 0.15 * (high - low), high + 0.15 * (high - low))
 
 
-def errors_figure(found: Mapping[str, PointingError]) -> Figure:
+def errors_figure(errors: Mapping[str, PointingError]) -> Figure:
     """Pointing and position error of the tip over time by drive: exact, by the adjoint model, and
     their difference.
     """
     figure = Figure(figsize=(11.0, 6.5), layout="constrained")
-    axes = figure.subplots(2, len(found), sharex="col")
-    for column, (drive, error) in enumerate(found.items()):
+    axes = figure.subplots(2, len(errors), sharex="col")
+    for column, (drive, error) in enumerate(errors.items()):
         beyond = error.model - error.exact
         # At the start no force is known yet, so nothing leans.
         time = error.time[1:]
@@ -239,24 +239,24 @@ def errors_figure(found: Mapping[str, PointingError]) -> Figure:
         axes[0][column].set_title(f"{drive} drive")
         axes[1][column].set_xlabel("time [s]")
     figure.legend(*axes[0][0].get_legend_handles_labels(), ncols=3, loc="outside lower center")
-    said = [f"Warning ({drive}): {w}" for drive, error in found.items() for w in error.warnings]
-    return captioned(figure, said)
+    notes = [f"Warning ({drive}): {w}" for drive, error in errors.items() for w in error.warnings]
+    return captioned(figure, notes)
 
 
 def tip_paths(run: Trajectory, error: PointingError) -> tuple[np.ndarray, np.ndarray]:
     """(ideal, actual) path of the tip in the satellite's axes [m]: with ideal joints at the run's
     coordinates, and as the journals lean."""
     base, link = run.body(BASE), run.body(TIP.body)
-    turned = np.asarray(base.rotation)
+    rotated = np.asarray(base.rotation)
     place = np.asarray(run.marker(TIP).position) - np.asarray(base.origin)
-    ideal = np.einsum("tji,tj->ti", turned, place)
+    ideal = np.einsum("tji,tj->ti", rotated, place)
     frame = np.asarray(link.rotation) @ np.array(
         [[float(x) for x in row] for row in TIP.pose().rotation]
     )
     linear, angular = error.exact[:, :3], error.exact[:, 3:]
     # The exponential of the twist moves the origin by this to second order in the angle.
     moved = linear + 0.5 * np.cross(angular, linear)
-    return ideal, ideal + np.einsum("tji,tjk,tk->ti", turned, frame, moved)
+    return ideal, ideal + np.einsum("tji,tjk,tk->ti", rotated, frame, moved)
 
 
 def tip_path_figure(

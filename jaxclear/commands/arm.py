@@ -57,7 +57,7 @@ RESTS = {
 # To and fro about the lifted arm [rad], as a triangle with round corners, twice [s]. The table has
 # as many rows as that of pick and place, so that both share a program, and one where each way is
 # half gone.
-HALF_WAY, PERIOD, ROUND = 0.04, 1.8, 0.98
+HALF_SWING, PERIOD, ROUND = 0.04, 1.8, 0.98
 TABLE_STEP = PERIOD / 60
 
 
@@ -73,9 +73,9 @@ def ends(times: np.ndarray) -> np.ndarray:
     return np.array([int(np.argmin(np.abs(times - end))) for end in RESTS.values()])
 
 
-def off(run: Any, beside: Any) -> np.ndarray:
+def off(run: Any, other: Any) -> np.ndarray:
     """How far the tip is from that of another run [m]."""
-    away = run.marker(TIP).position - beside.marker(TIP).position
+    away = run.marker(TIP).position - other.marker(TIP).position
     return np.linalg.norm(np.asarray(away), axis=1)
 
 
@@ -83,16 +83,16 @@ def tip_error(without_play: Any) -> jc.response.FromFunction:
     """What play does to the tip where the arm rests: root mean square distance [m] from where the
     arm with the same elasticity and without play holds it."""
     at = ends(np.asarray(without_play.time))
-    held = without_play.marker(TIP).position[at]
+    resting = without_play.marker(TIP).position[at]
 
     def error(run: Any) -> Any:
-        away = run.marker(TIP).position[at] - held
+        away = run.marker(TIP).position[at] - resting
         return safe_sqrt(jnp.mean(jnp.sum(away * away, axis=-1)))
 
     return jc.response.FromFunction(error, "m", "motion")
 
 
-def asked(play: float, without_play: Any) -> jc.Problem:
+def tip_problem(play: float, without_play: Any) -> jc.Problem:
     """The tip's error over the seven plays, all of one nominal size [rad]."""
     times = pick_and_place().times
     plays = {
@@ -115,7 +115,7 @@ def to_and_fro() -> JointPath:
     """All joints turn slowly by a little about the lifted arm, forwards and back."""
     times = TABLE_STEP * np.arange(len(pick_and_place().times))
     swing = np.arcsin(ROUND * -np.cos(2 * np.pi * times / PERIOD)) / np.arcsin(ROUND)
-    return JointPath(times, np.array(LIFTED) + HALF_WAY * swing[:, None])
+    return JointPath(times, np.array(LIFTED) + HALF_SWING * swing[:, None])
 
 
 def lost_motion(run: Any, play: float) -> pandas.DataFrame:
@@ -156,12 +156,12 @@ def slopes(problem: jc.Problem) -> pandas.DataFrame:
     moved = np.diag(SCATTER * nominal)
     runs = evaluate_all(problem, jnp.asarray(np.concatenate([nominal + moved, nominal - moved])))
     more, less = np.split(np.asarray(runs.responses["tip error"]), 2)
-    found = (more - less) / (2 * SCATTER * nominal)
-    parts = found * nominal
+    slope = (more - less) / (2 * SCATTER * nominal)
+    parts = slope * nominal
     return as_table(
         {
             "joint": list(JOINTS),
-            "slope [mm/arcmin]": MILLI * ARCMIN * found,
+            "slope [mm/arcmin]": MILLI * ARCMIN * slope,
             "part of the error [mm]": MILLI * parts,
             "share [1]": parts / parts.sum(),
         }
@@ -171,18 +171,18 @@ def slopes(problem: jc.Problem) -> pandas.DataFrame:
 def every_choice(problem: jc.Problem) -> pandas.DataFrame:
     """The tip's error [mm] of each choice of reducers to buy with reduced play, the others
     standard, best first."""
-    found = jc.sweep(problem, dict.fromkeys(JOINTS, (STANDARD, REDUCED)))
-    error = found.responses["tip error"]
+    grid = jc.sweep(problem, dict.fromkeys(JOINTS, (STANDARD, REDUCED)))
+    error = grid.responses["tip error"]
     rows = [
-        {"bought": sum(own), "reduced play in": named(own), "tip error [mm]": MILLI * error[own]}
-        for own in np.ndindex(error.shape)
+        {"bought": sum(x), "reduced play in": named(x), "tip error [mm]": MILLI * error[x]}
+        for x in np.ndindex(error.shape)
     ]
     return as_table(rows).sort_values("tip error [mm]", ignore_index=True)
 
 
 def named(bought: Sequence[Any]) -> str:
     """The numbers of the joints whose reducers are bought."""
-    return " ".join(name[-1] for name, own in zip(JOINTS, bought, strict=True) if own)
+    return " ".join(name[-1] for name, chosen in zip(JOINTS, bought, strict=True) if chosen)
 
 
 def price(nominal: Mapping[str, Any], tolerance: Mapping[str, Any]) -> Any:
@@ -267,9 +267,9 @@ def choices_figure(table: pandas.DataFrame, chosen: str) -> Figure:
     axes.plot(table["bought"], table["tip error [mm]"], "o", color="C0", ms=4, alpha=0.6)
     best = table.groupby("bought").first()
     axes.plot(best.index, best["tip error [mm]"], "-", color="C0", lw=0.8, label="best of each")
-    own = table[table["reduced play in"] == chosen].iloc[0]
+    row = table[table["reduced play in"] == chosen].iloc[0]
     label = f"the design: joints {chosen}"
-    axes.plot(own["bought"], own["tip error [mm]"], "s", color="C1", ms=9, mfc="none", label=label)
+    axes.plot(row["bought"], row["tip error [mm]"], "s", color="C1", ms=9, mfc="none", label=label)
     axes.set_xlabel("reducers of reduced play")
     axes.set_ylabel("tip error where the arm rests [mm]")
     axes.legend(fontsize=8)
@@ -279,7 +279,7 @@ def choices_figure(table: pandas.DataFrame, chosen: str) -> Figure:
 def study(folder: Path, samples: int = 128, show: bool = True) -> None:
     """Runs everything and writes it to `folder`; `samples` of the Monte Carlo, `show`: progress
     bars."""
-    kept = StudyFolder(folder)
+    files = StudyFolder(folder)
     commanded = simulated(arm(driven=True), verify=False)
     runs = {
         "rigid": simulated(arm()),
@@ -289,7 +289,7 @@ def study(folder: Path, samples: int = 128, show: bool = True) -> None:
     }
     loop = simulated(arm("play", REDUCED, path=to_and_fro()), to_and_fro())
     report_warnings(runs | {"to and fro": loop})
-    problem = asked(STANDARD, runs["elastic"])
+    problem = tip_problem(STANDARD, runs["elastic"])
     tables = {
         "rests": rests(runs, commanded),
         "lost_motion": lost_motion(loop, REDUCED),
@@ -303,16 +303,16 @@ def study(folder: Path, samples: int = 128, show: bool = True) -> None:
     limit = 0.5 * (three["tip error [mm]"] + two["tip error [mm]"]) / MILLI
     design = designed(problem, limit, progress_bar=show)
     chosen = named([design.nominal[name] < 2 * REDUCED for name in JOINTS])
-    kept.write_tables(**tables, samples=sample.table(), design=design.table())
+    files.write_tables(**tables, samples=sample.table(), design=design.table())
     for name, table in tables.items():
         print(f"{name.replace('_', ' ')}\n{table.head(10).to_string()}\n")
     report_samples(sample)
     print(f"{design}\nreduced play in joints {chosen}; by enumeration {three['reduced play in']}")
-    kept.write_figures(
+    files.write_figures(
         tip_error=error_figure(runs, commanded),
         lost_motion=loop_figure(loop, tables["lost_motion"]),
         slopes=budget_figure(tables["slopes"]),
         monte_carlo=plot.monte_carlo(sample),
         choices=choices_figure(tables["choices"], chosen),
     )
-    print(kept.sentence())
+    print(files.sentence())

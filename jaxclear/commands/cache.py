@@ -22,8 +22,8 @@ def cache(clear: bool = False) -> None:
         return
     files = cache_folder.list_files()
     for kind, words in WORDS.items():
-        own = [one for one in files if one.path.suffix == f".{kind}"]
-        click.echo(f"{len(own):6} {words}, {sum(one.size for one in own) / 1e6:.1f} MB")
+        of_kind = [one for one in files if one.path.suffix == f".{kind}"]
+        click.echo(f"{len(of_kind):6} {words}, {sum(one.size for one in of_kind) / 1e6:.1f} MB")
     if files:
         days = (time.time() - files[0].used) / DAY
         click.echo(f"The oldest was last used {days:.1f} days ago.")

@@ -25,8 +25,8 @@ STUDIES = (antenna, arm, design, flap, four_bar, guide, parallel_3rsr, wear_life
 WORTH_KEEPING = 0.5
 
 # What answers each command, by its name with low lines.
-OWN_SCENE = (run, monte_carlo, identify, report, example, parameters, cache)
-COMMANDS: dict[str, Callable[..., None]] = {one.__name__: one for one in OWN_SCENE}
+SCENE_COMMANDS = (run, monte_carlo, identify, report, example, parameters, cache)
+COMMANDS: dict[str, Callable[..., None]] = {one.__name__: one for one in SCENE_COMMANDS}
 COMMANDS |= {
     study.__name__.rpartition(".")[2].removeprefix("parallel_"): study.study for study in STUDIES
 }
@@ -36,11 +36,11 @@ def answer(name: str, options: dict[str, Any]) -> None:
     """Runs the command of a name with its arguments, where `out` is a folder and `quiet` shows no
     progress."""
     _keep_compiled_programs()
-    given = {"folder" if one == "out" else one: value for one, value in options.items()}
-    if "quiet" in given:
-        given["show"] = not given.pop("quiet")
+    arguments = {"folder" if one == "out" else one: value for one, value in options.items()}
+    if "quiet" in arguments:
+        arguments["show"] = not arguments.pop("quiet")
     try:
-        COMMANDS[name.replace("-", "_")](**given)
+        COMMANDS[name.replace("-", "_")](**arguments)
     except (jc.SimulationError, OtherStudyError, StoreError) as error:
         raise click.ClickException(str(error)) from None
 

@@ -37,7 +37,7 @@ TURN = 2 * math.pi / 10.0
 FRONT = (0.85, 0.92, 1.0, 1.1, 1.25)
 
 
-class Asked(NamedTuple):
+class DesignQuestion(NamedTuple):
     """What `jaxclear.design` is asked: the problem, cost, limits, and what may be chosen."""
 
     problem: jc.Problem
@@ -50,7 +50,7 @@ class Asked(NamedTuple):
         return jc.design(self.problem, self.cost, self.limits, **self.choices, **options)
 
 
-def antenna_question() -> Asked:
+def antenna_question() -> DesignQuestion:
     """Radial and axial clearance of both joints, and their tolerances, against the boresight's
     error over a period of the drive, mean and three deviations."""
     places: dict[str, Callable] = {}
@@ -77,10 +77,10 @@ def antenna_question() -> Asked:
         "tolerance": dict.fromkeys(places, TOLERANCES),
         "nominal": dict.fromkeys(places, CLEARANCES),
     }
-    return Asked(problem, cost, limits, choices)
+    return DesignQuestion(problem, cost, limits, choices)
 
 
-def four_bar_question() -> Asked:
+def four_bar_question() -> DesignQuestion:
     """The clearance of the coupler's bearing with its tolerance, and the tolerances of four links,
     against worn depth and follower error after a turn, mean and two deviations of both. Contact is
     compliant, so that depth comes from forces."""
@@ -102,7 +102,7 @@ def four_bar_question() -> Asked:
         jc.limit.WorstCase("clearance", at_least=LEAST_CLEARANCE),
     ]
     choices = {"tolerance": dict.fromkeys(PLACES, TOLERANCES), "nominal": {"clearance": CLEARANCES}}
-    return Asked(problem, cost, limits, choices)
+    return DesignQuestion(problem, cost, limits, choices)
 
 
 QUESTIONS = {"antenna": antenna_question, "four-bar": four_bar_question}
@@ -111,22 +111,22 @@ QUESTIONS = {"antenna": antenna_question, "four-bar": four_bar_question}
 def study(scene: str, folder: Path, accuracy: float = 5e-3, show: bool = True) -> None:
     """Designs a scene and writes what it finds to `folder`; `accuracy` [1] of its limits, `show`:
     progress bars."""
-    kept = StudyFolder(folder, f"{scene}_")
-    asked = QUESTIONS[scene]()
+    files = StudyFolder(folder, f"{scene}_")
+    question = QUESTIONS[scene]()
     options = {"settings": jc.DesignSettings(allowed_excess=accuracy), "progress_bar": show}
-    found = asked.designed(store=folder / f"{scene}_store", **options)
-    print(f"{scene}\n{found}\n", flush=True)
-    tables = {"design": found.table(), "limits": found.limit_table(), "history": found.history()}
-    kept.write_tables(**tables)
+    best = question.designed(store=folder / f"{scene}_store", **options)
+    print(f"{scene}\n{best}\n", flush=True)
+    tables = {"design": best.table(), "limits": best.limit_table(), "history": best.history()}
+    files.write_tables(**tables)
     for name in ("limits", "history"):
         print(f"{tables[name]}\n")
-    bounds = [share * float(asked.limits[0].bound()) for share in FRONT]
+    bounds = [share * float(question.limits[0].bound()) for share in FRONT]
     front = jc.design_front(
-        asked.problem, asked.cost, asked.limits, bounds, **asked.choices, **options
+        question.problem, question.cost, question.limits, bounds, **question.choices, **options
     )
     for bound, one in zip(bounds, front, strict=True):
-        stands = "holds" if one.holds else "does not hold"
-        print(f"{asked.limits[0].words()} {bound:.4g}: cost {one.cost:.4g}, {stands}")
-    kept.write_figures(design=plot.design(found), front=plot.design_front(front))
+        verdict = "holds" if one.holds else "does not hold"
+        print(f"{question.limits[0].words()} {bound:.4g}: cost {one.cost:.4g}, {verdict}")
+    files.write_figures(design=plot.design(best), front=plot.design_front(front))
     spared = np.ptp([one.cost for one in front])
-    print(f"\nBetween the ends of the front lies {spared:.3g} of cost. {kept.sentence()}")
+    print(f"\nBetween the ends of the front lies {spared:.3g} of cost. {files.sentence()}")

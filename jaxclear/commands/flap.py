@@ -53,10 +53,10 @@ def over_ratio() -> pandas.DataFrame:
     rows = []
     for ratio in LEVER_RATIOS:
         rigs = [flap(clearance=clearance, lever_ratio=ratio) for clearance in CLEARANCES]
-        found = as_table([mean_forces(simulated(rig, STROKE_TIME)) for rig in rigs])
-        row = {"lever ratio": ratio} | {f"{n} [N]": found[n].mean() for n in JOINTS}
+        forces = as_table([mean_forces(simulated(rig, STROKE_TIME)) for rig in rigs])
+        row = {"lever ratio": ratio} | {f"{n} [N]": forces[n].mean() for n in JOINTS}
         for one, other in PAIRS:
-            shares = found[one] / found[other]
+            shares = forces[one] / forces[other]
             row |= {f"{one}/{other}": shares.mean(), f"{one}/{other} spread": np.ptp(shares)}
         rows.append(row)
     return as_table(rows)
@@ -68,18 +68,18 @@ def lasting_contact(run: Any, ideal: Any) -> pandas.DataFrame:
     ones. No state is left to match: ideal joints leave nothing free."""
     modes = run.combined_modes()
     moment = np.asarray(run.time)
-    speed, wanted = (np.asarray(one.body("shaft").spin)[:, 2] for one in (run, ideal))
-    rates = [np.gradient(own, moment) for own in (speed, wanted)]
+    speed, selected = (np.asarray(one.body("shaft").spin)[:, 2] for one in (run, ideal))
+    rates = [np.gradient(phase_rows, moment) for phase_rows in (speed, selected)]
     rows = []
     for _, row in modes[(modes[list(JOINTS)] == "contact").all(axis=1)].iterrows():
-        begins, ends = row["from [s]"], row["to [s]"]
-        inside = (moment > begins + RINGING) & (moment < ends)
-        if ends - begins < LASTING:
+        starts, ends = row["from [s]"], row["to [s]"]
+        inside = (moment > starts + RINGING) & (moment < ends)
+        if ends - starts < LASTING:
             continue
-        away = np.abs(speed - wanted)[inside].max() / np.abs(wanted).max()
+        away = np.abs(speed - selected)[inside].max() / np.abs(selected).max()
         shaken = np.sqrt(np.mean((rates[0] - rates[1])[inside] ** 2)) / np.abs(rates[1]).max()
         rows.append(
-            {"from [s]": begins, "to [s]": ends, "speed off [1]": away}
+            {"from [s]": starts, "to [s]": ends, "speed off [1]": away}
             | {"acceleration off [1]": shaken}
         )
     return as_table(rows)
@@ -87,8 +87,8 @@ def lasting_contact(run: Any, ideal: Any) -> pandas.DataFrame:
 
 def phases(run: Any) -> pandas.DataFrame:
     """Phases of all joints, one after the other."""
-    own = [run.modes(name).assign(joint=name) for name in JOINTS]
-    return pandas.concat(own, ignore_index=True)
+    tables = [run.modes(name).assign(joint=name) for name in JOINTS]
+    return pandas.concat(tables, ignore_index=True)
 
 
 def forces_figure(run: Any) -> Figure:
@@ -114,9 +114,9 @@ def shaft_figure(run: Any, ideal: Any, lasting: pandas.DataFrame) -> Figure:
     """Angular velocity and acceleration of the shaft beside those of ideal joints; shaded where all
     joints stay in contact."""
     figure, axes = canvas(2, 1, (8.0, 6.0), sharex=True)
-    for begins, ends in zip(lasting["from [s]"], lasting["to [s]"], strict=True):
+    for starts, ends in zip(lasting["from [s]"], lasting["to [s]"], strict=True):
         for axis in axes:
-            axis.axvspan(MILLI * begins, MILLI * ends, color="C2", alpha=0.12, lw=0)
+            axis.axvspan(MILLI * starts, MILLI * ends, color="C2", alpha=0.12, lw=0)
     for one, style, label in ((run, "C0-", "four joints with clearance"), (ideal, "k--", "ideal")):
         moment, speed = np.asarray(one.time), np.asarray(one.body("shaft").spin)[:, 2]
         axes[0].plot(MILLI * moment, speed, style, lw=0.9, label=label)
@@ -152,7 +152,7 @@ def ratio_figure(table: pandas.DataFrame) -> Figure:
 
 def study(folder: Path, duration: float = 0.5, show: bool = True) -> None:
     """Runs everything and writes it to `folder`; `duration` [s], `show`: progress bars."""
-    kept = StudyFolder(folder)
+    files = StudyFolder(folder)
     clear = simulated(flap(), duration, show)
     ideal = jc.simulate(flap("ideal"), duration, save=len(clear.time))
     report_warnings({"four joints with clearance": clear, "ideal": ideal})
@@ -162,16 +162,16 @@ def study(folder: Path, duration: float = 0.5, show: bool = True) -> None:
         "lever_ratio": over_ratio(),
         "lasting_contact": lasting_contact(clear, ideal),
     }
-    kept.write_tables(**tables)
+    files.write_tables(**tables)
     spent = tables["modes"].assign(time=lambda rows: rows["to [s]"] - rows["from [s]"])
     shares = spent.pivot_table("time", "joint", "mode", "sum", 0.0) / duration
     print(f"share of the time in each mode\n{shares.to_string(float_format='%.3f')}\n")
     for name in ("lever_ratio", "lasting_contact"):
         print(f"{tables[name]}\n")
-    kept.write_figures(
+    files.write_figures(
         modes=plot.modes(clear),
         forces=forces_figure(clear),
         shaft=shaft_figure(clear, ideal, tables["lasting_contact"]),
         lever_ratio=ratio_figure(tables["lever_ratio"]),
     )
-    print(kept.sentence())
+    print(files.sentence())

@@ -62,7 +62,7 @@ def problem(duration: float, saves: int, clearance: float = LARGEST) -> jc.Probl
     report_warnings({"the ideal mechanism": ideal})
     reference = ideal.body("follower").com
     tolerances = {"clearance": CLEARANCE_TOLERANCE} | dict.fromkeys(LINKS, LENGTH_TOLERANCE)
-    variables = {n: jc.Variable(PLACES[n], tolerance=own) for n, own in tolerances.items()}
+    variables = {n: jc.Variable(PLACES[n], tolerance=t) for n, t in tolerances.items()}
     return jc.Problem(
         four_bar("spatial", clearance, cells=CELLS),
         {
@@ -118,35 +118,35 @@ def study(
     """Runs everything and writes it to `folder`: runs of `duration` [s], a Monte Carlo over `turns`
     of the crank; `show`: progress bars.
     """
-    kept = StudyFolder(folder)
+    files = StudyFolder(folder)
     runs = paper_runs(duration, round(duration * SAVES_PER_SECOND) + 1)
     table = run_table(runs)
-    kept.write_tables(runs=table)
+    files.write_tables(runs=table)
     _show(table.drop(columns="result"))
     question = problem(TURN * turns, round(SAVES_PER_TURN * turns) + 1)
-    sample = _monte_carlo(question, samples, kept, show)
+    sample = _monte_carlo(question, samples, files, show)
     print("derivatives with respect to clearance", flush=True)
     pairs = max(16, samples // 2)
     answers = jc.sensitivity(
         question, "clearance", sample=sample, difference_samples=pairs, progress_bar=show
     )
-    kept.write_tables(sensitivity=answers.table().reset_index())
+    files.write_tables(sensitivity=answers.table().reset_index())
     _print_derivatives(answers)
     figures = _run_figures(runs)
     figures |= {"monte_carlo": plot.monte_carlo(sample), "sensitivity": plot.sensitivity(answers)}
-    kept.write_figures(**figures)
-    print(f"\n{kept.sentence()}")
+    files.write_figures(**figures)
+    print(f"\n{files.sentence()}")
 
 
 def _show(table: pandas.DataFrame) -> None:
     print(f"\n{table}\n", flush=True)
 
 
-def _monte_carlo(question: jc.Problem, samples: int, kept: StudyFolder, show: bool) -> Any:
+def _monte_carlo(question: jc.Problem, samples: int, files: StudyFolder, show: bool) -> Any:
     turns = question.duration / TURN
     print(f"Monte Carlo, {samples} samples over {turns:g} turn(s) of the crank", flush=True)
     sample = jc.monte_carlo(question, samples, progress_bar=show)
-    kept.write_tables(monte_carlo=sample.table(), monte_carlo_summary=sample.summary())
+    files.write_tables(monte_carlo=sample.table(), monte_carlo_summary=sample.summary())
     # The files hold every error; the screen that of the mean.
     _show(sample.summary().drop(columns=[f"{name} error" for name in UNSHOWN]))
     report_samples(sample)

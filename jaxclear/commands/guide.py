@@ -47,9 +47,9 @@ def _worn(touching: Any) -> dict[str, Figure]:
     figures = {}
     for surface in touching.worn.get("P", {}):
         figures[f"wear_of_the_{surface}"] = plot.wear_unrolled(touching, "P", surface)
-        lost = float(touching.worn_volume("P", surface)[-1])
+        volume = float(touching.worn_volume("P", surface)[-1])
         deepest = float(touching.worn_depth("P", surface).max())
-        print(f"the {surface} loses {1e9 * lost:.3g} mm3 a turn, {1e9 * deepest:.3g} nm at most")
+        print(f"the {surface} loses {1e9 * volume:.3g} mm3 a turn, {1e9 * deepest:.3g} nm at most")
     return figures
 
 
@@ -60,7 +60,7 @@ def study(
     `clearance` [m] of the compliant run, `wear`: both parts of the other wear, `show`: progress
     bars.
     """
-    kept = StudyFolder(folder)
+    files = StudyFolder(folder)
     touching = jc.simulate(
         guide("wearing" if wear else "guide"),
         TURN,
@@ -80,7 +80,7 @@ def study(
     switchings = touching.switchings("P")
     instants = np.asarray(switchings["time [s]"])
     tables = {"switchings": switchings, "impacts": impacts(compliant, instants)}
-    kept.write_tables(**tables)
+    files.write_tables(**tables)
     for table in tables.values():
         print(f"{table}\n")
     energy = touching.energy_balance()
@@ -95,8 +95,8 @@ def study(
         "reactions": reactions(touching, compliant, instants),
     }
     figures |= _worn(touching)
-    kept.write_figures(**figures)
-    print(f"\n{kept.sentence()}")
+    files.write_figures(**figures)
+    print(f"\n{files.sentence()}")
 
 
 CORNERS = ("lower, back", "lower, front", "upper, back", "upper, front")
@@ -105,7 +105,7 @@ LOOKS = (("C0", "-"), ("C0", "--"), ("C1", "-"), ("C1", "--"))
 JOINTS = {"O": "ground and crank", "A": "crank and slider"}
 LINE = len(SITUATIONS) - 1
 # Situations of the strip: those of a joint, a line told apart by its side.
-SHOWN = (*SITUATIONS[:LINE], "a line on the lower side", "a line on the upper side")
+SITUATION_NAMES = (*SITUATIONS[:LINE], "a line on the lower side", "a line on the upper side")
 COLOURS = ("#bdbdbd", "#4c9f70", "#d1495b", "C0", "C1")
 # Half the length of the window about a switching [s].
 HALF_WINDOW = 0.02
@@ -156,14 +156,14 @@ def _strip(axis: Any, edges: np.ndarray, codes: np.ndarray) -> None:
     """A band coloured by contact situation; short situations are widened to be seen."""
     changes = np.flatnonzero(np.diff(codes)) + 1
     least = (edges[-1] - edges[0]) / 400
-    seen = set()
+    present = set()
     for first, last in zip([0, *changes], [*changes, len(codes)], strict=True):
         code, start = int(codes[first]), edges[first]
         width = max(edges[last] - start, least)
         above = 2 if width == least else 1
         axis.axvspan(start, start + width, color=COLOURS[code], zorder=above)
-        seen.add(code)
-    handles = [Patch(color=COLOURS[code], label=SHOWN[code]) for code in sorted(seen)]
+        present.add(code)
+    handles = [Patch(color=COLOURS[code], label=SITUATION_NAMES[code]) for code in sorted(present)]
     below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.9), "frameon": False}
     axis.legend(handles=handles, fontsize=8, ncols=3, **below)
     axis.set_yticks([])
@@ -202,16 +202,16 @@ def reactions(run: Any, compliant: Any, instants: np.ndarray) -> Figure:
     axes = figure.subplots(3, 1, sharex=True)
     angle, other_angle = _degrees(run), _degrees(compliant)
     for axis, (joint, name) in zip(axes[:2], JOINTS.items(), strict=True):
-        own, other = (np.asarray(one.reaction(joint).force) for one in (run, compliant))
-        own, other = np.linalg.norm(own, axis=1), np.linalg.norm(other, axis=1)
+        force, other = (np.asarray(one.reaction(joint).force) for one in (run, compliant))
+        force, other = np.linalg.norm(force, axis=1), np.linalg.norm(other, axis=1)
         label = "regularised friction, small clearance"
         axis.plot(other_angle, other, color="C1", lw=0.8, label=label)
-        axis.plot(angle, own, color="C0", lw=1.4, label="permanent contact, Coulomb")
+        axis.plot(angle, force, color="C0", lw=1.4, label="permanent contact, Coulomb")
         axis.set_ylabel(f"{name} [N]")
         # Peaks of impacts would hide everything else.
-        axis.set_ylim(0, 1.3 * np.max(own))
-        apart = np.abs(np.interp(run.time, compliant.time, other) - own)
-        axes[2].plot(angle, apart + 1e-3, lw=0.8, label=name)
+        axis.set_ylim(0, 1.3 * np.max(force))
+        difference = np.abs(np.interp(run.time, compliant.time, other) - force)
+        axes[2].plot(angle, difference + 1e-3, lw=0.8, label=name)
     axes[2].set_yscale("log")
     axes[2].set_ylabel("difference [N]")
     axes[2].set_xlabel("crank angle [°]")

@@ -25,7 +25,7 @@ from jaxclear.ground.table import as_table
 from jaxclear.plot.canvas import canvas, key, readable, warned
 from jaxclear.plot.overview import draw_forces
 
-DATA, JOINTS, SCENE, TOLD = "run.nc", "joints.csv", "scene.yaml", "run.json"
+DATA, JOINTS, SCENE, SUMMARY = "run.nc", "joints.csv", "scene.yaml", "run.json"
 STANDING, PLACES = "positions.nc", "positions.csv"
 # Lines in one figure; more would not be told apart.
 MOST_LINES = 8
@@ -41,39 +41,39 @@ def keep(scene: jc.Scene, run: jc.Trajectory, folder: Path, name: str) -> pandas
         figure.savefig(folder / f"{title}.png", dpi=DOTS_PER_INCH)
     data = run.to_dataset(flat=True)
     data.to_netcdf(folder / DATA, engine="scipy")
-    told = {"result": run.result, "warnings": list(run.warnings), "checks": str(run)}
-    _tell(scene, folder, {"title": f"Run of {name}", **told})
+    texts = {"result": run.result, "warnings": list(run.warnings), "checks": str(run)}
+    _tell(scene, folder, {"title": f"Run of {name}", **texts})
     return table
 
 
-def keep_positions(scene: jc.Scene, found: Any, folder: Path, name: str) -> pandas.DataFrame:
+def keep_positions(scene: jc.Scene, positions: Any, folder: Path, name: str) -> pandas.DataFrame:
     """Writes where a mechanism stands to a folder; a table of it, a row for each position."""
     folder.mkdir(parents=True, exist_ok=True)
-    data = found.to_dataset()
+    data = positions.to_dataset()
     columns = {}
     for what in data.data_vars:
-        own = data[what]
-        if own.dims == ("position",) and what != "found":
-            columns[f"{what} [{own.units}]"] = own.values
-        elif own.dims == ("position", "axis"):
+        x = data[what]
+        if x.dims == ("position",) and what != "found":
+            columns[f"{what} [{x.units}]"] = x.values
+        elif x.dims == ("position", "axis"):
             columns |= {
-                f"{what} {axis} [{own.units}]": own.values[:, i] for i, axis in enumerate("xyz")
+                f"{what} {axis} [{x.units}]": x.values[:, i] for i, axis in enumerate("xyz")
             }
     table = as_table(columns)
     table.to_csv(folder / PLACES, index=False)
-    plot.positions(found).savefig(folder / "positions.png", dpi=DOTS_PER_INCH)
+    plot.positions(positions).savefig(folder / "positions.png", dpi=DOTS_PER_INCH)
     data.to_netcdf(folder / STANDING, engine="scipy")
     sentence = f"The mechanism stands at {len(table)} positions."
-    told = {"result": sentence, "warnings": [], "checks": sentence}
-    _tell(scene, folder, {"title": f"Positions of {name}", **told})
+    texts = {"result": sentence, "warnings": [], "checks": sentence}
+    _tell(scene, folder, {"title": f"Positions of {name}", **texts})
     return table
 
 
-def _tell(scene: jc.Scene, folder: Path, told: dict[str, Any]) -> None:
+def _tell(scene: jc.Scene, folder: Path, texts: dict[str, Any]) -> None:
     """Keeps the scene, how it ended, and by which versions."""
     jc.write_scene(scene, folder / SCENE)
-    text = json.dumps(told | {"versions": library_versions()}, indent=1)
-    (folder / TOLD).write_text(text, encoding="utf-8")
+    text = json.dumps(texts | {"versions": library_versions()}, indent=1)
+    (folder / SUMMARY).write_text(text, encoding="utf-8")
 
 
 def joint_table(run: jc.Trajectory) -> pandas.DataFrame:
@@ -100,14 +100,14 @@ def joint_table(run: jc.Trajectory) -> pandas.DataFrame:
 def _figures(run: jc.Trajectory) -> dict[str, Figure]:
     """Figures by the names of their files."""
     joints = run.formulation.contact_joints(run.mechanism)
-    found = {"motion": _motion(run)}
+    figures = {"motion": _motion(run)}
     if joints:
-        found["contact_forces"] = _forces(run, joints)
-        found["modes"] = plot.modes(run)
+        figures["contact_forces"] = _forces(run, joints)
+        figures["modes"] = plot.modes(run)
     for joint, surfaces in run.worn.items():
         for surface in surfaces:
-            found[f"wear_of_{joint}_{surface}"] = plot.wear_unrolled(run, joint, surface)
-    return found
+            figures[f"wear_of_{joint}_{surface}"] = plot.wear_unrolled(run, joint, surface)
+    return figures
 
 
 def _motion(run: jc.Trajectory) -> Figure:
@@ -116,12 +116,12 @@ def _motion(run: jc.Trajectory) -> Figure:
     places = {
         name: np.asarray(run.body(name).com) for name in list(run.mechanism.bodies)[:MOST_LINES]
     }
-    moved = [i for i in range(3) if any(np.ptp(own[:, i]) > 0 for own in places.values())] or [0]
+    moved = [i for i in range(3) if any(np.ptp(p[:, i]) > 0 for p in places.values())] or [0]
     figure, axes = canvas(len(moved), 1, (8.0, 2.3 * len(moved)), sharex=True, squeeze=False)
     for axis, direction in zip(axes[:, 0], moved, strict=True):
-        own = {name: place[:, direction] for name, place in places.items()}
-        factor, unit = readable(np.concatenate(list(own.values())), "m")
-        for name, values in own.items():
+        p = {name: place[:, direction] for name, place in places.items()}
+        factor, unit = readable(np.concatenate(list(p.values())), "m")
+        for name, values in p.items():
             axis.plot(run.time, factor * values, lw=1.0, label=name)
         axis.set_ylabel(f"{'xyz'[direction]} [{unit}]")
     axes[-1, 0].set_xlabel("time [s]")
@@ -164,8 +164,8 @@ def _mistakes() -> Iterator[None]:
 
 def _read(scene: Path, **changes: Any) -> jc.Scene:
     """The scene in a file, with what was asked otherwise."""
-    asked = {name: value for name, value in changes.items() if value is not None}
-    return dataclasses.replace(jc.read_scene(scene), **asked)
+    changed = {name: value for name, value in changes.items() if value is not None}
+    return dataclasses.replace(jc.read_scene(scene), **changed)
 
 
 def parameters(scene: Path | None = None) -> None:
@@ -188,23 +188,23 @@ def run(
     """
     folder = Path(f"{scene.stem}_run") if folder is None else folder
     with _mistakes():
-        asked = _read(scene, duration=duration, save=saves)
-        if asked.positions is not None:
-            table = keep_positions(asked, asked.stand(), folder, scene.name)
+        content = _read(scene, duration=duration, save=saves)
+        if content.positions is not None:
+            table = keep_positions(content, content.stand(), folder, scene.name)
             click.echo(f"The mechanism stands at {len(table)} positions.")
             click.echo(
                 f"Data set, figure and table in {folder.resolve()}; jaxclear report {folder}"
             )
             return
-        found = asked.simulate(progress_bar=show, throw=False)
-    click.echo(str(found))
-    table = keep(asked, found, folder, scene.name)
+        trajectory = content.simulate(progress_bar=show, throw=False)
+    click.echo(str(trajectory))
+    table = keep(content, trajectory, folder, scene.name)
     if len(table):
         click.echo(f"\n{table}\n")
-    report_warnings({scene.stem: found})
+    report_warnings({scene.stem: trajectory})
     click.echo(f"Data set, figures and tables in {folder.resolve()}; jaxclear report {folder}")
-    if not found.succeeded:
-        raise click.ClickException(found.result)
+    if not trajectory.succeeded:
+        raise click.ClickException(trajectory.result)
 
 
 SENSORS: dict[str, Any] = {
@@ -219,8 +219,8 @@ SENSORS: dict[str, Any] = {
 def sensor_of(text: str) -> tuple[str, Any]:
     """The column and the sensor of a signal as it is typed:
     a_x=accelerometer:slider:x:noise=0.3:bandwidth=1500. Raises `ValueError` with a sentence."""
-    column, _, told = text.partition("=")
-    kind, *parts = told.split(":")
+    column, _, definition = text.partition("=")
+    kind, *parts = definition.split(":")
     check_name("sensor", kind, SENSORS, f' for signal "{column}"')
     numbers = dict(part.split("=", 1) for part in parts if "=" in part)
     places = [part for part in parts if "=" not in part]
@@ -229,17 +229,17 @@ def sensor_of(text: str) -> tuple[str, Any]:
             f'signal "{text}" must say where its sensor is, as in '
             "a_x=accelerometer:slider:x:noise=0.3."
         )
-    known = ("noise", "bandwidth", "gain", "delay", "sampling")
-    found = {}
+    names = ("noise", "bandwidth", "gain", "delay", "sampling")
+    settings = {}
     for name, value in numbers.items():
-        check_name("number", name, known, f' of the sensor of signal "{column}"')
+        check_name("number", name, names, f' of the sensor of signal "{column}"')
         try:
-            found[name] = float(value)
+            settings[name] = float(value)
         except ValueError:
             sentence = f'{name} of signal "{column}" is "{value}"; it must be one number.'
             raise ValueError(sentence) from None
     axis = {"axis": places[1]} if len(places) > 1 else {}
-    return column, SENSORS[kind](places[0], **axis, **found)
+    return column, SENSORS[kind](places[0], **axis, **settings)
 
 
 def identify(
@@ -259,7 +259,7 @@ def identify(
     `turn`: the column of an encoder, or the period [s]."""
     folder = Path(f"{scene.stem}_identified") if folder is None else folder
     with _mistakes():
-        asked = _read(scene)
+        content = _read(scene)
         signals = dict(map(sensor_of, signal))
         column, unit, *part = _time_of(time)
         with contextlib.suppress(TypeError, ValueError):
@@ -270,14 +270,14 @@ def identify(
             ).part(*part)
             for path in record
         ]
-        found = jc.identify(asked.problem(), records, runs, how=how, progress_bar=show)
-    click.echo(str(found))
+        result = jc.identify(content.problem(), records, runs, how=how, progress_bar=show)
+    click.echo(str(result))
     folder.mkdir(parents=True, exist_ok=True)
-    found.table().to_csv(folder / "identified.csv")
-    plot.identification(found).savefig(folder / "identified.png", dpi=DOTS_PER_INCH)
-    found.to_dataset().to_netcdf(folder / "identified.nc", engine="scipy")
-    told = {"result": found.sentence(), "warnings": list(found.warned), "checks": str(found)}
-    _tell(asked, folder, {"title": f"Identification of {scene.name}", **told})
+    result.table().to_csv(folder / "identified.csv")
+    plot.identification(result).savefig(folder / "identified.png", dpi=DOTS_PER_INCH)
+    result.to_dataset().to_netcdf(folder / "identified.nc", engine="scipy")
+    texts = {"result": result.sentence(), "warnings": list(result.warned), "checks": str(result)}
+    _tell(content, folder, {"title": f"Identification of {scene.name}", **texts})
     click.echo(f"Table, data set and figure in {folder.resolve()}; jaxclear report {folder}")
 
 
@@ -306,23 +306,23 @@ def monte_carlo(
     folder = Path(f"{scene.stem}_store") if folder is None else folder
     try:
         with _mistakes():
-            asked = _read(scene)
-            found = jc.campaign(
-                asked.problem(), samples, folder=folder, seed=seed, chunk=chunk, progress_bar=show
+            content = _read(scene)
+            study = jc.campaign(
+                content.problem(), samples, folder=folder, seed=seed, chunk=chunk, progress_bar=show
             )
     finally:
         _remember(scene, folder)
-    table = found.summary()
+    table = study.summary()
     click.echo(f"\n{table}\n")
-    report_samples(found)
+    report_samples(study)
     click.echo(f"Samples in {folder.resolve()}; jaxclear report {folder}")
-    if len(found.failed) == found.finished:
+    if len(study.failed) == study.finished:
         raise click.ClickException("every sample failed.")
 
 
 def _remember(scene: Path, folder: Path) -> None:
     """Keeps the scene beside its samples, once there are any."""
-    kept = folder / SCENE
-    if folder.is_dir() and any(folder.iterdir()) and not kept.exists():
+    file = folder / SCENE
+    if folder.is_dir() and any(folder.iterdir()) and not file.exists():
         with contextlib.suppress(ValueError):
-            jc.write_scene(jc.read_scene(scene), kept)
+            jc.write_scene(jc.read_scene(scene), file)

@@ -68,8 +68,8 @@ def over_clearance(ideal: np.ndarray) -> pandas.DataFrame:
         rig = parallel_3rsr("one", clearance, period=QUIET)
         smooth = eqx.tree_at(lambda m: m.connections["S1"].joint.friction.mu_kinetic, rig, 0.0)
         off = {}
-        for name, own in (("with friction", rig), ("without friction", smooth)):
-            away = filtered(force(simulated(own, DENSE * QUIET)) - ideal)
+        for name, x in (("with friction", rig), ("without friction", smooth)):
+            away = filtered(force(simulated(x, DENSE * QUIET)) - ideal)
             off[f"{name} [N]"] = np.abs(away).max()
         rows.append({"clearance [m]": clearance} | off)
     return as_table(rows)
@@ -89,8 +89,8 @@ def deviations(clear: Any, ideal: Any) -> dict[str, float]:
 
 def volumes(worn: Any, cycles: int) -> pandas.DataFrame:
     """Volume worn off at each drive angle in a quarter, a half ... of all cycles."""
-    own = worn.worn_volume("S1", "socket")
-    volume, time = np.asarray(own), np.asarray(worn.time - worn.time[0])
+    worn_off = worn.worn_volume("S1", "socket")
+    volume, time = np.asarray(worn_off), np.asarray(worn.time - worn.time[0])
     drive = usual_drive(QUIET)
     # Bins that begin and end at the same angles on the way up and on the way down.
     low, high = (float(drive.motion(at * QUIET)[0]) for at in (0.0, 0.5))
@@ -98,8 +98,8 @@ def volumes(worn: Any, cycles: int) -> pandas.DataFrame:
     up = np.arccos(1 - 2 * (edges - low) / (high - low)) / (2 * np.pi)
     shares = np.concatenate([up, 1 - up[-2::-1]])
     moments = QUIET * (np.arange(cycles)[:, None] + shares)
-    lost = np.diff(np.interp(moments, time, volume), axis=1)
-    per_bin = np.cumsum(lost[:, :BINS] + lost[:, BINS:][:, ::-1], axis=0)
+    losses = np.diff(np.interp(moments, time, volume), axis=1)
+    per_bin = np.cumsum(losses[:, :BINS] + losses[:, BINS:][:, ::-1], axis=0)
     middles = np.degrees(0.5 * (edges[1:] + edges[:-1]))
     counts = sorted({max(1, round(share * cycles)) for share in (0.25, 0.5, 0.75, 1.0)})
     rows = [
@@ -114,13 +114,13 @@ def force_figure(clear: dict[str, Any], ideal: dict[str, Any]) -> Figure:
     figure, axes = canvas(len(REGIMES), 2, (9.0, 7.0))
     for row, (name, period) in zip(axes, REGIMES.items(), strict=True):
         moments = np.linspace(0.0, period, PER_CYCLE + 1)
-        slack, wanted, edge = force(clear[name]), force(ideal[name]), round(WINDOW * PER_CYCLE) // 2
+        slack, target, edge = force(clear[name]), force(ideal[name]), round(WINDOW * PER_CYCLE) // 2
         means = filtered(slack)
         for axis, k in zip(row, (0, 2), strict=True):
             axis.plot(moments, slack[:, k], lw=0.5, color="C0", label="0.5 mm of play")
             inner = moments[edge : edge + len(means)]
             axis.plot(inner, means[:, k], lw=1.2, color="C1", label="its moving mean")
-            axis.plot(moments, wanted[:, k], "k--", lw=0.9, label="ideal")
+            axis.plot(moments, target[:, k], "k--", lw=0.9, label="ideal")
             axis.set_ylabel(f"force {AXES[k]} [N]")
             axis.set_title(f"{name}: period {period:g} s", fontsize=9)
     for axis in axes[-1]:
@@ -147,8 +147,8 @@ def limit_figure(table: pandas.DataFrame) -> Figure:
 def volume_figure(table: pandas.DataFrame) -> Figure:
     """Worn volume at each drive angle."""
     figure, axes = canvas()
-    for cycles, own in table.groupby("cycles"):
-        angles, volume = own["drive angle [deg]"], MICRO**3 * own["volume [m3]"]
+    for cycles, rows in table.groupby("cycles"):
+        angles, volume = rows["drive angle [deg]"], MICRO**3 * rows["volume [m3]"]
         axes.plot(angles, volume, marker=".", label=f"{cycles} cycles")
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("drive angle [deg]")
@@ -161,7 +161,7 @@ def volume_figure(table: pandas.DataFrame) -> Figure:
 
 def study(folder: Path, cycles: int = 40, show: bool = True) -> None:
     """Runs everything and writes it to `folder`; `cycles` of wear, `show`: progress bars."""
-    kept = StudyFolder(folder)
+    files = StudyFolder(folder)
     rigs = {name: parallel_3rsr("one", period=period) for name, period in REGIMES.items()}
     clear = {name: simulated(rig, DENSE * REGIMES[name], show=show) for name, rig in rigs.items()}
     ideal = {name: ideal_run(period) for name, period in REGIMES.items()}
@@ -181,7 +181,7 @@ def study(folder: Path, cycles: int = 40, show: bool = True) -> None:
         "clearance": over_clearance(force(ideal["quiet"])),
         "volume": volumes(many, cycles),
     }
-    kept.write_tables(**tables)
+    files.write_tables(**tables)
     for name in ("deviations", "clearance"):
         print(f"{tables[name]}\n")
     deepest, touched = float(depth.max()), float((depth > 0.01 * depth.max()).mean())
@@ -196,5 +196,5 @@ def study(folder: Path, cycles: int = 40, show: bool = True) -> None:
         "socket": plot.wear_surface(many, "S1", "socket"),
         "socket_unrolled": plot.wear_unrolled(many, "S1", "socket"),
     }
-    kept.write_figures(**figures)
-    print(kept.sentence())
+    files.write_figures(**figures)
+    print(files.sentence())

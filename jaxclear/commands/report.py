@@ -28,7 +28,7 @@ from jaxclear.studies.store.samples import holds_campaign
 DOTS_PER_INCH = 130
 
 
-class Shown(NamedTuple):
+class Item(NamedTuple):
     """One thing on a page. `kind`: "text", "warning", "verbatim", "table", "figure" or "hidden" (a
     text that opens when it is asked for); `content`: the text, the table as HTML, or the figure's
     bytes as base64; `title`: its caption."""
@@ -42,7 +42,7 @@ class Section(NamedTuple):
     """A heading and what stands below it."""
 
     title: str
-    shown: list[Shown]
+    items: list[Item]
 
 
 class Page(NamedTuple):
@@ -66,27 +66,27 @@ class Page(NamedTuple):
         path.write_text(template.render(page=self), encoding="utf-8")
 
 
-def drawn(figure: Figure, title: str = "") -> Shown:
+def drawn(figure: Figure, title: str = "") -> Item:
     """A figure."""
-    kept = io.BytesIO()
-    figure.savefig(kept, format="png", dpi=DOTS_PER_INCH)
-    return Shown("figure", base64.b64encode(kept.getvalue()).decode(), title)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DOTS_PER_INCH)
+    return Item("figure", base64.b64encode(buffer.getvalue()).decode(), title)
 
 
-def figure_file(path: Path) -> Shown:
+def figure_file(path: Path) -> Item:
     """A figure that was written before."""
     content = base64.b64encode(path.read_bytes()).decode()
-    return Shown("figure", content, path.stem.replace("_", " "))
+    return Item("figure", content, path.stem.replace("_", " "))
 
 
-def hidden(title: str, text: str) -> Shown:
+def hidden(title: str, text: str) -> Item:
     """Text that opens when its title is clicked at."""
-    return Shown("hidden", text, title)
+    return Item("hidden", text, title)
 
 
-def table(frame: Any, title: str = "") -> Shown:
+def table(frame: Any, title: str = "") -> Item:
     """A pandas table."""
-    return Shown("table", as_table(frame)._repr_html_(), title)
+    return Item("table", as_table(frame)._repr_html_(), title)
 
 
 SCENE = "scene.yaml"
@@ -99,72 +99,72 @@ STATISTICS = ("mean", "standard deviation", "5 %", "median", "95 %")
 
 def campaign_page(folder: Path) -> Page:
     """The page of the campaign in a folder."""
-    found = jc.open_campaign(folder)
-    sections = [_results(found)] if found.finished else []
+    study = jc.open_campaign(folder)
+    sections = [_results(study)] if study.finished else []
     return Page(
         f"Monte Carlo of {folder.resolve().name}",
-        found.sentence() if found.finished else "No sample is finished yet.",
-        [*sections, _endings(found), _variables(found), _what_was_run(found)],
+        study.sentence() if study.finished else "No sample is finished yet.",
+        [*sections, _endings(study), _variables(study), _what_was_run(study)],
     )
 
 
-def _results(found: Any) -> Section:
+def _results(study: Any) -> Section:
     """Statistics, histograms, budget."""
-    shown: list[Shown] = []
-    if not found.is_complete:
-        words = f"{found.finished} of {found.count} samples are finished; the same command goes on."
-        shown.append(Shown("warning", words))
-    shown.append(table(_statistics(found), "Statistics, with the errors that they have (95 %)"))
-    if found.finished > len(found.failed):
-        shown.append(drawn(plot.monte_carlo(found.sample), "Spread of the responses"))
-    if found.finished - len(found.failed) >= LEAST_SAMPLES and len(found.problem.names) > 1:
-        shown += _contributions(found)
-    return Section("Results", shown)
+    items: list[Item] = []
+    if not study.is_complete:
+        words = f"{study.finished} of {study.count} samples are finished; the same command goes on."
+        items.append(Item("warning", words))
+    items.append(table(_statistics(study), "Statistics, with the errors that they have (95 %)"))
+    if study.finished > len(study.failed):
+        items.append(drawn(plot.monte_carlo(study.sample), "Spread of the responses"))
+    if study.finished - len(study.failed) >= LEAST_SAMPLES and len(study.problem.names) > 1:
+        items += _contributions(study)
+    return Section("Results", items)
 
 
-def _contributions(found: Any) -> list[Shown]:
+def _contributions(study: Any) -> list[Item]:
     """The budget of the responses that have a variance, and a sentence for each of the others."""
-    names = found.problem.response_names
-    endless = [name for name in names if np.isinf(found.sample.good(name)[0]).any()]
-    told = [name for name in names if name not in endless]
-    shown = []
-    if told:
+    names = study.problem.response_names
+    endless = [name for name in names if np.isinf(study.sample.good(name)[0]).any()]
+    finite = [name for name in names if name not in endless]
+    items = []
+    if finite:
         title = "What each variable contributes to the variance"
-        shown.append(drawn(plot.error_budget(found, *told), title))
+        items.append(drawn(plot.error_budget(study, *finite), title))
     for name in endless:
         words = f'"{name}" is infinite in some samples: there is no variance of it to share out.'
-        shown.append(Shown("text", words))
-    return shown
+        items.append(Item("text", words))
+    return items
 
 
-def _statistics(found: Any) -> pandas.DataFrame:
+def _statistics(study: Any) -> pandas.DataFrame:
     """Of the summary what has an error, and how many samples there are."""
-    known = [name for kind in STATISTICS for name in (kind, f"{kind} error")]
-    return found.summary()[["response", "unit", "samples", "failed", "warned", *known]]
+    columns = [name for kind in STATISTICS for name in (kind, f"{kind} error")]
+    return study.summary()[["response", "unit", "samples", "failed", "warned", *columns]]
 
 
-def _endings(found: Any) -> Section:
+def _endings(study: Any) -> Section:
     """Sentences of failures and warnings, each with how often it was said."""
-    if not found.finished:
-        return Section("Failures and warnings", [Shown("text", "None yet.")])
-    failures, warnings = found.failures(), found.warnings()
-    shown = []
-    told = [("failed", [(i, said) for i, said in failures.items()])]
-    told += [("warned", [(i, said) for i, own in warnings.items() for said in own])]
-    for kind, entries in told:
+    if not study.finished:
+        return Section("Failures and warnings", [Item("text", "None yet.")])
+    failures, warnings = study.failures(), study.warnings()
+    items = []
+    groups = [("failed", [(i, text) for i, text in failures.items()])]
+    groups += [("warned", [(i, text) for i, texts in warnings.items() for text in texts])]
+    for kind, entries in groups:
         if entries:
-            shown.append(table(_counted(entries), f"{len({i for i, _ in entries})} {kind}"))
-    return Section("Failures and warnings", shown or [Shown("text", "None.")])
+            items.append(table(_counted(entries), f"{len({i for i, _ in entries})} {kind}"))
+    return Section("Failures and warnings", items or [Item("text", "None.")])
 
 
 def _counted(entries: list[tuple[int, str]]) -> pandas.DataFrame:
     """A row a sentence; numbers within sentences are those of its first sample."""
     first: dict[str, tuple[str, list[int]]] = {}
     count: Counter = Counter()
-    for index, said in entries:
-        key = "".join(letter for letter in said if not letter.isdigit())
+    for index, text in entries:
+        key = "".join(letter for letter in text if not letter.isdigit())
         count[key] += 1
-        first.setdefault(key, (said, []))[1].append(index)
+        first.setdefault(key, (text, []))[1].append(index)
     rows = [
         {
             "samples": number,
@@ -176,32 +176,32 @@ def _counted(entries: list[tuple[int, str]]) -> pandas.DataFrame:
     return pandas.DataFrame(rows)
 
 
-def _variables(found: Any) -> Section:
+def _variables(study: Any) -> Section:
     """What varied."""
-    problem, rows = found.problem, []
-    values = found.values if found.finished else np.zeros((0, len(problem.names)))
+    problem, rows = study.problem, []
+    values = study.values if study.finished else np.zeros((0, len(problem.names)))
     nominal = np.asarray(problem.nominal(), float)
     for i, name in enumerate(problem.names):
-        own = values[:, i]
+        column = values[:, i]
         row = {"variable": name, "unit": problem.variable_units[i], "nominal": nominal[i]}
-        if len(own):
-            row |= {"mean": own.mean(), "standard deviation": own.std()}
-            row |= {"smallest": np.min(own), "largest": np.max(own)}
+        if len(column):
+            row |= {"mean": column.mean(), "standard deviation": column.std()}
+            row |= {"smallest": np.min(column), "largest": np.max(column)}
         rows.append(row)
     return Section("What varied", [table(pandas.DataFrame(rows))])
 
 
-def _what_was_run(found: Any) -> Section:
+def _what_was_run(study: Any) -> Section:
     """The scene, the plan, the versions."""
-    plan = pandas.DataFrame([found.plan._asdict() | {"finished": found.finished}])
-    shown = [table(plan, "Plan"), table(pandas.DataFrame(found.versions), "Computed by")]
-    scene = found.folder / SCENE
+    plan = pandas.DataFrame([study.plan._asdict() | {"finished": study.finished}])
+    items = [table(plan, "Plan"), table(pandas.DataFrame(study.versions), "Computed by")]
+    scene = study.folder / SCENE
     if scene.exists():
-        shown.append(hidden("The scene", scene.read_text(encoding="utf-8")))
-    parts = json.loads(found.to_dataset().attrs["problem"])
-    told = "\n\n".join(f"{name}: {text}" for name, text in parts.items())
-    shown.append(hidden("The problem, part by part, as the store knows it", told))
-    return Section("What was run", shown)
+        items.append(hidden("The scene", scene.read_text(encoding="utf-8")))
+    parts = json.loads(study.to_dataset().attrs["problem"])
+    problem_text = "\n\n".join(f"{name}: {text}" for name, text in parts.items())
+    items.append(hidden("The problem, part by part, as the store knows it", problem_text))
+    return Section("What was run", items)
 
 
 RUN = "run.json"
@@ -212,25 +212,25 @@ def folder_page(folder: Path) -> Page | None:
     figures, tables = sorted(folder.glob("*.png")), sorted(folder.glob("*.csv"))
     if not figures and not tables:
         return None
-    told = json.loads((folder / RUN).read_text()) if (folder / RUN).exists() else {}
+    about = json.loads((folder / RUN).read_text()) if (folder / RUN).exists() else {}
     sections = []
-    if told:
-        warned = [Shown("warning", one) for one in told["warnings"]]
-        sections.append(Section("How it ended", [*warned, Shown("verbatim", told["checks"])]))
+    if about:
+        warned = [Item("warning", one) for one in about["warnings"]]
+        sections.append(Section("How it ended", [*warned, Item("verbatim", about["checks"])]))
     if tables:
-        shown = [table(pandas.read_csv(path), path.stem.replace("_", " ")) for path in tables]
-        sections.append(Section("Tables", shown))
+        items = [table(pandas.read_csv(path), path.stem.replace("_", " ")) for path in tables]
+        sections.append(Section("Tables", items))
     if figures:
         sections.append(Section("Figures", [figure_file(path) for path in figures]))
-    shown = [table(pandas.DataFrame([told["versions"]]), "Computed by")] if told else []
-    shown += [
+    items = [table(pandas.DataFrame([about["versions"]]), "Computed by")] if about else []
+    items += [
         hidden(f"The scene ({path.name})", path.read_text(encoding="utf-8"))
         for path in sorted(folder.glob("*.yaml"))
     ]
-    if shown:
-        sections.append(Section("What was run", shown))
-    sentence = told.get("result", f"{len(figures)} figures and {len(tables)} tables.")
-    return Page(told.get("title", folder.resolve().name), sentence, sections)
+    if items:
+        sections.append(Section("What was run", items))
+    sentence = about.get("result", f"{len(figures)} figures and {len(tables)} tables.")
+    return Page(about.get("title", folder.resolve().name), sentence, sections)
 
 
 PAGE = "report.html"

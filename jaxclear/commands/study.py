@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 # So many samples of a Monte Carlo are told one by one; the table on disk has them all.
-MOST_TOLD = 5
+MOST_SENTENCES = 5
 DOTS_PER_INCH = 130
 
 
@@ -17,7 +17,7 @@ class StudyFolder:
 
     def __init__(self, path: Path, prefix: str = ""):
         path.mkdir(parents=True, exist_ok=True)
-        self.path, self.prefix, self.begun = path, prefix, time.perf_counter()
+        self.path, self.prefix, self.start_time = path, prefix, time.perf_counter()
         self.count = {"figures": 0, "tables": 0}
 
     def write_tables(self, **tables: Any) -> None:
@@ -36,7 +36,7 @@ class StudyFolder:
         """What it holds, where, and how long that took."""
         figures, tables = (f"{number} {what}" for what, number in self.count.items())
         holds = f"{figures}, {tables} and {also}" if also else f"{figures} and {tables}"
-        taken = time.perf_counter() - self.begun
+        taken = time.perf_counter() - self.start_time
         return f"{holds} in {self.path.resolve()}, {taken:.0f} s"
 
 
@@ -50,9 +50,9 @@ def report_warnings(runs: Mapping[str, Any]) -> None:
 def report_samples(sample: Any) -> None:
     """Prints how many samples of a Monte Carlo failed and warn, and the first of them in words."""
     print(sample.sentence())
-    told = {index: f"failed. {sentence}" for index, sentence in sample.failures().items()}
-    told |= {index: f"warns. {' '.join(found)}" for index, found in sample.warnings().items()}
-    for index in sorted(told)[:MOST_TOLD]:
-        print(f"sample {index} {told[index]}")
-    if len(told) > MOST_TOLD:
-        print(f"and {len(told) - MOST_TOLD} more, in the table.", flush=True)
+    sentences = {index: f"failed. {sentence}" for index, sentence in sample.failures().items()}
+    sentences |= {index: f"warns. {' '.join(texts)}" for index, texts in sample.warnings().items()}
+    for index in sorted(sentences)[:MOST_SENTENCES]:
+        print(f"sample {index} {sentences[index]}")
+    if len(sentences) > MOST_SENTENCES:
+        print(f"and {len(sentences) - MOST_SENTENCES} more, in the table.", flush=True)

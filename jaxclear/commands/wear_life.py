@@ -30,10 +30,10 @@ JOINT, SURFACE = "B", "bearing"
 # Lives at which the groove is drawn, as shares of the whole.
 SHARES = (0.1, 0.25, 0.5, 0.75, 1.0)
 # Depth of which a life is told, as a share of the largest that was reached.
-TOLD = 0.5
+DEPTH_SHARE = 0.5
 
 
-def asked() -> jc.Problem:
+def life_problem() -> jc.Problem:
     """A turn of the four-bar: forces in the worn joint, and how far the coupler's centre of mass is
     from where it is with an ideal joint."""
     period = 2 * math.pi / CRANK_SPEED
@@ -72,8 +72,8 @@ def groove_figure(life: WearLife) -> Figure:
 def study(folder: Path, cycles: float = 1e6, tolerance: float = 1e-2, show: bool = True) -> None:
     """Runs everything and writes it to `folder`; `tolerance` [1] of the depth, `show`: a progress
     bar."""
-    kept = StudyFolder(folder)
-    problem = asked()
+    files = StudyFolder(folder)
+    problem = life_problem()
     settled = jc.settled(problem)
     print(f"{settled}\n", flush=True)
     life = jc.wear_life(
@@ -81,8 +81,8 @@ def study(folder: Path, cycles: float = 1e6, tolerance: float = 1e-2, show: bool
     )
     print(life.sentence())
     report_warnings({"life": life})
-    kept.write_tables(settled=settled.table(), life=life.table())
+    files.write_tables(settled=settled.table(), life=life.table())
     print(f"\n{life.table()}\n")
-    print(life.until("depth", TOLD * float(life.over_life("depth")[-1])))
-    kept.write_figures(life=plot.wear_life(life), groove=groove_figure(life))
-    print(kept.sentence("a store"))
+    print(life.until("depth", DEPTH_SHARE * float(life.over_life("depth")[-1])))
+    files.write_figures(life=plot.wear_life(life), groove=groove_figure(life))
+    print(files.sentence("a store"))

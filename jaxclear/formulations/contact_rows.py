@@ -29,8 +29,6 @@ from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.state import Followed, component_count, unpack_followed, unpack_motion
 from jaxclear.multibody.system import System, coordinate_loads
 
-ContactJacobianRow = JacobianRow
-
 
 class TimeStep(NamedTuple):
     """A step in time.
@@ -61,7 +59,7 @@ class ContactPoint(NamedTuple):
     laws: ContactLaws
     gap_function: GapFunction
     rates: tuple
-    rows: tuple[ContactJacobianRow, ...]
+    rows: tuple[JacobianRow, ...]
     active: int
 
 
@@ -104,14 +102,14 @@ class MiddleOfStep(NamedTuple):
         return drift(model.system, self.q, middle, mean, h)
 
 
-def lightness(row: ContactJacobianRow, diagonal: list) -> Any:
+def lightness(row: JacobianRow, diagonal: list) -> Any:
     """About the inverse of the mass that a force along a row moves [1/kg]."""
     return sp.total(entry * entry / diagonal[j] for j, entry in row.items())
 
 
-def combined(rows: Sequence[ContactJacobianRow], weights: Sequence[Any]) -> ContactJacobianRow:
+def combined(rows: Sequence[JacobianRow], weights: Sequence[Any]) -> JacobianRow:
     """The sum of rows with these weights."""
-    out: ContactJacobianRow = {}
+    out: JacobianRow = {}
     for row, weight in zip(rows, weights, strict=True):
         for j, entry in row.items():
             out[j] = sp.add(out.get(j, 0), sp.mul(weight, entry))

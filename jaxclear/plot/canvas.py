@@ -67,7 +67,7 @@ class Panels(NamedTuple):
         return self.axes.flat[0]
 
     @property
-    def whole(self) -> Any:
+    def figure_of(self) -> Any:
         """The figure in which the panels stand."""
         return self.one.get_figure()
 
@@ -120,21 +120,21 @@ def panels(
             kwargs["subplot_kw"] = {"projection": "3d", "computed_zorder": False}
         figure, axes = canvas(rows, columns, size, squeeze=False, **kwargs)
         return Panels(figure, axes)
-    given = list(ax.flat) if isinstance(ax, np.ndarray) else ax
-    given = list(given) if isinstance(given, Iterable) else [given]
+    axes_of_user = list(ax.flat) if isinstance(ax, np.ndarray) else ax
+    axes_of_user = list(axes_of_user) if isinstance(axes_of_user, Iterable) else [axes_of_user]
     count, name = rows * columns, "3d" if space else "rectilinear"
-    wanted = "one axes" if count == 1 else f"{count} axes"
-    if len(given) != count or not all(isinstance(one, Axes) for one in given):
+    required = "one axes" if count == 1 else f"{count} axes"
+    if len(axes_of_user) != count or not all(isinstance(one, Axes) for one in axes_of_user):
         raise ValueError(
-            f"ax of plot.{what} is {described(ax)}; it must be {wanted} of matplotlib."
+            f"ax of plot.{what} is {described(ax)}; it must be {required} of matplotlib."
         )
-    if space and any(one.name != name for one in given):
+    if space and any(one.name != name for one in axes_of_user):
         raise ValueError(f'plot.{what} draws in space: give axes with projection="3d".')
-    if not space and any(one.name == "3d" for one in given):
+    if not space and any(one.name == "3d" for one in axes_of_user):
         raise ValueError(f"plot.{what} draws in the plane: give axes without projection.")
-    found = np.empty(count, object)
-    found[:] = given
-    return Panels(None, found.reshape(rows, columns))
+    array = np.empty(count, object)
+    array[:] = axes_of_user
+    return Panels(None, array.reshape(rows, columns))
 
 
 def over_time(axis: Any, x: np.ndarray, y: np.ndarray, time: np.ndarray) -> LineCollection:
@@ -159,8 +159,8 @@ def check_run(run: Any) -> None:
 
 def setting(run: Trajectory, joint: str) -> str:
     """The joint's clearance and the duration of the run, for a title."""
-    own: Any = run.mechanism.connections[joint].joint
-    clearance = length(float(getattr(own, "gap", own).clearance))
+    gap: Any = run.mechanism.connections[joint].joint
+    clearance = length(float(getattr(gap, "gap", gap).clearance))
     return f" (clearance {clearance}, {float(run.time[-1]):g} s)"
 
 
@@ -171,16 +171,16 @@ def captioned(figure: Figure, sentences: Sequence[str] = ()) -> Figure:
         return figure
     lines = _lines(sentences, int(PER_INCH * figure.get_figwidth()))
     below = (len(lines) + 1) * LINE
-    whole = figure.get_figheight() + below
-    figure.set_figheight(whole)
+    lines_of_all = figure.get_figheight() + below
+    figure.set_figheight(lines_of_all)
     # The layout would set a legend outside the axes and a label of the figure upon each other.
     for legend in figure.legends:
-        legend.set_bbox_to_anchor((0.0, below / whole, 1.0, 1.0), figure.transFigure)
+        legend.set_bbox_to_anchor((0.0, below / lines_of_all, 1.0, 1.0), figure.transFigure)
         below += legend.get_window_extent().height / figure.dpi + LINE
-    room = (0.0, below / whole, 1.0, 1.0 - below / whole)
-    figure.set_layout_engine("constrained", rect=room)
+    space = (0.0, below / lines_of_all, 1.0, 1.0 - below / lines_of_all)
+    figure.set_layout_engine("constrained", rect=space)
     text = "\n".join(lines)
-    figure.text(0.01, 0.5 * LINE / whole, text, fontsize=LETTERS, color="C3", va="bottom")
+    figure.text(0.01, 0.5 * LINE / lines_of_all, text, fontsize=LETTERS, color="C3", va="bottom")
     return figure
 
 
@@ -239,7 +239,7 @@ def volume(values: np.ndarray) -> tuple[float, str]:
 MOST_TICKS, MOST_DECADES = 9, 6
 # A label stands this many of its heights from the next one, above it and beside it; a digit is so
 # wide [heights].
-ABOVE, BESIDE, DIGIT = 0.6, 1.0, 0.64
+ABOVE, GAP, DIGIT = 0.6, 1.0, 0.64
 # Letters of the name of a row, or of a line in a legend, before it is folded.
 ROW, IN_KEY = 28, 46
 # A letter's mean width [heights]; what a legend has beside its letters [letters].
@@ -257,8 +257,8 @@ TAKEN = 0.96
 class Roomy(Locator):
     """Round places, as many as their labels leave room for; `whole`: of what is counted."""
 
-    def __init__(self, whole: bool = False):
-        self.whole = whole
+    def __init__(self, integers: bool = False):
+        self.integers = integers
 
     def __call__(self) -> Any:
         axis: Any = self.axis
@@ -267,11 +267,11 @@ class Roomy(Locator):
     def tick_values(self, vmin: float, vmax: float) -> Any:
         """The places; those outside are not drawn."""
         for most in range(MOST_TICKS, 0, -1):
-            round_ones = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10], integer=self.whole)
-            found = np.asarray(round_ones.tick_values(vmin, vmax))
-            if _has_room(self.axis, found[(found >= vmin) & (found <= vmax)]):
+            round_ones = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10], integer=self.integers)
+            ticks = np.asarray(round_ones.tick_values(vmin, vmax))
+            if _fits(self.axis, ticks[(ticks >= vmin) & (ticks <= vmax)]):
                 break
-        return found
+        return ticks
 
 
 class Decades(Locator):
@@ -304,15 +304,15 @@ def _decimal(value: float, _: int = 0) -> str:
     return rf"$10^{{{power}}}$" if factor == "1" else rf"${factor} \cdot 10^{{{power}}}$"
 
 
-def _has_room(axis: Any, found: np.ndarray) -> bool:
+def _fits(axis: Any, widths: np.ndarray) -> bool:
     """Whether the labels of places stand apart."""
     usual: Any = matplotlib.rcParams
-    own = axis.get_tick_params().get("labelsize", usual[f"{axis.axis_name}tick.labelsize"])
-    size = FontProperties(size=own).get_size_in_points()
+    w = axis.get_tick_params().get("labelsize", usual[f"{axis.axis_name}tick.labelsize"])
+    size = FontProperties(size=w).get_size_in_points()
     box, inch = axis.axes.get_window_extent(), axis.get_figure(root=True).dpi
-    labels = axis.get_major_formatter().format_ticks(found)
+    labels = axis.get_major_formatter().format_ticks(widths)
     if axis.axis_name == "x":
-        taken = sum(DIGIT * len(label) + BESIDE for label in labels) - BESIDE
+        taken = sum(DIGIT * len(label) + GAP for label in labels) - GAP
         return taken * size <= 72 * box.width / inch
     return (1 + ABOVE) * size * (len(labels) - 1) <= 72 * box.height / inch
 
@@ -338,11 +338,11 @@ def places(axis: Any) -> None:
             one.set_minor_formatter(NullFormatter())
 
 
-def columns_of(labels: Sequence[str], room: float, size: float) -> int:
+def columns_of(labels: Sequence[str], space: float, size: float) -> int:
     """In how many columns labels, of letters of `size` [pt], stand in a legend for which there is
     `room` [pt]."""
     longest = max((len(line) for label in labels for line in label.split("\n")), default=0)
-    return max(1, min(len(labels), int(room / (LETTER * size * (longest + HANDLE))), MOST_COLUMNS))
+    return max(1, min(len(labels), int(space / (LETTER * size * (longest + HANDLE))), MOST_COLUMNS))
 
 
 def key(axis: Any, lines: Any = None, **kwargs: Any) -> None:
@@ -350,12 +350,12 @@ def key(axis: Any, lines: Any = None, **kwargs: Any) -> None:
     of the axes."""
     handles, labels = lines or axis.get_legend_handles_labels()
     place = axis.get_subplotspec()
-    beside = 1 if place is None else place.get_gridspec().ncols
-    room = 0.8 * 72 * axis.get_figure(root=True).get_figwidth() / beside
-    width = min(IN_KEY, max(int(room / (LETTER * SMALL)) - HANDLE, 12))
+    at_side = 1 if place is None else place.get_gridspec().ncols
+    space = 0.8 * 72 * axis.get_figure(root=True).get_figwidth() / at_side
+    width = min(IN_KEY, max(int(space / (LETTER * SMALL)) - HANDLE, 12))
     labels = [textwrap.fill(label, width) for label in labels]
     if labels:
-        columns = columns_of(labels, room, SMALL)
+        columns = columns_of(labels, space, SMALL)
         axis.legend(handles, labels, fontsize=SMALL, ncols=columns, **kwargs)
 
 
@@ -374,7 +374,7 @@ def fitted(figure: Figure) -> None:
     layout.execute(figure)
     before = {axis: axis.get_window_extent().height for axis in flat}
     folded = [_fold(title, figure.bbox.width)] if title else []
-    folded += [_fold(axis.title, _room(axis, figure, bars)) for axis in axes]
+    folded += [_fold(axis.title, _space(axis, figure, bars)) for axis in axes]
     for axis in (*flat, *bars):
         box = axis.get_window_extent()
         _without_offset(axis.xaxis)
@@ -384,12 +384,12 @@ def fitted(figure: Figure) -> None:
     needed = {axis: max(before[axis], _rows_need(axis)) for axis in flat}
     if any(folded) or needed != before:
         layout.execute(figure)
-        lost: dict[int, float] = defaultdict(float)
+        overflow: dict[int, float] = defaultdict(float)
         for axis in flat:
             box = axis.get_window_extent()
             row = round(box.y1)
-            lost[row] = max(lost[row], needed[axis] - box.height)
-        figure.set_figheight(figure.get_figheight() + sum(lost.values()) / figure.dpi)
+            overflow[row] = max(overflow[row], needed[axis] - box.height)
+        figure.set_figheight(figure.get_figheight() + sum(overflow.values()) / figure.dpi)
 
 
 def _widen(figure: Figure, axes: list) -> None:
@@ -404,7 +404,7 @@ def _widen(figure: Figure, axes: list) -> None:
     figure.set_figwidth(figure.get_figwidth() + sum(beyond.values()))
 
 
-def _room(axis: Any, figure: Figure, bars: list) -> float:
+def _space(axis: Any, figure: Figure, bars: list) -> float:
     """Width [pixel] for the title of axes: as far as there is nothing else on both sides where they
     stand alone."""
     box, place = axis.get_window_extent(), axis.get_subplotspec()
@@ -418,24 +418,24 @@ def _room(axis: Any, figure: Figure, bars: list) -> float:
 def _without_offset(axis: Any) -> None:
     """Says in the label what is taken off the numbers of an axis, and their power of ten."""
     label, offset = axis.get_label_text(), axis.get_offset_text()
-    said = OFFSET.fullmatch(axis.get_major_formatter().get_offset().replace("\N{MINUS SIGN}", "-"))
-    if said is None or not any(said.groups()) or not label or not offset.get_visible():
+    text = OFFSET.fullmatch(axis.get_major_formatter().get_offset().replace("\N{MINUS SIGN}", "-"))
+    if text is None or not any(text.groups()) or not label or not offset.get_visible():
         return
     what, _, unit = label.rstrip("]").partition(" [")
-    taken = f" \N{MINUS SIGN} {float(said[2]):.12g}" if said[2] else ""
-    scale = f"10{said[1].translate(RAISED)} " if said[1] else ""
+    taken = f" \N{MINUS SIGN} {float(text[2]):.12g}" if text[2] else ""
+    scale = f"10{text[1].translate(RAISED)} " if text[1] else ""
     unit = f"{scale}{unit}".removesuffix(" 1" if scale else "").rstrip()
     axis.set_label_text(f"{what}{taken} [{unit}]" if unit else f"{what}{taken}")
     offset.set_visible(False)
 
 
-def _fold(text: Any, room: float, upright: bool = False) -> bool:
+def _fold(text: Any, space: float, upright: bool = False) -> bool:
     """Folds a text into lines for which there is room [pixel]; whether that was needed."""
-    said, box = text.get_text(), text.get_window_extent()
+    line, box = text.get_text(), text.get_window_extent()
     long = box.height if upright else box.width
-    if not said or long <= room or "\n" in said:
+    if not line or long <= space or "\n" in line:
         return False
-    text.set_text(textwrap.fill(said, max(int(TAKEN * len(said) * room / long), 12)))
+    text.set_text(textwrap.fill(line, max(int(TAKEN * len(line) * space / long), 12)))
     return True
 
 
@@ -451,8 +451,8 @@ def _fold_rows(axis: Any) -> None:
         return
     labels = axis.get_yticklabels()
     lines = [one.get_text().split("\n") for one in labels]
-    if any(len(line) > ROW for own in lines for line in own):
-        names = ["\n".join(textwrap.fill(line, ROW) for line in own) for own in lines]
+    if any(len(line) > ROW for row in lines for line in row):
+        names = ["\n".join(textwrap.fill(line, ROW) for line in row) for row in lines]
         axis.set_yticks(axis.get_yticks(), names, fontsize=labels[0].get_fontsize())
 
 

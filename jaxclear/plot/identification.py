@@ -17,7 +17,7 @@ from jaxclear.studies.identification.remaining_life import RemainingLife
 from jaxclear.studies.identification.result import IDENTIFIED, Evidence, Identified, prior_quantiles
 
 # Panels side by side, and pairs of unknowns, at the most.
-MOST_BESIDE, MOST_PAIRS = 3, 6
+MOST_COLUMNS, MOST_PAIRS = 3, 6
 # Of the sample's runs those nearest to the estimates make the band of the posterior.
 NEAREST = 0.1
 BAND = (5, 95)
@@ -47,15 +47,15 @@ def identification(found: Identified, *, ax: Any = None) -> Any:
     """
     expect(found, Identified, "the identification", "what jaxclear.identify returns")
     drawn = _panels(found)
-    columns = len(drawn) if ax is not None else min(len(drawn), MOST_BESIDE)
+    columns = len(drawn) if ax is not None else min(len(drawn), MOST_COLUMNS)
     rows = -(-len(drawn) // columns)
     sheet = panels("identification", ax, rows, columns, (4.4 * columns, 3.2 * rows))
     for empty in sheet.axes.flat[len(drawn) :]:
         empty.remove()
     for axis, draw in zip(sheet.axes.flat, drawn, strict=False):
         draw(axis)
-    told = sum(own.verdict == IDENTIFIED for own in found.unknowns)
-    sheet.title(f"{told} of {len(found.unknowns)} unknowns identified, from {found.runs} runs")
+    count = sum(u.verdict == IDENTIFIED for u in found.unknowns)
+    sheet.title(f"{count} of {len(found.unknowns)} unknowns identified, from {found.runs} runs")
     return sheet.done(found.warned)
 
 
@@ -80,7 +80,7 @@ def remaining_life(found: RemainingLife, *, ax: Any = None) -> Any:
     factor, unit = readable([found.limit, *found.values], found.unit)
     cycles = np.linspace(found.cycles[0], max(high, found.cycles[-1]), POINTS)
     lines = found.limit + found.rate[:, None] * (cycles - found.failure[:, None])
-    ends = np.array([found.band(own) for own in lines.T]).T * factor
+    ends = np.array([found.band(line) for line in lines.T]).T * factor
     share = f"{100 * found.level:g} %"
     axis.fill_between(cycles, *ends[1:], color="C0", alpha=0.25, lw=0, label=f"{share} of lines")
     axis.plot(cycles, ends[0], color="C0", lw=1.0)
@@ -105,14 +105,14 @@ def _panels(found: Identified) -> list[Callable[[Any], None]]:
     if evidence is not None:
         near = _nearest(evidence)
         kinds = evidence.kinds.items()
-        drawn += [partial(_statistics, what=w, runs=r, shown=s, near=near) for w, (r, s) in kinds]
+        drawn += [partial(_statistics, what=w, runs=r, record=s, near=near) for w, (r, s) in kinds]
     drawn += [partial(_marginal, found=found, k=k) for k in unknowns]
     pairs = itertools.islice(itertools.combinations(unknowns, 2), MOST_PAIRS)
     drawn += [partial(_pair, found=found, i=i, k=k) for i, k in pairs]
     if evidence is not None:
-        held = evidence.held().mean(0)
+        part = evidence.held().mean(0)
         drawn += [
-            partial(_left_out, found=found, evidence=evidence, k=k, held=float(held[k]))
+            partial(_leave_one_out, found=found, evidence=evidence, k=k, part=float(part[k]))
             for k in unknowns
         ]
     return drawn
@@ -121,40 +121,38 @@ def _panels(found: Identified) -> list[Callable[[Any], None]]:
 def _nearest(evidence: Evidence) -> np.ndarray:
     """The runs whose unknowns are nearest to what the record leaves."""
     middle, spread = evidence.shares.mean(0), evidence.shares.std(0)
-    apart = np.sum(((evidence.fitted.unknowns - middle) / spread) ** 2, axis=1)
-    return np.argsort(apart, kind="stable")[: max(int(NEAREST * len(apart)), 10)]
+    distance = np.sum(((evidence.fitted.unknowns - middle) / spread) ** 2, axis=1)
+    return np.argsort(distance, kind="stable")[: max(int(NEAREST * len(distance)), 10)]
 
 
-def _statistics(axis: Any, what: str, runs: np.ndarray, shown: np.ndarray, near: Any) -> None:
-    count = np.arange(1, len(shown) + 1)
-    for own, name, colour in ((runs, "prior", "0.8"), (runs[near], "posterior", "C0")):
-        low, high = np.percentile(own, BAND, axis=0)
+def _statistics(axis: Any, what: str, runs: np.ndarray, record: np.ndarray, near: Any) -> None:
+    count = np.arange(1, len(record) + 1)
+    for sample, name, colour in ((runs, "prior", "0.8"), (runs[near], "posterior", "C0")):
+        low, high = np.percentile(sample, BAND, axis=0)
         alone: dict[str, Any] = {"color": colour, "alpha": 0.6, "lw": 0, "label": name}
-        if len(shown) == 1:
+        if len(record) == 1:
             axis.bar(count, high - low, bottom=low, width=0.6, **alone)
         else:
             axis.fill_between(count, low, high, **alone)
-    axis.plot(count, shown, "k.-", ms=4, lw=0.8, label="record")
+    axis.plot(count, record, "k.-", ms=4, lw=0.8, label="record")
     axis.set_ylabel(what)
     axis.set_xlabel("number of the statistic")
-    axis.xaxis.set_major_locator(Roomy(whole=True))
+    axis.xaxis.set_major_locator(Roomy(integers=True))
     key(axis)
 
 
 def _marginal(axis: Any, found: Identified, k: int) -> None:
-    own = found.unknowns[k]
+    u = found.unknowns[k]
     draws = found.posterior_values[:, k]
-    prior = prior_quantiles(found.problem, own.name, (np.arange(400) + 0.5) / 400)
-    factor, unit = readable([own.prior_low, own.prior_high], own.unit)
+    prior = prior_quantiles(found.problem, u.name, (np.arange(400) + 0.5) / 400)
+    factor, unit = readable([u.prior_low, u.prior_high], u.unit)
     edges = np.linspace(min(prior.min(), draws.min()), max(prior.max(), draws.max()), BINS + 1)
     for values, name, colour in ((prior, "prior", "0.8"), (draws, "posterior", "C0")):
         how: dict[str, Any] = {"density": True, "alpha": 0.7, "label": name, "color": colour}
         axis.hist(factor * values, bins=factor * edges, **how)
-    axis.axvspan(
-        factor * own.low, factor * own.high, color="C1", alpha=0.25, zorder=0, label="95 %"
-    )
-    axis.axvline(factor * own.estimate, color="k", lw=1.0)
-    axis.set_xlabel(f"{own.name} [{unit}], {own.verdict}")
+    axis.axvspan(factor * u.low, factor * u.high, color="C1", alpha=0.25, zorder=0, label="95 %")
+    axis.axvline(factor * u.estimate, color="k", lw=1.0)
+    axis.set_xlabel(f"{u.name} [{unit}], {u.verdict}")
     axis.set_ylabel("density")
     axis.set_yticks([])
     key(axis)
@@ -164,25 +162,25 @@ def _pair(axis: Any, found: Identified, i: int, k: int) -> None:
     labels = []
     values = []
     for one in (i, k):
-        own = found.unknowns[one]
-        factor, unit = readable([own.prior_low, own.prior_high], own.unit)
+        u = found.unknowns[one]
+        factor, unit = readable([u.prior_low, u.prior_high], u.unit)
         values.append(factor * found.posterior_values[:, one])
-        labels.append(f"{own.name} [{unit}]")
+        labels.append(f"{u.name} [{unit}]")
     axis.plot(*values, "o", ms=3, mew=0, alpha=0.5)
     axis.set_xlabel(labels[0])
     axis.set_ylabel(labels[1])
 
 
-def _left_out(axis: Any, found: Identified, evidence: Evidence, k: int, held: float) -> None:
-    own = found.unknowns[k]
-    fitted, name = evidence.fitted, own.name
-    factor, unit = readable([own.prior_low, own.prior_high], own.unit)
+def _leave_one_out(axis: Any, found: Identified, evidence: Evidence, k: int, part: float) -> None:
+    u = found.unknowns[k]
+    fitted, name = evidence.fitted, u.name
+    factor, unit = readable([u.prior_low, u.prior_high], u.unit)
     as_value = lambda shares: factor * prior_quantiles(found.problem, name, shares)
     estimates = as_value(np.clip(fitted.surfaces[k].left_out, 0.0, 1.0))
     axis.plot(estimates, as_value(fitted.unknowns[:, k]), "o", ms=3, mew=0, alpha=0.5)
-    ends = factor * np.array([own.prior_low, own.prior_high])
+    ends = factor * np.array([u.prior_low, u.prior_high])
     axis.plot(ends, ends, color="0.5", lw=0.8)
-    axis.axvline(factor * own.estimate, color="k", lw=1.0)
+    axis.axvline(factor * u.estimate, color="k", lw=1.0)
     axis.set_xlabel(f"{name} told of runs left out [{unit}]")
     axis.set_ylabel(f"what it was [{unit}]")
-    axis.set_title(f"95 % intervals hold {100 * held:.0f} % of the runs", fontsize=8)
+    axis.set_title(f"95 % intervals hold {100 * part:.0f} % of the runs", fontsize=8)

@@ -52,7 +52,7 @@ def settled(found: Settled, *, ax: Any = None) -> Any:
         axis.set_ylabel(f"{name} [{unit}]")
     for axis in sheet.axes.flat:
         axis.set_xlabel("cycle [1]")
-        axis.xaxis.set_major_locator(Roomy(whole=True))
+        axis.xaxis.set_major_locator(Roomy(integers=True))
     sheet.title(found.sentence().partition(": ")[0] + ".")
     return sheet.done([f"Warning: {one}" for one in found.warnings])
 
@@ -90,7 +90,7 @@ def wear_lives(found: WearLives, *, ax: Any = None) -> Any:
 # Points of a curve.
 POINTS = 200
 # Panels side by side at the most.
-MOST_BESIDE = 3
+MOST_COLUMNS = 3
 # Of a share: below this it is rounding.
 LEAST_SHARE = 1e-8
 
@@ -114,26 +114,26 @@ def wear_life(life: WearLife, *, ax: Any = None) -> Any:
     """
     expect(life, WearLife, "the life", "what jaxclear.wear_life returns")
     names = life.problem.response_names
-    shown = [DEPTH, VOLUME, *names]
-    columns = 2 if len(shown) == 4 else min(len(shown), MOST_BESIDE)
+    quantities = [DEPTH, VOLUME, *names]
+    columns = 2 if len(quantities) == 4 else min(len(quantities), MOST_COLUMNS)
     if ax is not None:
-        columns = len(shown)
-    rows = -(-len(shown) // columns)
+        columns = len(quantities)
+    rows = -(-len(quantities) // columns)
     size = (4.2 * columns, 3.2 * rows)
     sheet = panels("wear_life", ax, rows, columns, size, sharex=True)
     axes = sheet.axes
-    for axis, name in zip(axes.flat, shown, strict=False):
+    for axis, name in zip(axes.flat, quantities, strict=False):
         _response(axis, life, name) if name in names else _worn(axis, life, name)
-    for axis in axes.flat[len(shown) :]:
+    for axis in axes.flat[len(quantities) :]:
         axis.remove()
     for column in range(columns):
-        last = max(i for i in range(len(shown)) if i % columns == column)
+        last = max(i for i in range(len(quantities)) if i % columns == column)
         axes.flat[last].set_xlabel("cycles")
         axes.flat[last].tick_params(labelbottom=True)
     short = f"{life.cycles[-1]:.4g} cycles of machine life from {life.simulated} simulated ones"
     sheet.title(short)
-    said = [f"Ended early: {life.ended}"] if life.ended else []
-    return sheet.done([*said, *(f"Warning: {one}" for one in life.warnings)])
+    notes = [f"Ended early: {life.ended}"] if life.ended else []
+    return sheet.done([*notes, *(f"Warning: {one}" for one in life.warnings)])
 
 
 def _worn(axis: Any, life: WearLife, kind: str) -> None:
@@ -141,8 +141,8 @@ def _worn(axis: Any, life: WearLife, kind: str) -> None:
     errors = life.errors if kind == DEPTH else life.errors_of_volume
     places = np.linspace(0.0, life.cycles[-1], POINTS)
     band = np.interp(places, life.cycles, errors)
-    whole = life.over_life(kind)
-    factor, unit = readable(whole, "m") if kind == DEPTH else volume(whole)
+    curve_of_all = life.over_life(kind)
+    factor, unit = readable(curve_of_all, "m") if kind == DEPTH else volume(curve_of_all)
     for number, (joint, surface) in enumerate(life.surfaces):
         name, colour = f"{kind} {joint} {surface}", f"C{number}"
         curve = factor * life.over_life(name, places)
@@ -236,10 +236,10 @@ def _limits(axis: Any, found: Design) -> None:
 def _history(axis: Any, found: Design) -> None:
     history = found.history()
     axis.plot(history["runs"], history["cost"], "o-", color="C0", ms=4, lw=1.2)
-    kept = history["largest excess"] <= found.allowed_excess
+    holds = history["largest excess"] <= found.allowed_excess
     axis.plot(
-        history["runs"][kept],
-        history["cost"][kept],
+        history["runs"][holds],
+        history["cost"][holds],
         "o",
         ms=9,
         mfc="none",
@@ -248,7 +248,7 @@ def _history(axis: Any, found: Design) -> None:
     )
     axis.set_xlabel("runs")
     axis.set_ylabel("cost")
-    if kept.any():
+    if holds.any():
         key(axis)
 
 
@@ -273,14 +273,14 @@ def design_front(found: Sequence[Design], limit: int = 0, *, ax: Any = None) -> 
         expect(one, Design, "a design of the front", "one that jaxclear.design_front returns")
     bounds = np.array([float(one.limits[limit].bound()) for one in found])
     factor, unit = readable(bounds, found[0].unit(limit))
-    costs, held = np.array([one.cost for one in found]), np.array([one.holds for one in found])
+    costs, holds = np.array([one.cost for one in found]), np.array([one.holds for one in found])
     sheet = panels("design_front", ax, size=(5.6, 3.8))
     axis = sheet.one
     axis.plot(factor * bounds, costs, "-", color="C0", lw=1.2)
-    axis.plot(factor * bounds[held], costs[held], "o", color="C0", label="holds")
-    if not held.all():
-        lost = ~held
-        axis.plot(factor * bounds[lost], costs[lost], "o", mfc="none", color="C3", label="does not")
+    axis.plot(factor * bounds[holds], costs[holds], "o", color="C0", label="holds")
+    if not holds.all():
+        bad = ~holds
+        axis.plot(factor * bounds[bad], costs[bad], "o", mfc="none", color="C3", label="does not")
     axis.set_xlabel(f"{found[0].limits[limit].words()} [{unit}]", fontsize=8)
     axis.set_ylabel("cost")
     key(axis)

@@ -70,8 +70,8 @@ def displacement(
         for run in runs.values()
     ]
     factor, unit = readable(np.concatenate([*away, [0.0]]), "m")
-    for run, way, shade in zip(runs.values(), away, shades(len(runs)), strict=True):
-        axes[2].plot(run.time, factor * way, color=shade, lw=0.8)
+    for run, distance, shade in zip(runs.values(), away, shades(len(runs)), strict=True):
+        axes[2].plot(run.time, factor * distance, color=shade, lw=0.8)
     axes[2].set_ylabel(f"distance from ideal [{unit}]")
     axes[2].set_xlabel("time [s]")
     axes[2].set_ylim(bottom=0)
@@ -103,13 +103,13 @@ def angular_velocity(
         check_run(one)
     sheet = panels("angular_velocity", ax, 2, 1, (8.0, 6.0), sharex=True)
     axes = sheet.axes.flat
-    own, other = (np.asarray(r.body(body).spin)[:, 2] for r in (run, ideal))
-    axes[0].plot(run.time, own, color="C0", lw=1.2, label=label)
+    rate, other = (np.asarray(r.body(body).spin)[:, 2] for r in (run, ideal))
+    axes[0].plot(run.time, rate, color="C0", lw=1.2, label=label)
     axes[0].plot(ideal.time, other, "k--", lw=0.9, label="ideal")
     axes[0].set_ylabel("angular velocity [rad/s]")
     sheet.legend()
     sheet.title(f"Angular velocity of the {body} about the z axis")
-    axes[1].plot(run.time, own - other, color="C0", lw=0.7)
+    axes[1].plot(run.time, rate - other, color="C0", lw=0.7)
     axes[1].axhline(0.0, color="k", lw=0.6)
     axes[1].set_ylabel("difference from ideal [rad/s]")
     axes[1].set_xlabel("time [s]")
@@ -216,17 +216,17 @@ def journal_orbit(
             "plot.phase_portrait."
         )
     factor, unit = readable([float(gap.clearance)], "m")
-    clearance, kept = factor * float(gap.clearance), reached(run, since)
-    path = factor * np.asarray(history.offset)[kept][:, PLANES[plane]]
+    clearance, mask = factor * float(gap.clearance), reached(run, since)
+    path = factor * np.asarray(history.offset)[mask][:, PLANES[plane]]
     sheet = panels("journal_orbit", ax, size=(5.8, 5.0))
     axis, turn = sheet.one, np.linspace(0, 2 * np.pi, 400)
     axis.plot(clearance * np.cos(turn), clearance * np.sin(turn), "r-", lw=0.8,
               label="clearance")  # fmt: skip
-    lines = over_time(axis, path[:, 0], path[:, 1], np.asarray(run.time)[kept])
+    lines = over_time(axis, path[:, 0], path[:, 1], np.asarray(run.time)[mask])
     axis.set_aspect("equal")
     axis.set_xlim(-1.15 * clearance, 1.15 * clearance)
     axis.set_ylim(-1.15 * clearance, 1.15 * clearance)
-    sheet.whole.colorbar(lines, ax=axis, label="time [s]")
+    sheet.figure_of.colorbar(lines, ax=axis, label="time [s]")
     axis.set_xlabel(f"{plane[0]} of the centre [{unit}]")
     axis.set_ylabel(f"{plane[1]} of the centre [{unit}]")
     key(axis, loc="upper right")
@@ -257,8 +257,8 @@ def hysteresis(run: Trajectory, joint: str, *, since: float = 0.0, ax: Any = Non
     check_run(run)
     check_number("since of hysteresis", since, "s")
     history, motion = run.contact(joint), relative_motion(run, joint)
-    own: Any = run.mechanism.connections[joint].joint
-    gap = getattr(own, "gap", own)
+    itself: Any = run.mechanism.connections[joint].joint
+    gap = getattr(itself, "gap", itself)
     stated: Any = getattr(gap, "rows", None) or getattr(gap, "ideal_rows", ())
     rows = set(stated)
     if rows == {"x", "y", "z"}:
@@ -268,26 +268,26 @@ def hysteresis(run: Trajectory, joint: str, *, since: float = 0.0, ax: Any = Non
         )
     slides = "z" not in rows and "x.z" in rows
     unit, rub = ("m", "N") if slides else ("rad", "N m")
-    way = motion.offset[:, 2] if slides else motion.turn
+    travel = motion.offset[:, 2] if slides else motion.turn
     speed = motion.rate[:, 2] if slides else motion.spin
     friction = np.asarray(history.force if slides else history.torque)[:, 2]
-    if gap is own and joint not in run.mechanism.topology.clearances:
-        friction = _of_ideal(own, history, speed, slides)
-    kept = reached(run, since)
-    scale, rub = readable(friction[kept], rub)
-    rubbed, time = scale * friction[kept], np.asarray(run.time)[kept]
+    if gap is itself and joint not in run.mechanism.topology.clearances:
+        friction = _of_ideal(itself, history, speed, slides)
+    mask = reached(run, since)
+    scale, rub = readable(friction[mask], rub)
+    rubbed, time = scale * friction[mask], np.asarray(run.time)[mask]
     sheet = panels("hysteresis", ax, 1, 2, (9.5, 4.2), sharey=True)
     labels = ("displacement", "sliding speed") if slides else ("turn", "angular velocity")
     for axis, values, label, per in zip(
-        sheet.axes.flat, (way[kept], speed[kept]), labels, ("", "/s"), strict=True
+        sheet.axes.flat, (travel[mask], speed[mask]), labels, ("", "/s"), strict=True
     ):
-        factor, shown = readable(values, unit)
+        factor, label_unit = readable(values, unit)
         lines = over_time(axis, factor * values, rubbed, time)
         axis.axhline(0.0, color="0.7", lw=0.6, zorder=0)
-        axis.set_xlabel(f"{label} in {joint} [{shown}{per}]")
+        axis.set_xlabel(f"{label} in {joint} [{label_unit}{per}]")
     what = "force" if slides else "torque"
     sheet.one.set_ylabel(f"friction {what} on the child [{rub}]")
-    sheet.whole.colorbar(lines, ax=sheet.axes.flat[-1], label="time [s]")
+    sheet.figure_of.colorbar(lines, ax=sheet.axes.flat[-1], label="time [s]")
     sheet.title(f"Friction of {joint}")
     return warned(sheet, {"": run})
 
@@ -376,7 +376,7 @@ def pointing_budget(error: PointingError, *, ax: Any = None) -> Any:
         ("pointing", error.pointing_angle, turn, "rad"),
         ("position", error.position_error, shift, "m"),
     )
-    for (along_time, beside), (what, exact, size, base_unit) in zip(axes, quantities, strict=True):
+    for (along_time, bars), (what, exact, size, base_unit) in zip(axes, quantities, strict=True):
         factor, unit = readable(exact, base_unit)
         shades = dict(zip(error.names, (f"C{k}" for k in range(len(error.names))), strict=True))
         for name, shade in shades.items():
@@ -392,16 +392,16 @@ def pointing_budget(error: PointingError, *, ax: Any = None) -> Any:
         along_time.set_ylim(bottom=0)
         column = factor * table[f"rms {what} [{base_unit}]"]
         colours = [shades.get(name, "k" if name == "model" else "0.55") for name in table.index]
-        beside.barh(range(len(table)), column, color=colours)
+        bars.barh(range(len(table)), column, color=colours)
         for row, (value, share) in enumerate(
             zip(column, table[f"share of {what} [1]"], strict=True)
         ):
             text = "" if np.isnan(share) or row >= len(error.names) else f"{100 * share:.3g} %"
-            beside.text(value, row, f" {text}", va="center", fontsize=8)
-        beside.set_yticks(range(len(table)), table.index)
-        beside.set_xlim(0.0, 1.25 * max(column.max(), np.finfo(float).tiny))
-        beside.invert_yaxis()
-        beside.set_xlabel(f"rms [{unit}]; %: share of its square")
+            bars.text(value, row, f" {text}", va="center", fontsize=8)
+        bars.set_yticks(range(len(table)), table.index)
+        bars.set_xlim(0.0, 1.25 * max(column.max(), np.finfo(float).tiny))
+        bars.invert_yaxis()
+        bars.set_xlabel(f"rms [{unit}]; %: share of its square")
     axes[1][0].set_xlabel("time [s]")
     sheet.legend()
     sheet.title(f'Error of the tip on "{error.tip}" seen from "{error.base}"')

@@ -73,17 +73,17 @@ def overview(run: Trajectory, *, ax: Any = None) -> Any:
     check_run(run)
     sheet = panels("overview", ax, 3, 1, (8.0, 8.0), sharex=True)
     places, turns, forces = sheet.axes.flat
-    kept = reached(run, -np.inf)
-    time = np.asarray(run.time)[kept]
-    ways = {}
+    mask = reached(run, -np.inf)
+    time = np.asarray(run.time)[mask]
+    distances = {}
     for name in dict.fromkeys(beam_of(run.mechanism.bodies, n) for n in run.mechanism.bodies):
         motion = run.body(name)
-        com = np.asarray(motion.com)[kept]
-        ways[name] = np.linalg.norm(com - com[0], axis=1)
-        turns.plot(time, np.linalg.norm(np.asarray(motion.spin)[kept], axis=1), lw=1.0, label=name)
-    factor, unit = readable(np.concatenate(list(ways.values())), "m")
-    for name, way in ways.items():
-        places.plot(time, factor * way, lw=1.0, label=name)
+        com = np.asarray(motion.com)[mask]
+        distances[name] = np.linalg.norm(com - com[0], axis=1)
+        turns.plot(time, np.linalg.norm(np.asarray(motion.spin)[mask], axis=1), lw=1.0, label=name)
+    factor, unit = readable(np.concatenate(list(distances.values())), "m")
+    for name, distance in distances.items():
+        places.plot(time, factor * distance, lw=1.0, label=name)
     places.set_ylabel(f"displacement from the start [{unit}]")
     turns.set_ylabel("angular velocity [rad/s]")
     draw_forces(forces, run, *run.formulation.contact_joints(run.mechanism))
@@ -103,13 +103,13 @@ def draw_forces(axis: Any, run: Trajectory, *joints: str) -> None:
         run: the run.
         joints: names of the joints, whose contacts are summed.
     """
-    kept = reached(run, -np.inf)
-    saved = [np.asarray(run.contact(name).normal_force)[kept].sum(axis=1) for name in joints]
+    mask = reached(run, -np.inf)
+    saved = [np.asarray(run.contact(name).normal_force)[mask].sum(axis=1) for name in joints]
     peaks = [float(PeakContactForce(name)(run)) for name in joints]
-    factor, unit = readable([*peaks, *(own.max() for own in saved)], "N")
+    factor, unit = readable([*peaks, *(forces_of.max() for forces_of in saved)], "N")
     for number, (name, force, peak) in enumerate(zip(joints, saved, peaks, strict=True)):
         how: dict[str, Any] = {"color": f"C{number}", "lw": 0.8}
-        axis.plot(np.asarray(run.time)[kept], factor * force, label=name, **how)
+        axis.plot(np.asarray(run.time)[mask], factor * force, label=name, **how)
         label = f"largest of a contact in all steps, {factor * peak:.4g} {unit}"
         axis.axhline(factor * peak, ls=":", label=label, **how)
     axis.set_ylabel(f"normal force [{unit}]")
@@ -131,33 +131,33 @@ def positions(found: Positions, *, ax: Any = None) -> Any:
     """
     expect(found, Positions, "the positions", "what jaxclear.positions returns")
     sheet = panels("positions", ax, 1, 2, (10.0, 4.4))
-    left, right = sheet.axes.flat
+    places_axis, seats_axis = sheet.axes.flat
     coms = {name: np.asarray(found.body(name).com) for name in found.scene.mechanism.bodies}
     factor, unit = readable(np.concatenate(list(coms.values())), "m")
     for name, com in coms.items():
-        left.plot(factor * com[:, 0], factor * com[:, 1], "o-", ms=3, lw=0.8, label=name)
-    left.set_aspect("equal", adjustable="datalim")
-    left.set_xlabel(f"x [{unit}]")
-    left.set_ylabel(f"y [{unit}]")
-    key(left)
+        places_axis.plot(factor * com[:, 0], factor * com[:, 1], "o-", ms=3, lw=0.8, label=name)
+    places_axis.set_aspect("equal", adjustable="datalim")
+    places_axis.set_xlabel(f"x [{unit}]")
+    places_axis.set_ylabel(f"y [{unit}]")
+    key(places_axis)
     seats = {name: np.asarray(found.offset(name)) for name in found.seats}
     every = np.concatenate(list(seats.values())) if seats else np.zeros((0, 3))
     factor, unit = readable(every, "m")
     for name, offset in seats.items():
-        right.plot(factor * offset[:, 0], factor * offset[:, 1], "o", ms=3, label=name)
+        seats_axis.plot(factor * offset[:, 0], factor * offset[:, 1], "o", ms=3, label=name)
     if len(every):
         # Journals that all lie in one place, too, have room around them.
         low, high = factor * every.min(axis=0), factor * every.max(axis=0)
         half = max(0.55 * (high - low)[:2].max(), 1e-3 * np.abs(factor * every).max()) or 1.0
-        right.set_xlim(0.5 * (low + high)[0] - half, 0.5 * (low + high)[0] + half)
-        right.set_ylim(0.5 * (low + high)[1] - half, 0.5 * (low + high)[1] + half)
-    right.set_aspect("equal")
-    right.set_xlabel(f"x of the journal in its bearing [{unit}]")
-    right.set_ylabel(f"y [{unit}]")
+        seats_axis.set_xlim(0.5 * (low + high)[0] - half, 0.5 * (low + high)[0] + half)
+        seats_axis.set_ylim(0.5 * (low + high)[1] - half, 0.5 * (low + high)[1] + half)
+    seats_axis.set_aspect("equal")
+    seats_axis.set_xlabel(f"x of the journal in its bearing [{unit}]")
+    seats_axis.set_ylabel(f"y [{unit}]")
     if seats:
-        key(right)
-    lost = int(np.sum(~np.asarray(found.found)))
-    sheet.title(f"{len(found.found)} positions, {lost} not found")
+        key(seats_axis)
+    missing = int(np.sum(~np.asarray(found.found)))
+    sheet.title(f"{len(found.found)} positions, {missing} not found")
     return sheet.done()
 
 

@@ -37,12 +37,12 @@ class TimeCurve(NamedTuple):
     label: str
     rate_label: str
 
-    def shown(self) -> tuple[np.ndarray, str]:
+    def in_unit(self) -> tuple[np.ndarray, str]:
         """Values in a readable unit, and the axis label with it."""
         factor, unit = readable(self.values, self.unit)
         return factor * self.values, f"{self.label} [{unit}]"
 
-    def rates_shown(self) -> tuple[np.ndarray, str]:
+    def rates_in_unit(self) -> tuple[np.ndarray, str]:
         """Rates in a readable unit, and the axis label with it.
 
         Raises:
@@ -100,8 +100,8 @@ def _usual(run: Trajectory, of: str) -> str:
 
 def _of_joint(run: Trajectory, of: str, axis: str) -> TimeCurve:
     touching = of in run.formulation.contact_joints(run.mechanism)
-    known = (*AXES, TURN, *([FORCE] if touching else []))
-    check_name("axis", axis, known, f' of joint "{of}"')
+    axes = (*AXES, TURN, *([FORCE] if touching else []))
+    check_name("axis", axis, axes, f' of joint "{of}"')
     time = np.asarray(run.time)
     if axis == FORCE:
         force = np.asarray(run.contact(of).normal_force).sum(axis=1)
@@ -155,20 +155,20 @@ def phase_portrait(
     Raises:
         ValueError: if there is no such body, joint or axis, or the quantity has no rate.
     """
-    own = signal(run, of, axis)
+    curve = signal(run, of, axis)
     check_number("since of phase_portrait", since, "s")
-    kept = reached(run, since)
-    (values, across), (rates, up) = own.shown(), own.rates_shown()
+    mask = reached(run, since)
+    (values, across), (rates, up) = curve.in_unit(), curve.rates_in_unit()
     sheet = panels("phase_portrait", ax, size=(6.4, 4.8))
-    lines = over_time(sheet.one, values[kept], rates[kept], own.time[kept])
-    sheet.whole.colorbar(lines, ax=sheet.one, label="time [s]")
+    lines = over_time(sheet.one, values[mask], rates[mask], curve.time[mask])
+    sheet.figure_of.colorbar(lines, ax=sheet.one, label="time [s]")
     sheet.one.set_xlabel(across)
     sheet.one.set_ylabel(up)
     sheet.title(f"Phase portrait of {of}")
     return warned(sheet, {"": run})
 
 
-def at_periods(own: TimeCurve, period: float, since: float, until: float) -> tuple:
+def at_periods(data: TimeCurve, period: float, since: float, until: float) -> tuple:
     """Values and rates of a quantity once a period.
 
     Between saving times they are those of a cubic through values and rates.
@@ -183,14 +183,14 @@ def at_periods(own: TimeCurve, period: float, since: float, until: float) -> tup
         Times [s], values and rates, each of shape (periods,).
     """
     times = np.arange(since, until * (1 + 1e-12), period)
-    kept = own.time <= until * (1 + 1e-12)
-    curve = CubicHermiteSpline(own.time[kept], own.values[kept], np.asarray(own.rates)[kept])
+    mask = data.time <= until * (1 + 1e-12)
+    curve = CubicHermiteSpline(data.time[mask], data.values[mask], np.asarray(data.rates)[mask])
     return times, curve(times), curve.derivative()(times)
 
 
-def _checked(run: Trajectory, own: TimeCurve, period: float, since: float, what: str) -> float:
+def _checked(run: Trajectory, curve: TimeCurve, period: float, since: float, what: str) -> float:
     """The end of the run [s]. Raises `ValueError` where no two periods are left."""
-    own.rates_shown()
+    curve.rates_in_unit()
     check_number(f"period of {what}", period, "s", above=0)
     check_number(f"since of {what}", since, "s", at_least=float(run.time[0]))
     until = min(float(run.ended), float(run.time[-1]))
@@ -232,14 +232,14 @@ def poincare_section(
         ValueError: if there is no such body, joint or axis, the quantity has no rate, or no whole
             period follows `since`.
     """
-    own = signal(run, of, axis)
-    until = _checked(run, own, period, since, "poincare_section")
-    times, _, _ = found = at_periods(own, period, since, until)
-    section = own._replace(values=found[1], rates=found[2])
-    (values, across), (rates, up) = section.shown(), section.rates_shown()
+    curve = signal(run, of, axis)
+    until = _checked(run, curve, period, since, "poincare_section")
+    times, _, _ = sampled = at_periods(curve, period, since, until)
+    section = curve._replace(values=sampled[1], rates=sampled[2])
+    (values, across), (rates, up) = section.in_unit(), section.rates_in_unit()
     sheet = panels("poincare_section", ax, size=(6.4, 4.8))
     points = sheet.one.scatter(values, rates, c=np.arange(len(times)), s=12, cmap="viridis")
-    sheet.whole.colorbar(points, ax=sheet.one, label="period [1]")
+    sheet.figure_of.colorbar(points, ax=sheet.one, label="period [1]")
     sheet.one.set_xlabel(across)
     sheet.one.set_ylabel(up)
     sheet.title(f"Poincaré section of {of}, every {period:.4g} s")
@@ -280,24 +280,24 @@ def bifurcation(
     expect(runs, Mapping, "runs", "a dictionary of runs by the number that varies")
     if not runs:
         raise ValueError("runs of bifurcation is empty; it must hold a run for each number.")
-    found = {}
+    sections = {}
     for number, run in runs.items():
         check_run(run)
         check_number("a number of bifurcation", number)
-        own = signal(run, of, axis)
-        until = _checked(run, own, period, since, "bifurcation")
-        found[float(number)] = at_periods(own, period, since, until)[1]
-    every = own._replace(values=np.concatenate(list(found.values())))
-    values, up = every.shown()
-    numbers = np.repeat(list(found), [len(one) for one in found.values()])
+        curve = signal(run, of, axis)
+        until = _checked(run, curve, period, since, "bifurcation")
+        sections[float(number)] = at_periods(curve, period, since, until)[1]
+    every = curve._replace(values=np.concatenate(list(sections.values())))
+    values, up = every.in_unit()
+    numbers = np.repeat(list(sections), [len(one) for one in sections.values()])
     what, _, unit = over.rpartition(" [")
-    factor, shown = readable(numbers, unit.rstrip("]"))
+    factor, unit_text = readable(numbers, unit.rstrip("]"))
     sheet = panels("bifurcation", ax, size=(7.0, 4.6))
     sheet.one.plot(factor * numbers, values, ".", ms=3, color=matplotlib.colormaps["viridis"](0.25))
-    sheet.one.set_xlabel(f"{what} [{shown}]" if what else over)
+    sheet.one.set_xlabel(f"{what} [{unit_text}]" if what else over)
     sheet.one.set_ylabel(f"{up}")
     sheet.title(f"Once every {period:.4g} s")
-    return warned(sheet, {f"{factor * n:.4g} {shown}": run for n, run in runs.items()})
+    return warned(sheet, {f"{factor * n:.4g} {unit_text}": run for n, run in runs.items()})
 
 
 # Saving times count as evenly spread within this share of their distance.
@@ -364,15 +364,15 @@ def spectrum(
     Raises:
         ValueError: if there is no such body, joint or axis, or saving times are not evenly spaced.
     """
-    own = signal(run, of, axis)
+    curve = signal(run, of, axis)
     check_number("since of spectrum", since, "s")
     check_count("segments of spectrum", segments)
     if period is not None:
         check_number("period of spectrum", period, "s", above=0)
-    kept = reached(run, since)
-    frequency, density = spectral_density(own.time[kept], own.values[kept], segments)
+    mask = reached(run, since)
+    frequency, density = spectral_density(curve.time[mask], curve.values[mask], segments)
     root = np.sqrt(density[1:])
-    factor, unit = readable(root, own.unit)
+    factor, unit = readable(root, curve.unit)
     sheet = panels("spectrum", ax, size=(7.0, 4.4))
     sheet.one.loglog(frequency[1:], factor * root, lw=1.0, color="C0")
     if period is not None:
@@ -382,5 +382,5 @@ def spectrum(
     sheet.one.set_xlabel("frequency [Hz]")
     sheet.one.set_ylabel(rf"root of spectral density [{unit}/$\sqrt{{\mathrm{{Hz}}}}$]")
     marked = "" if period is None else f", harmonics of {1 / period:.4g} Hz in grey"
-    sheet.title(f"Spectrum of the {own.label}{marked}")
+    sheet.title(f"Spectrum of the {curve.label}{marked}")
     return warned(sheet, {"": run})

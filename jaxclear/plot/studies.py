@@ -35,7 +35,7 @@ DIVERGED = "failed, or no digit right"
 EDGE: dict[str, Any] = {"mfc": "none", "ms": 7, "zorder": 4}
 # Panels side by side; values of a second variable up to which each has a line; letters in a line of
 # a legend.
-MOST_BESIDE, MOST_CURVES, IN_LEGEND = 3, 8, 24
+MOST_COLUMNS, MOST_CURVES, IN_LEGEND = 3, 8, 24
 # Where a sentence ends.
 SENTENCES = re.compile(r"(?<=[.!?]) +(?=[A-Z0-9])")
 
@@ -59,20 +59,20 @@ def monte_carlo(study: MonteCarlo | Campaign, *, ax: Any = None) -> Any:
     names = list(study.responses)
     sheet = panels("monte_carlo", ax, 1, len(names), (4.6 * len(names), 3.8))
     for axis, name in zip(sheet.axes.flat, names, strict=True):
-        told = study.good(name)[0]
-        values = told[np.isfinite(told)]
+        answers = study.good(name)[0]
+        values = answers[np.isfinite(answers)]
         factor, unit = readable(values, study.problem.units()[name])
         axis.hist(factor * values, bins="auto", color="C0", alpha=0.8)
         axis.set_xlabel(f"{name} [{unit}]")
-        if len(values) < len(told):
+        if len(values) < len(answers):
             # Of infinite answers, as lives may be, there is no mean, and no place on an axis.
-            axis.set_xlabel(f"{name} [{unit}], infinite in {len(told) - len(values)} more")
+            axis.set_xlabel(f"{name} [{unit}], infinite in {len(answers) - len(values)} more")
         else:
             axis.axvline(factor * values.mean(), color="k", lw=1.2, label="mean")
             low, high = np.percentile(factor * values, [5, 95])
             axis.axvspan(low, high, color="C1", alpha=0.25, label="5 to 95 %", zorder=0)
         axis.set_ylabel("samples")
-        axis.yaxis.set_major_locator(Roomy(whole=True))
+        axis.yaxis.set_major_locator(Roomy(integers=True))
     sheet.legend()
     sheet.title(f"Monte Carlo, {study.count} samples, {len(study.failed)} failed")
     return sheet.done(_warned_samples(study))
@@ -82,7 +82,7 @@ def _warned_samples(study: MonteCarlo) -> list[str]:
     """How many samples warn, and what the means are without them."""
     if not len(study.warned) and not study.doubts:
         return []
-    told = [*study.doubts] or [study.sentence()]
+    sentences = [*study.doubts] or [study.sentence()]
     for row in study.summary().to_dict("records"):
         if row["warned"]:
             values = study.responses[row["response"]]
@@ -93,8 +93,8 @@ def _warned_samples(study: MonteCarlo) -> list[str]:
             )
             if row.get("infinite"):
                 means = f"there is no mean, infinite in {row['infinite']} samples."
-            told += [f"{row['response']}: {row['warned']} in doubt; {means}"]
-    return told
+            sentences += [f"{row['response']}: {row['warned']} in doubt; {means}"]
+    return sentences
 
 
 @answering
@@ -115,11 +115,11 @@ def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
     """
     expect(study, Sensitivity, "the study", "what jaxclear.sensitivity returns")
     entries = list(study.derivatives.items())
-    alike = len({tuple(found.estimates) for _, found in entries}) == 1
-    columns = len(entries) if ax is not None else min(len(entries), MOST_BESIDE)
+    same_methods = len({tuple(d.estimates) for _, d in entries}) == 1
+    columns = len(entries) if ax is not None else min(len(entries), MOST_COLUMNS)
     rows = -(-len(entries) // columns)
     size = 4.6 * columns, 3.6 * rows
-    sheet = panels("sensitivity", ax, rows, columns, size, sharey=alike)
+    sheet = panels("sensitivity", ax, rows, columns, size, sharey=same_methods)
     for empty in sheet.axes.flat[len(entries) :]:
         empty.remove()
     rest: dict[str, list[str]] = {}
@@ -173,22 +173,22 @@ def sweep(study: Sweep, *, ax: Any = None) -> Any:
             "a part of sweep.to_dataset()."
         )
     units = study.units()
-    sides = [readable(own, units[name]) for name, own in study.over.items()]
+    sides = [readable(v, units[name]) for name, v in study.over.items()]
     axes = zip(sides, study.over.values(), strict=True)
     along, *other = (factor * values for (factor, _), values in axes)
     names = [f"{name} [{unit}]" for name, (_, unit) in zip(study.over, sides, strict=True)]
     count = len(study.responses)
     sheet = panels("sweep", ax, 1, count, (4.8 * count, 3.8))
-    for axis, (name, told) in zip(sheet.axes.flat, study.responses.items(), strict=True):
-        factor, unit = readable(told[np.isfinite(told)], units[name])
+    for axis, (name, answers) in zip(sheet.axes.flat, study.responses.items(), strict=True):
+        factor, unit = readable(answers[np.isfinite(answers)], units[name])
         axis.set_xlabel(names[0])
         if other and len(other[0]) > MOST_CURVES:
-            drawn = axis.pcolormesh(along, other[0], factor * told.T, shading="nearest")
+            drawn = axis.pcolormesh(along, other[0], factor * answers.T, shading="nearest")
             axis.set_ylabel(names[1])
-            sheet.whole.colorbar(drawn, ax=axis, label=f"{name} [{unit}]")
+            sheet.figure_of.colorbar(drawn, ax=axis, label=f"{name} [{unit}]")
             continue
         labels = [f"{x:.4g}" for x in other[0]] if other else [None]
-        for label, line in zip(labels, factor * told.reshape(len(along), -1).T, strict=True):
+        for label, line in zip(labels, factor * answers.reshape(len(along), -1).T, strict=True):
             axis.plot(along, line, "o-", ms=3, lw=1.0, label=label)
         axis.set_ylabel(f"{name} [{unit}]")
         if other:
@@ -216,10 +216,10 @@ def work_precision(advice: Advice, *, ax: Any = None) -> Any:
     """
     expect(advice, Advice, "the advice", "what jaxclear.advise returns")
     sheet = panels("work_precision", ax, size=(8.0, 5.4))
-    axis, asked = sheet.one, advice.accuracy
+    axis, accuracy = sheet.one, advice.accuracy
     table = advice.table()
     table = table[table["work"] > 0]
-    table = table.assign(error=table["error"].clip(LEAST_ERROR * asked))
+    table = table.assign(error=table["error"].clip(LEAST_ERROR * accuracy))
     for name, rows in table.groupby("method", sort=False):
         style: dict[str, Any] = {"ms": 4}
         if rows["left out by the model"].notna().any():
@@ -230,16 +230,16 @@ def work_precision(advice: Advice, *, ax: Any = None) -> Any:
         how: dict[str, Any] = {"marker": "o", "lw": 1.2, "label": name} | style
         (line,) = axis.plot(rows["work"][right], rows["error"][right], **how)
         if not right.all():
-            lost = rows["work"][~right]
+            failed = rows["work"][~right]
             axis.plot(
-                lost, LARGEST_ERROR + 0 * lost, "^", clip_on=False, c=line.get_color(), **EDGE
+                failed, LARGEST_ERROR + 0 * failed, "^", clip_on=False, c=line.get_color(), **EDGE
             )
     axis.plot([], [], "^", color="k", label=DIVERGED, **EDGE)
     best = table[table["recommended"]]
     ring: dict[str, Any] = {"ms": 14, "mfc": "none", "mec": "k", "mew": 1.6}
     axis.plot(best["work"], best["error"], "o", label="recommended", **ring)
-    told = f"accuracy asked, {100 * asked:g} %"
-    axis.axhline(asked, color="C3", ls="--", lw=1.0, label=told)
+    label = f"accuracy asked, {100 * accuracy:g} %"
+    axis.axhline(accuracy, color="C3", ls="--", lw=1.0, label=label)
     axis.set_xscale("log")
     axis.set_yscale("log")
     axis.set_ylim(top=LARGEST_ERROR)
@@ -299,8 +299,8 @@ def worst_case(study: WorstCase, *, ax: Any = None) -> Any:
 
 def _sampled(study: MonteCarlo | Campaign) -> MonteCarlo:
     """The finished samples of a study, in memory."""
-    told = "what jaxclear.monte_carlo or jaxclear.campaign returns"
-    expect(study, (MonteCarlo, Campaign), "the study", told)
+    what = "what jaxclear.monte_carlo or jaxclear.campaign returns"
+    expect(study, (MonteCarlo, Campaign), "the study", what)
     return study.sample if isinstance(study, Campaign) else study
 
 
@@ -331,9 +331,9 @@ def error_budget(study: MonteCarlo | Campaign, *responses: str, ax: Any = None) 
     sheet = panels("error_budget", ax, 1, len(names), size, sharey=True)
     for axis, name in zip(sheet.axes.flat, names, strict=True):
         parts = study.error_budget(name)
-        whole = sum(part.value for part in parts.values()) or 1.0
+        total = sum(part.value for part in parts.values()) or 1.0
         for row, part in enumerate(parts.values()):
-            share, low, high = (100 * x / whole for x in part)
+            share, low, high = (100 * x / total for x in part)
             axis.barh(row, share, 0.6, color="C0", alpha=0.5)
             _interval(axis, row, share, low, high, color="k")
         _rows(axis, list(parts))
@@ -344,32 +344,34 @@ def error_budget(study: MonteCarlo | Campaign, *responses: str, ax: Any = None) 
 
 
 def _by_variable(
-    what: str, study: Any, kinds: dict, ax: Any, label: str, said: str, measured: bool = False
+    what: str, study: Any, kinds: dict, ax: Any, label: str, title: str, measured: bool = False
 ) -> Any:
     """A panel for each response with a row for each variable, and in it each of the `kinds` of
     numbers with its interval; `measured`: in units of the response."""
-    told = next(iter(kinds.values()))
-    names = list(dict.fromkeys(response for response, _ in told))
-    variables = list(dict.fromkeys(variable for _, variable in told))
+    first = next(iter(kinds.values()))
+    names = list(dict.fromkeys(response for response, _ in first))
+    variables = list(dict.fromkeys(variable for _, variable in first))
     size = (WIDE * len(names), 1.4 + 0.4 * len(variables))
     sheet = panels(what, ax, 1, len(names), size, sharey=True)
     places = (-0.15, 0.15) if len(kinds) > 1 else (0.0,)
     for axis, name in zip(sheet.axes.flat, names, strict=True):
         factor, unit = 1.0, "1"
         if measured:
-            sizes = [own[name, variable].value for own in kinds.values() for variable in variables]
+            sizes = [
+                each[name, variable].value for each in kinds.values() for variable in variables
+            ]
             factor, unit = readable(sizes, study.problem.units()[name])
-        for k, (kind, own) in enumerate(kinds.items()):
+        for k, (kind, each) in enumerate(kinds.items()):
             for row, variable in enumerate(variables):
                 named = kind if row == 0 else None
-                numbers = [factor * number for number in own[name, variable]]
+                numbers = [factor * number for number in each[name, variable]]
                 _interval(axis, row + places[k], *numbers, color=f"C{k}", label=named)
         _rows(axis, variables)
         axis.axvline(0.0, color="0.7", lw=0.8)
         axis.set_xlabel(f"{label} {name} [{unit}]")
     if len(kinds) > 1:
         sheet.legend()
-    sheet.title(f"{said}, {study.runs} runs")
+    sheet.title(f"{title}, {study.runs} runs")
     return sheet
 
 
@@ -408,8 +410,8 @@ def screening(study: Screening, *, ax: Any = None) -> Any:
     """
     expect(study, Screening, "the study", "what jaxclear.screening returns")
     kinds = {"mu*": study.mu_star, "sigma": study.sigma}
-    told = "elementary effect on", "Screening", True
-    return _by_variable("screening", study, kinds, ax, *told).done([*study.warnings])
+    labels = "elementary effect on", "Screening", True
+    return _by_variable("screening", study, kinds, ax, *labels).done([*study.warnings])
 
 
 @answering
@@ -427,8 +429,8 @@ def shapley_effects(study: ShapleyEffects, *, ax: Any = None) -> Any:
         ValueError: if `study` is something else.
     """
     expect(study, ShapleyEffects, "the study", "what jaxclear.shapley_effects returns")
-    told = "Shapley effect on", "Shapley effects"
-    sheet = _by_variable("shapley_effects", study, {"effect": study.effects}, ax, *told)
+    labels = "Shapley effect on", "Shapley effects"
+    sheet = _by_variable("shapley_effects", study, {"effect": study.effects}, ax, *labels)
     return sheet.done([study.remark] if study.remark else [])
 
 
@@ -450,11 +452,11 @@ def surface(found: ResponseSurface, *, ax: Any = None) -> Any:
     names = list(found.problem.response_names)
     sheet = panels("surface", ax, 1, len(names), (WIDE * len(names), 4.0))
     for axis, name in zip(sheet.axes.flat, names, strict=True):
-        own, said = found.responses[name], found.predictions[name]
-        factor, unit = readable(own, found.problem.units()[name])
-        ends = factor * np.array([own.min(), own.max()])
+        answers, predicted = found.responses[name], found.predictions[name]
+        factor, unit = readable(answers, found.problem.units()[name])
+        ends = factor * np.array([answers.min(), answers.max()])
         axis.plot(ends, ends, color="0.6", lw=1.0, zorder=0)
-        axis.plot(factor * own, factor * said, "o", ms=3, alpha=0.6)
+        axis.plot(factor * answers, factor * predicted, "o", ms=3, alpha=0.6)
         axis.set_xlabel(f"{name} by runs [{unit}]")
         axis.set_ylabel(f"by the surface without the run [{unit}]")
         quality = f"degree {found.degrees[name]}, leave-one-out R² {found.quality[name]:.4f}"
@@ -467,9 +469,9 @@ def surface(found: ResponseSurface, *, ax: Any = None) -> Any:
 def _means(what: str, means: dict, deviations: dict, problem: Any, ax: Any, title: str) -> Any:
     """Mean and mean ± standard deviation of responses, each with its 95 % error."""
     sheet = panels(what, ax, 1, len(means), (WIDE * len(means), 2.4))
-    for axis, (name, own) in zip(sheet.axes.flat, means.items(), strict=True):
-        factor, unit = readable([own.value], problem.units()[name])
-        mean, error = factor * own.value, factor * own.error
+    for axis, (name, value_of) in zip(sheet.axes.flat, means.items(), strict=True):
+        factor, unit = readable([value_of.value], problem.units()[name])
+        mean, error = factor * value_of.value, factor * value_of.error
         spread, off = factor * deviations[name].value, factor * deviations[name].error
         axis.barh(1, 2 * spread, 0.5, left=mean - spread, color="C1", alpha=0.4)
         _interval(axis, 0, mean, mean - error, mean + error, color="k")
@@ -539,18 +541,18 @@ def reliability(study: Reliability, *, ax: Any = None) -> Any:
         ValueError: if `study` is something else.
     """
     expect(study, Reliability, "the study", "what jaxclear.reliability returns")
-    found = {name: own for name, own in study.estimates.items() if np.isfinite(own.value)}
+    finite = {name: e for name, e in study.estimates.items() if np.isfinite(e.value)}
     shares = study.importance()
-    tall = 1.6 + 0.34 * max(len(found), len(shares), 2)
+    tall = 1.6 + 0.34 * max(len(finite), len(shares), 2)
     sheet = panels("reliability", ax, 1, 2, (10.0, tall))
-    left, right = sheet.axes.flat
-    for row, (name, own) in enumerate(found.items()):
+    methods_axis, right = sheet.axes.flat
+    for row, (name, e) in enumerate(finite.items()):
         colour = "k" if name == study.method else "C0"
-        _interval(left, row, own.value, *own.interval, color=colour)
-    _rows(left, list(found))
-    if any(own.value > 0 for own in found.values()):
-        left.set_xscale("log")
-    left.set_xlabel("probability of failing [1]")
+        _interval(methods_axis, row, e.value, *e.interval, color=colour)
+    _rows(methods_axis, list(finite))
+    if any(e.value > 0 for e in finite.values()):
+        methods_axis.set_xscale("log")
+    methods_axis.set_xlabel("probability of failing [1]")
     right.barh(range(len(shares)), [100 * x for x in shares.values()], 0.6, color="C0")
     _rows(right, list(shares))
     right.set_xlabel("importance at the likeliest design point [%]")

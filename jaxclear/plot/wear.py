@@ -14,7 +14,7 @@ from jaxclear.results.trajectory import Trajectory
 # A hollow of a sphere is looked at from somewhat above it, and rather from the side [deg].
 ABOVE, STEEPEST = 12.0, 40.0
 # What the deepest place is drawn as, as a share of the radius; and what colours say.
-SHOWN, COLOUR = 0.2, "worn depth [{}] (colour ~ square root)"
+DEPTH_SHARE, COLOUR = 0.2, "worn depth [{}] (colour ~ square root)"
 
 
 class Wall(NamedTuple):
@@ -109,7 +109,7 @@ def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing", *, ax: 
     mesh = axes[0].pcolormesh(
         around, wall.edges, factor * depth.T, cmap="inferno", norm=_stretched(factor * depth)
     )
-    sheet.whole.colorbar(mesh, ax=axes[0], label=COLOUR.format(unit))
+    sheet.figure_of.colorbar(mesh, ax=axes[0], label=COLOUR.format(unit))
     axes[0].set_xlabel(wall.round_about.format(surface))
     axes[0].set_ylabel(wall.along)
     sheet.title(f"Worn depth of the {surface} of {joint}, unrolled{setting(run, joint)}")
@@ -182,7 +182,7 @@ def wear_surface(
     wall = _wall(wear_map, surface)
     radius = float(wear_map.radius)
     deepest = float(depth.max())
-    drawn = SHOWN * radius / (deepest or 1.0) if exaggeration is None else exaggeration
+    drawn = DEPTH_SHARE * radius / (deepest or 1.0) if exaggeration is None else exaggeration
     ringed = np.vstack([depth[-1:], depth, depth[:1]])
     padded = np.pad(ringed, ((0, 0), (1, 1)), mode="edge")
     corners = 0.25 * (padded[:-1, :-1] + padded[1:, :-1] + padded[:-1, 1:] + padded[1:, 1:])
@@ -195,7 +195,7 @@ def wear_surface(
     grid = {"edgecolor": (0, 0, 0, 0.06), "linewidth": 0.2, "rstride": 1, "cstride": 1}
     axis.plot_surface(across, upward, heights, facecolors=colours, shade=False, **grid)
     scale = matplotlib.cm.ScalarMappable(norm, "YlOrRd")
-    sheet.whole.colorbar(scale, ax=axis, label=COLOUR.format(unit), shrink=0.7, pad=0.12)
+    sheet.figure_of.colorbar(scale, ax=axis, label=COLOUR.format(unit), shrink=0.7, pad=0.12)
     axis.set_xlabel("x [mm]")
     axis.set_ylabel("y [mm]")
     # Matplotlib stands it on its head where the view rises from behind.
@@ -209,6 +209,6 @@ def wear_surface(
     side = np.degrees(float(wear_map.angles()[column]))
     rise = wall.rise(0.5 * (wall.edges[row] + wall.edges[row + 1]))
     # Not along an axis, whose numbers would lie in one place.
-    turned = (side + 25.0) % 90.0
-    axis.view_init(elev=rise, azim=side + 25.0 + np.clip(turned, 20.0, 70.0) - turned)
+    phase = (side + 25.0) % 90.0
+    axis.view_init(elev=rise, azim=side + 25.0 + np.clip(phase, 20.0, 70.0) - phase)
     return warned(sheet, {"": run})

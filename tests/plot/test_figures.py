@@ -91,7 +91,7 @@ def test_a_driven_crank_turns_with_its_speed(run):
     own = signal(run, "crank", "turn")
     np.testing.assert_allclose(own.rates, SPEED, rtol=1e-9)
     np.testing.assert_allclose(np.diff(own.values), SPEED * 1e-4, rtol=1e-6)
-    assert own.rates_shown()[1] == "angular velocity of crank [rad/s]"
+    assert own.rates_in_unit()[1] == "angular velocity of crank [rad/s]"
 
 
 def test_the_rate_of_a_signal_is_its_slope(run):

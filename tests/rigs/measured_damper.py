@@ -62,7 +62,7 @@ def marched(displacement, plateau, gap, give, exponent=1.0):
     return jax.lax.scan(step, cycle[0] - gap - give, twice)[1][len(cycle) :]
 
 
-def damper(record: DamperRecord, stiffening: bool = False) -> jc.FunctionProblem:
+def damper(record: DamperRecord, stiffening: bool = False) -> jc.Problem:
     """The force in a record as a function of what is not known: the plateau [kN], half the play
     [mm], what the spring gives at the plateau [mm], and the exponent of its force."""
     uniform = lambda low, high, unit: jc.Dimension(

@@ -158,7 +158,7 @@ def test_a_reversal_loses_play_and_twice_the_twist():
 
 @pytest.mark.slow
 def test_slopes_by_all_plays_are_those_of_narrower_differences_and_derivatives(held):
-    problem = study.asked(study.STANDARD, held[0.0])
+    problem = study.tip_problem(study.STANDARD, held[0.0])
     error = jax.jit(jax.vmap(lambda plays: problem.evaluate(plays).responses["tip error"]))
     step = 0.02 * ARCMIN * np.eye(len(JOINTS))
     nominal = np.asarray(problem.nominal())

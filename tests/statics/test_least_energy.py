@@ -271,6 +271,30 @@ def test_a_derivative_is_that_of_the_closed_form():
         np.testing.assert_allclose(slope, wanted, rtol=1e-7)
 
 
+def test_samples_near_the_nominal_mechanism_rest_where_a_search_finds_and_need_none(monkeypatch):
+    """Newton's method on the contacts that carry the nominal mechanism, also under reversed loads;
+    a whole search took forty turns."""
+    study = jc.PositionProblem(
+        servo(),
+        {"turned": lambda own: own.coordinate("L")[0], "lost": jc.response.LostMotion("L")},
+        {
+            "force": jc.Variable(lambda m: m.loads["F"].value[1], tolerance=0.4),
+            "clearance": jc.Variable(lambda m: m.connections["B0"].joint.clearance, tolerance=2e-5),
+        },
+        positions={},
+        both_ways=True,
+    )
+    at = study.nominal() * jnp.array([[0.9, 1.2], [1.1, 0.8]])
+    searched = [jc.positions(study.with_values(own), {}, both_ways=True) for own in at]
+    monkeypatch.setattr(least_energy, "MOST_TURNS", 0)
+    found = jax.jit(jax.vmap(study.evaluate))(at)
+    assert np.all(found.outcome == jc.integrator.Outcome.REACHED)
+    for i, own in enumerate(searched):
+        turned = float(own.coordinate("L")[0]), float(own.reversed.coordinate("L")[0])
+        assert float(found.responses["turned"][i]) == pytest.approx(turned[0], abs=1e-14)
+        assert float(found.responses["lost"][i]) == pytest.approx(turned[0] - turned[1], abs=1e-14)
+
+
 @pytest.fixture(scope="module")
 def shut():
     """A study of the scissors: angle of the left bar; clearance and weight of a bar vary."""

@@ -15,7 +15,7 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.design.question import Question, checked_limits, freedom_of
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.design.verification import GROUPS, Verifier, _finite
-from jaxclear.studies.endless import finite_beside
+from jaxclear.studies.endless import finite_beside, successes
 from jaxclear.studies.experiment import Cost, Description, ResponseInfo, SampleResult
 from jaxclear.studies.reliability.models import RunModel
 from jaxclear.studies.reliability.subset import subset
@@ -372,3 +372,12 @@ def test_quantiles_and_stand_ins_of_infinite_values():
     np.testing.assert_array_equal(finite_beside(values, 10.0)[[0, 1, 3]], values[[0, 1, 3]])
     assert np.all(finite_beside(values, 10.0)[[2, 4]] == 19.0)
     assert np.isnan(finite_beside(np.array([np.nan, -np.inf]))[0])
+
+
+def test_what_failed_has_no_number_in_any_response(lasting):
+    """An infinite life is an answer; one that is not a number, or of a run that ended, is none."""
+    lives = {"life": np.array([1.0, np.nan, 3.0, np.inf])}
+    outcome = np.array([0, 0, int(Outcome.TOO_MANY_STEPS), 0])
+    good, told = successes(lasting, outcome, lives)
+    assert good.tolist() == [True, False, False, True]
+    np.testing.assert_array_equal(told["life"], [1.0, np.nan, np.nan, np.inf])

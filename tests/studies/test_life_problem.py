@@ -13,6 +13,8 @@ from scipy.optimize import minimize_scalar
 
 import jaxclear as jc
 from jaxclear.integrators import Outcome
+from jaxclear.studies.experiment import Cost
+from jaxclear.studies.life.life_problem import LifeExperiment
 from jaxclear.studies.store.batch import evaluate_all
 from tests.rigs.wearing_ring import FORCE, HARDNESS, LENGTH, RADIUS, STIFFNESS, WEAR, wearing_ring
 from tests.rigs.wearing_ring import problem as one_turn
@@ -155,7 +157,7 @@ def test_warnings_of_shapes_are_none_of_the_volume(asked):
     parts = {name: own.depends_on for name, own in lives.description.responses.items()}
     assert "worn depth" in parts["deep"] and "worn depth" not in parts["lost"]
     for name in wanted:
-        assert "motion" in parts[name] and "forces" not in parts[name]
+        assert "motion" in parts[name]
 
 
 def test_a_life_whose_error_is_unknown_is_told_and_nothing_of_it_is_sure():
@@ -177,15 +179,15 @@ def test_a_response_of_a_life_that_returns_nothing_is_told_so(asked):
 
     lives = jc.LifeProblem(asked.problem, lambda life: None, cycles=10)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(jc.LifeProblem, "life", lambda self, values: Alone())
+        patched.setattr(LifeExperiment, "life", lambda self, values: Alone())
         with pytest.raises(ValueError, match="is a `return` missing"):
             lives.evaluate(asked.nominal())
 
 
 def test_lives_are_lived_one_after_the_other_in_the_thread_that_asks():
     class Own:
-        def compiled(self):
-            return False
+        def cost(self):
+            return Cost(0, 1, compiled=False)
 
         def evaluate(self, values):
             return values[0], np.asarray(threading.get_ident())

@@ -45,18 +45,18 @@ def hiding(
     """Names of the parts whose solid hides one of the `joints` (name, body whose part of it is
     looked at) from the `eye` [m] at some frame; `moves` (frames, 4, 4), of the ground (1, 4, 4),
     bring parts into place."""
-    found: set[str] = set()
-    frames = max(len(own) for own in moves.values())
+    names: set[str] = set()
+    frames = max(len(target) for target in moves.values())
     for frame in np.linspace(0, frames - 1, min(SIGHTS, frames)).astype(int):
         at = lambda name, points, frame=frame: _moved(points, moves[name][frame % len(moves[name])])
         targets = [_front(at(body, parts[body].joints[name].points), eye) for name, body in joints]
         for name, part in parts.items():
-            if name in found or not len(part.solid.points):
+            if name in names or not len(part.solid.points):
                 continue
             triangles = at(name, part.solid.points)[part.solid.corners]
-            if any(np.mean(_crossed(triangles, eye, own)) > COVERED for own in targets):
-                found.add(name)
-    return found
+            if any(np.mean(_crossed(triangles, eye, target)) > COVERED for target in targets):
+                names.add(name)
+    return names
 
 
 def _moved(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
@@ -78,17 +78,17 @@ def _crossed(triangles: np.ndarray, eye: np.ndarray, targets: np.ndarray) -> np.
     from_corner = eye - triangles[:, 0]
     across = np.cross(from_corner, first)
     lengths = np.einsum("ti,ti->t", second, across)
-    found = []
-    for way in targets - eye:
-        beside = np.cross(way, second)
-        volume = np.einsum("ti,ti->t", first, beside)
+    results = []
+    for ray in targets - eye:
+        normal = np.cross(ray, second)
+        volume = np.einsum("ti,ti->t", first, normal)
         with np.errstate(divide="ignore", invalid="ignore"):
-            u = np.einsum("ti,ti->t", from_corner, beside) / volume
-            v = (across @ way) / volume
+            u = np.einsum("ti,ti->t", from_corner, normal) / volume
+            v = (across @ ray) / volume
             share = lengths / volume
             inside = (u >= 0) & (v >= 0) & (u + v <= 1)
-        found.append(np.any(inside & (share > 0) & (share < 1 - ENDS)))
-    return np.array(found)
+        results.append(np.any(inside & (share > 0) & (share < 1 - ENDS)))
+    return np.array(results)
 
 
 # A run is shown in so many seconds [s], unless it lasts about as long; frames at the most.
@@ -192,12 +192,12 @@ def animate(
         raise ValueError("the run has a single saved instant; save more of them to see it move.")
     if slower is None:
         slower = 1.0 if SHORTEST <= duration <= LONGEST else USUAL / duration
-    wanted = np.linspace(0, duration, min(int(duration * slower * fps) + 2, MOST_FRAMES))
+    moments = np.linspace(0, duration, min(int(duration * slower * fps) + 2, MOST_FRAMES))
     time = np.asarray(run.time)[:last] - float(run.time[0])
-    frames = np.unique(np.searchsorted(time, wanted - 1e-9 * duration).clip(0, last - 1))
+    frames = np.unique(np.searchsorted(time, moments - 1e-9 * duration).clip(0, last - 1))
     forces = pushes(run, frames, last, size_of(run))
-    told = _told(run, frames, last, slower, title) | {"largest": forces.largest}
-    page = _page(run, solids, frames, told, forces)
+    data = _script_data(run, frames, last, slower, title) | {"largest": forces.largest}
+    page = _page(run, solids, frames, data, forces)
     return Animation(page, len(frames), duration * slower)
 
 
@@ -209,7 +209,7 @@ def _reached(run: Trajectory) -> int:
     return len(good) if good.all() else int(np.argmin(good))
 
 
-def _told(
+def _script_data(
     run: Trajectory, frames: np.ndarray, last: int, slower: float, title: str | None
 ) -> dict[str, Any]:
     """What the page's own script needs."""
@@ -244,7 +244,7 @@ def _colours(run: Trajectory) -> dict[str, str]:
     return {n: palette[wholes.index(beam_of(bodies, n)) % len(palette)] for n in bodies}
 
 
-def _page(run: Trajectory, solids: dict, frames: np.ndarray, told: dict, forces: Pushes) -> str:
+def _page(run: Trajectory, solids: dict, frames: np.ndarray, data: dict, forces: Pushes) -> str:
     """The page: K3D's own, with the script of the insets in it."""
     import k3d
 
@@ -259,53 +259,53 @@ def _page(run: Trajectory, solids: dict, frames: np.ndarray, told: dict, forces:
     )
     size, colours = size_of(run), _colours(run)
     time = np.asarray(run.time)[frames].tolist()
-    own = {n: p for n, p in parts(run, solids, size).items() if len(p.triangles.points)}
-    moves = {name: _moves(run, name, frames) for name in own}
-    scene.camera = _camera(run, frames, _reach(own, moves))
+    bodies = {n: p for n, p in parts(run, solids, size).items() if len(p.triangles.points)}
+    moves = {name: _moves(run, name, frames) for name in bodies}
+    scene.camera = _camera(run, frames, _reach(bodies, moves))
     connections = run.mechanism.connections
-    joints = [(one["name"], connections[one["name"]].child.body) for one in told["joints"]]
-    joints = [(name, body) for name, body in joints if name in own[body].joints]
-    glass = hiding(own, moves, joints, np.array(scene.camera[:3]))
-    for name, part in own.items():
+    joints = [(one["name"], connections[one["name"]].child.body) for one in data["joints"]]
+    joints = [(name, body) for name, body in joints if name in bodies[body].joints]
+    glass = hiding(bodies, moves, joints, np.array(scene.camera[:3]))
+    for name, part in bodies.items():
         colour = GREY if name == GROUND else int(colours[name][1:], 16)
-        shown = {name: (part.triangles, 1.0)}
+        meshes = {name: (part.triangles, 1.0)}
         if name in glass:
             through = f"{name}, seen through"
-            shown = {name: (joined(part.joints.values()), 1.0), through: (part.solid, GLASS)}
-        for called, (triangles, opacity) in shown.items():
+            meshes = {name: (joined(part.joints.values()), 1.0), through: (part.solid, GLASS)}
+        for called, (triangles, opacity) in meshes.items():
             if not len(triangles.points):
                 continue
             mesh = _mesh(triangles, colour, called, opacity)
             if name != GROUND:
                 mesh.model_matrix = {str(t): m for t, m in zip(time, moves[name], strict=True)}
             scene += mesh
-    solid, told["arrows"] = arrow(), []
-    for name, own in zip(forces.names, forces.matrices, strict=True):
+    solid, data["arrows"] = arrow(), []
+    for name, bodies in zip(forces.names, forces.matrices, strict=True):
         mesh = _mesh(solid, RED, f"force in {name}")
-        mesh.model_matrix = {str(t): m for t, m in zip(time, own, strict=True)}
-        told["arrows"].append(mesh.id)
+        mesh.model_matrix = {str(t): m for t, m in zip(time, bodies, strict=True)}
+        data["arrows"].append(mesh.id)
         scene += mesh
     scene.snapshot_type = "full"
     script = resources.files("jaxclear.plot.animation").joinpath("viewer.js").read_text("utf-8")
-    safe = json.dumps(told, default=_packed).replace("</", "<\\/")
+    safe = json.dumps(data, default=_packed).replace("</", "<\\/")
     return scene.get_snapshot(9, additional_js_code=f"const RUN = {safe};\n{script}")
 
 
-def _mesh(own: Triangles, colour: int, name: str, opacity: float = 1.0) -> Any:
+def _mesh(part: Triangles, colour: int, name: str, opacity: float = 1.0) -> Any:
     import k3d
 
-    arrays = own.points.astype(np.float32), own.corners.astype(np.uint32)
+    arrays = part.points.astype(np.float32), part.corners.astype(np.uint32)
     return k3d.mesh(*arrays, color=colour, name=name, side="double", opacity=opacity)
 
 
-def _reach(own: dict[str, Part], moves: dict[str, np.ndarray]) -> np.ndarray:
+def _reach(bodies: dict[str, Part], moves: dict[str, np.ndarray]) -> np.ndarray:
     """Places (n, 3) [m] as far as parts move."""
-    found = []
-    for name, part in own.items():
+    places = []
+    for name, part in bodies.items():
         some = moves[name][:: max(len(moves[name]) // LOOKS, 1)]
         ends = _ends(part.triangles.points)
-        found.append(ends @ some[:, :3, :3].transpose(0, 2, 1) + some[:, None, :3, 3])
-    return np.concatenate([one.reshape(-1, 3) for one in found])
+        places.append(ends @ some[:, :3, :3].transpose(0, 2, 1) + some[:, None, :3, 3])
+    return np.concatenate([one.reshape(-1, 3) for one in places])
 
 
 def _ends(points: np.ndarray) -> np.ndarray:
@@ -319,17 +319,17 @@ def _moves(run: Trajectory, name: str, frames: np.ndarray) -> np.ndarray:
     if name == GROUND:
         return np.eye(4, dtype=np.float32)[None]
     motion = run.body(name)
-    found = np.zeros((len(frames), 4, 4), np.float32)
-    found[:, :3, :3] = np.asarray(motion.rotation)[frames]
-    found[:, :3, 3] = np.asarray(motion.origin)[frames]
-    found[:, 3, 3] = 1.0
-    return found
+    matrices = np.zeros((len(frames), 4, 4), np.float32)
+    matrices[:, :3, :3] = np.asarray(motion.rotation)[frames]
+    matrices[:, :3, 3] = np.asarray(motion.origin)[frames]
+    matrices[:, 3, 3] = 1.0
+    return matrices
 
 
-def _camera(run: Trajectory, frames: np.ndarray, seen: np.ndarray) -> list[float]:
+def _camera(run: Trajectory, frames: np.ndarray, places: np.ndarray) -> list[float]:
     """Eye, what it looks at, and what is up, to see places (n, 3): onto the plane of motion, or
     with gravity downwards."""
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    low, high = places.min(axis=0), places.max(axis=0)
     middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
     turns = [np.asarray(run.body(name).rotation)[frames] for name in run.mechanism.bodies]
     if all(turn[:, 2, 2].min() > FLAT for turn in turns):

@@ -57,18 +57,18 @@ def arrow() -> Triangles:
 
 def pushes(run: Trajectory, frames: np.ndarray, last: int, size: float) -> Pushes:
     """The arrows of a run over the saving times `frames`, in a mechanism of this size [m]."""
-    found, names = [], []
+    placed, names = [], []
     joints = run.formulation.contact_joints(run.mechanism)
     histories = {name: run.contact(name) for name in joints}
-    every = [np.nan_to_num(np.asarray(own.normal_force)[:last]) for own in histories.values()]
-    largest = max((float(own.max(initial=0.0)) for own in every), default=0.0)
+    every = [np.nan_to_num(np.asarray(h.normal_force)[:last]) for h in histories.values()]
+    largest = max((float(h.max(initial=0.0)) for h in every), default=0.0)
     for name, history in histories.items():
         forces = np.nan_to_num(np.asarray(history.normal_force)[frames])
         place, towards = _contacts(run, name, history, frames)
         for k, contact in enumerate(history.names):
             names.append(f"{name}, {contact}")
-            found.append(_matrices(place[:, k], towards[:, k], forces[:, k], largest, size))
-    matrices = np.stack(found) if found else np.zeros((0, len(frames), 4, 4), np.float32)
+            placed.append(_matrices(place[:, k], towards[:, k], forces[:, k], largest, size))
+    matrices = np.stack(placed) if placed else np.zeros((0, len(frames), 4, 4), np.float32)
     return Pushes(matrices, tuple(names), largest)
 
 
@@ -80,7 +80,7 @@ def _contacts(run: Trajectory, name: str, history: Any, frames: np.ndarray) -> t
     joint = getattr(joint, "gap", joint)
     outer, inner = marker_motion(run, connection.parent), marker_motion(run, connection.child)
     turn = np.asarray(outer.rotation)[frames]
-    own = turn.transpose(0, 2, 1) @ np.asarray(inner.rotation)[frames]
+    relative = turn.transpose(0, 2, 1) @ np.asarray(inner.rotation)[frames]
 
     def normals(offset, axes, depths):
         vectors = tuple(tuple(axes[:, k]) for k in joint.axes)
@@ -88,7 +88,7 @@ def _contacts(run: Trajectory, name: str, history: Any, frames: np.ndarray) -> t
         return sp.stack([x for one in candidates for x in sp.stack(one.normal)])
 
     offset, depths = (np.asarray(x)[frames] for x in (history.offset, history.indentation))
-    away = np.asarray(jax.vmap(normals)(offset, own, depths)).reshape(len(frames), -1, 3)
+    away = np.asarray(jax.vmap(normals)(offset, relative, depths)).reshape(len(frames), -1, 3)
     place = np.nan_to_num(np.asarray(history.place)[frames])
     origin = np.asarray(outer.place)[frames, None]
     return origin + place @ turn.transpose(0, 2, 1), -away @ turn.transpose(0, 2, 1)
@@ -103,15 +103,15 @@ def _matrices(
     long = np.where(acts, (SHORTEST + (LONGEST - SHORTEST) * share) * size, NONE * size)
     thick = np.where(acts, THICK * size, NONE * size)
     along = np.where(acts[:, None], towards, [0.0, 0.0, 1.0])
-    beside = np.eye(3)[np.argmin(np.abs(along), axis=-1)]
-    first = np.cross(beside, along)
+    across = np.eye(3)[np.argmin(np.abs(along), axis=-1)]
+    first = np.cross(across, along)
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
     axes = np.stack([first, np.cross(along, first), along], -1)
-    found = np.zeros((len(force), 4, 4), np.float32)
-    found[:, :3, :3] = axes * np.stack([thick, thick, long], -1)[:, None, :]
-    found[:, :3, 3] = place
-    found[:, 3, 3] = 1.0
-    return found
+    matrices = np.zeros((len(force), 4, 4), np.float32)
+    matrices[:, :3, :3] = axes * np.stack([thick, thick, long], -1)[:, None, :]
+    matrices[:, :3, 3] = place
+    matrices[:, 3, 3] = 1.0
+    return matrices
 
 
 # Directions in which a wall is drawn, and columns of the chart of forces.
@@ -144,13 +144,13 @@ def inset(run: Trajectory, name: str, frames: np.ndarray, last: int) -> dict[str
         "force": np.nan_to_num(force[frames]),
         "most": float(every.max(initial=0.0)),
         "peak": float(PeakContactForce(name)(run)),
-        "chart": np.array([[np.asarray(run.time)[own[0]], every[own].max()] for own in columns]),
+        "chart": np.array([[np.asarray(run.time)[data[0]], every[data].max()] for data in columns]),
         "views": VIEWS.get(type(joint), _bars)(run, name, joint, history, frames),
     }
 
 
 def _round(
-    title: str, centre: np.ndarray, wall: Any, ways: np.ndarray, contacts: list, worn: Worn | None
+    title: str, centre: np.ndarray, wall: Any, paths: np.ndarray, contacts: list, worn: Worn | None
 ) -> dict[str, Any]:
     """A journal in a hole: its `centre` (frames, 2) [m], the `wall` (directions,) [m], the `ways`
     (frames, contacts, 2) towards its `contacts`, and how deep the wall has `worn`."""
@@ -159,7 +159,7 @@ def _round(
         "title": title,
         "centre": centre,
         "wall": wall,
-        "ways": ways,
+        "ways": paths,
         "of": contacts,
         "worn": None if worn is None else worn.depth,
         "grown": None if worn is None else worn.share,
@@ -168,8 +168,8 @@ def _round(
 
 def _worn(run: Trajectory, name: str, surface: str) -> np.ndarray | None:
     """Depth of a surface [m], None where it does not wear."""
-    own = run.worn.get(name, {}).get(surface)
-    return None if own is None else np.asarray(own)
+    depth_of = run.worn.get(name, {}).get(surface)
+    return None if depth_of is None else np.asarray(depth_of)
 
 
 def _wearing(
@@ -192,7 +192,7 @@ def _wearing(
     return Worn(circle(worn), in_bytes)
 
 
-def _ways(history: Any, frames: np.ndarray, contacts: list, axes: tuple[int, int]) -> np.ndarray:
+def _paths(history: Any, frames: np.ndarray, contacts: list, axes: tuple[int, int]) -> np.ndarray:
     place = np.nan_to_num(np.asarray(history.place)[frames][:, contacts][..., list(axes)])
     return place / np.maximum(np.linalg.norm(place, axis=-1, keepdims=True), 1e-30)
 
@@ -208,36 +208,36 @@ def _bore(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarr
     centre = np.asarray(history.offset)[frames, :2]
     along = lambda depth: depth[:, 0]
     wear = _wearing(run, (name, "bearing"), frames, along, lambda read: read[0][..., 1:-1])
-    ways = _ways(history, frames, [0], (0, 1))
-    return [_round("across the axis", centre, _wall(joint), ways, [0], wear)]
+    paths = _paths(history, frames, [0], (0, 1))
+    return [_round("across the axis", centre, _wall(joint), paths, [0], wear)]
 
 
 def _ends(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
     """A journal that tilts: both end planes of its bearing."""
-    offset, axis = (np.asarray(own)[frames] for own in (history.offset, history.axis))
-    found = []
+    offset, axis = (np.asarray(ends)[frames] for ends in (history.offset, history.axis))
+    views = []
     for end, centre in enumerate(joint.end_centres(tuple(offset.T), (tuple(axis.T),))):
         place = np.stack([np.broadcast_to(np.asarray(x), len(frames)) for x in centre[:2]], -1)
-        ways = _ways(history, frames, [end], (0, 1))
+        paths = _paths(history, frames, [end], (0, 1))
         along = lambda depth, end=end: depth[:, -end]
         cut = lambda read, end=end: read[-end][..., 1:-1]
         wear = _wearing(run, (name, "bearing"), frames, along, cut)
         title = ("lower end", "upper end")[end]
-        found.append(_round(title, place, _wall(joint), ways, [end], wear))
-    return found
+        views.append(_round(title, place, _wall(joint), paths, [end], wear))
+    return views
 
 
 def _ball(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
     """A ball, from above and from the side of its socket."""
     offset = np.asarray(history.offset)[frames]
     wall = float(joint.clearance) * np.stack([np.cos(TURN), np.sin(TURN)], -1)
-    found = []
+    view = []
     for title, axes in (("along z: x, y", (0, 1)), ("along y: x, z", (0, 2))):
         cut = lambda read, axes=axes: _cut(read, axes)
         wear = _wearing(run, (name, "socket"), frames, cut, cut)
-        ways = _ways(history, frames, [0], axes)
-        found.append(_round(title, offset[:, axes], wall, ways, [0], wear))
-    return found
+        paths = _paths(history, frames, [0], axes)
+        view.append(_round(title, offset[:, axes], wall, paths, [0], wear))
+    return view
 
 
 def _cut(worn: np.ndarray, axes: tuple[int, int]) -> np.ndarray:

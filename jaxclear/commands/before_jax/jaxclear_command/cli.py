@@ -1,8 +1,8 @@
 """Reads the command line.
 
-A command is declared in `offered`, which answers mistakes at once, and answered by a function in
-`jaxclear.commands.cli`. Exit codes: 0 done; 1 a run failed or ended early; 2 what was typed cannot
-be; 130 interrupted.
+A command is declared in `command_list`, which reports mistakes at once; a function in
+`jaxclear.commands.cli` executes it. Exit codes: 0 done; 1 a run failed or ended early; 2 what was
+typed cannot be; 130 interrupted.
 """
 
 import importlib
@@ -13,8 +13,8 @@ from typing import Any
 
 import click
 
-from jaxclear_command.declared import Group, said
-from jaxclear_command.offered import offered
+from jaxclear_command.command_list import make_commands
+from jaxclear_command.parameters import Group, error_sentence
 
 FAILED, MISTAKEN, INTERRUPTED = 1, 2, 130
 TEXT = "Mechanisms whose joints have clearance, contact, friction and wear."
@@ -38,8 +38,8 @@ def _version_of(package: str) -> str:
         return "of unknown version, not installed"
 
 
-def _tell_version(ctx: click.Context, param: click.Parameter, asked: bool) -> None:
-    if asked and not ctx.resilient_parsing:
+def _tell_version(ctx: click.Context, param: click.Parameter, is_requested: bool) -> None:
+    if is_requested and not ctx.resilient_parsing:
         python = ".".join(map(str, sys.version_info[:3]))
         click.echo(
             f"jaxclear {_version_of('jaxclear')} (JAX {_version_of('jax')}, Python {python})"
@@ -58,7 +58,7 @@ def commands() -> Group:
         help="this version, JAX's and Python's",
     )
     return Group(
-        offered(answered),
+        make_commands(answered),
         [
             "jaxclear example slider-crank > scene.yaml",
             "jaxclear run scene.yaml",
@@ -89,7 +89,7 @@ def main(arguments: list[str] | None = None) -> None:
         code = group.main(arguments, prog_name="jaxclear", standalone_mode=False)
     except click.UsageError as error:
         path = error.ctx.command_path if error.ctx else "jaxclear"
-        sentence = said(error)
+        sentence = error_sentence(error)
         if sentence == "Missing command.":
             sentence = f"a command must be named; there are {', '.join(group.commands)}."
         stop = "" if sentence.endswith(("?", ".")) else "."
@@ -98,8 +98,8 @@ def main(arguments: list[str] | None = None) -> None:
         _end(FAILED, error.format_message())
     except (click.Abort, KeyboardInterrupt) as error:
         # A command that keeps its work says where.
-        told = error.__cause__ if isinstance(error, click.Abort) else error
-        _end(INTERRUPTED, str(told or "") or "interrupted.")
+        cause = error.__cause__ if isinstance(error, click.Abort) else error
+        _end(INTERRUPTED, str(cause or "") or "interrupted.")
     else:
         if code:
             sys.exit(code)

@@ -12,10 +12,10 @@ from typing import Any, NoReturn
 import click
 
 
-def hint(name: str, known: Iterable[str]) -> str:
+def hint(name: str, names: Iterable[str]) -> str:
     """ " Did you mean ...?" for the known name most like another; "" where none is."""
-    found = difflib.get_close_matches(name.lower(), list(known), 1)
-    return f' Did you mean "{found[0]}"?' if found else ""
+    matches = difflib.get_close_matches(name.lower(), list(names), 1)
+    return f' Did you mean "{matches[0]}"?' if matches else ""
 
 
 def _flags(command: click.Command) -> list[str]:
@@ -23,14 +23,14 @@ def _flags(command: click.Command) -> list[str]:
     return [one for p in command.params if isinstance(p, click.Option) for one in p.opts]
 
 
-def extra_argument(command: click.Command, given: str) -> str:
+def extra_argument(command: click.Command, argument: str) -> str:
     """A sentence for an argument that a command does not take."""
     flags = _flags(command)
-    known = ", ".join(flags) or "none"
-    return f'no argument "{given}"; there are {known}.{hint(given, flags)}'
+    listed = ", ".join(flags) or "none"
+    return f'no argument "{argument}"; there are {listed}.{hint(argument, flags)}'
 
 
-def said(error: click.UsageError) -> str:
+def error_sentence(error: click.UsageError) -> str:
     """The sentence for a mistake, without a stop where it ends in a question."""
     command = error.ctx.command if error.ctx else None
     if isinstance(error, click.NoSuchOption) and command:
@@ -51,8 +51,8 @@ def _misused(error: click.BadOptionUsage) -> str:
     return "it must have a value" if takes else "it takes no value"
 
 
-def _refuse(text: str, wanted: str) -> NoReturn:
-    raise click.BadParameter(f"{text} was given; it must be {wanted}")
+def _refuse(text: str, required: str) -> NoReturn:
+    raise click.BadParameter(f"{text} was given; it must be {required}")
 
 
 class Read(click.ParamType):
@@ -68,46 +68,46 @@ class Read(click.ParamType):
 
 def number(least: float, unit: str, above: bool = False) -> Read:
     """Finite numbers [unit] that are at least `least`, or above it."""
-    wanted = f"a number {'above' if above else 'of at least'} {least:g} {unit}".rstrip()
+    required = f"a number {'above' if above else 'of at least'} {least:g} {unit}".rstrip()
 
     def read(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
-            _refuse(text, wanted)
+            _refuse(text, required)
         if not math.isfinite(value) or not (value > least if above else value >= least):
-            _refuse(text, wanted)
+            _refuse(text, required)
         return value
 
     return Read("number", read)
 
 
-def whole(least: int) -> Read:
+def integer(least: int) -> Read:
     """Whole numbers that are at least `least`; 1e5 is one."""
-    wanted = f"a whole number of at least {least}"
+    required = f"a whole number of at least {least}"
 
     def read(text: str) -> int:
         try:
             value = int(text) if text.strip("+-").isdecimal() else float(text)
         except ValueError:
-            _refuse(text, wanted)
+            _refuse(text, required)
         if not math.isfinite(value) or value != int(value) or value < least:
-            _refuse(text, wanted)
+            _refuse(text, required)
         return int(value)
 
     return Read("whole number", read)
 
 
-def one_of(known: Iterable[str]) -> Read:
+def one_of(names: Iterable[str]) -> Read:
     """One of some names."""
-    known = list(known)
+    names = list(names)
 
     def read(text: str) -> str:
-        if text not in known:
-            _refuse(text, f"{', '.join(known[:-1])} or {known[-1]}.{hint(text, known)}")
+        if text not in names:
+            _refuse(text, f"{', '.join(names[:-1])} or {names[-1]}.{hint(text, names)}")
         return text
 
-    return Read("|".join(known), read)
+    return Read("|".join(names), read)
 
 
 def _folder(text: str) -> Path:
@@ -158,10 +158,10 @@ page = Read("file", _page)
 store, readable_file = Read("folder", _store), Read("file", _readable_file)
 
 
-def flag(name: str, text: str, kind: Read, default: Any = None, shown: str = "") -> click.Option:
-    """An argument by name, with its text for --help; `shown`: the default in words."""
+def flag(name: str, text: str, kind: Read, default: Any = None, note: str = "") -> click.Option:
+    """An argument by name, with its text for --help; `note`: the default in words."""
     return click.Option(
-        [name], type=kind, default=default, help=text, show_default=shown or default is not None
+        [name], type=kind, default=default, help=text, show_default=note or default is not None
     )
 
 
@@ -215,9 +215,9 @@ class Group(click.Group):
         """The command that is named first."""
         first = args[0]
         if first not in self.commands and not first.startswith("-") and not ctx.resilient_parsing:
-            known = ", ".join(self.commands)
+            names = ", ".join(self.commands)
             raise click.UsageError(
-                f'no command "{first}"; there are {known}.{hint(first, self.commands)}', ctx
+                f'no command "{first}"; there are {names}.{hint(first, self.commands)}', ctx
             )
         return click.Group.resolve_command(self, ctx, args)
 

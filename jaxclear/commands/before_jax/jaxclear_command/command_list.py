@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import click
 
-from jaxclear_command.declared import (
+from jaxclear_command.parameters import (
     Command,
     Read,
     flag,
+    integer,
     number,
     one_of,
     out,
@@ -18,11 +19,10 @@ from jaxclear_command.declared import (
     quiet,
     readable_file,
     store,
-    whole,
 )
 
 EXAMPLES = ("slider-crank", "four-bar", "antenna")
-WAYS = ("statistics", "signal")
+METHODS = ("statistics", "signal")
 TEXT_OF = Read("text", str)
 
 
@@ -45,7 +45,7 @@ SCENE_FILES = {
             SCENE,
             out(None, "folder for data set, figures and tables (default SCENE_run)"),
             flag("--duration", "time [s], in place of the file's", number(0.0, "s", above=True)),
-            flag("--saves", "saved instants, in place of the file's", whole(2)),
+            flag("--saves", "saved instants, in place of the file's", integer(2)),
             quiet(),
         ],
         [
@@ -57,10 +57,10 @@ SCENE_FILES = {
         "samples what varies of a scene file, kept in a folder; goes on if interrupted",
         [
             SCENE,
-            flag("--samples", "samples in all", whole(2), 1024),
+            flag("--samples", "samples in all", integer(2), 1024),
             out(None, "folder of the samples (default SCENE_store)"),
-            flag("--seed", "of the samples", whole(0), 0, "0"),
-            flag("--chunk", "samples kept at a time (default by the problem)", whole(1)),
+            flag("--seed", "of the samples", integer(0), 0, "0"),
+            flag("--chunk", "samples kept at a time (default by the problem)", integer(1)),
             quiet(),
         ],
         [
@@ -88,8 +88,8 @@ SCENE_FILES = {
                 "time",
             ),
             flag("--turn", "column of an encoder, or the period [s]", TEXT_OF),
-            flag("--runs", "runs that the records are compared with", whole(64), 256),
-            flag("--how", "statistics of signals, or signals", one_of(WAYS), "statistics"),
+            flag("--runs", "runs that the records are compared with", integer(64), 256),
+            flag("--how", "statistics of signals, or signals", one_of(METHODS), "statistics"),
             out(None, "folder for table and figure (default SCENE_identified)"),
             quiet(),
         ],
@@ -124,7 +124,7 @@ STUDIES = {
         "four-bar with three-dimensional clearance and wear: runs, Monte Carlo, derivatives",
         [
             out("four_bar_study"),
-            flag("--samples", "Monte Carlo samples", whole(16), 256),
+            flag("--samples", "Monte Carlo samples", integer(16), 256),
             flag("--duration", "time of the paper's runs [s]", number(0.01, "s"), 5.0),
             flag("--turns", "turns of the crank in the Monte Carlo", number(0.01, ""), 2.0),
             quiet(),
@@ -164,14 +164,14 @@ STUDIES = {
         "3RSR parallel mechanism: a ball's force in three regimes, its limit, its worn socket",
         [
             out("3rsr_study"),
-            flag("--cycles", "cycles over which the socket is worn", whole(1), 40),
+            flag("--cycles", "cycles over which the socket is worn", integer(1), 40),
             quiet(),
         ],
         ["jaxclear 3rsr --cycles 100"],
     ),
     "arm": Offer(
         "robot arm with play in its reducers: errors of the tip, lost motion, which to buy better",
-        [out("arm_study"), flag("--samples", "Monte Carlo samples", whole(16), 128), quiet()],
+        [out("arm_study"), flag("--samples", "Monte Carlo samples", integer(16), 128), quiet()],
         ["jaxclear arm --samples 1000"],
     ),
     "wear-life": Offer(
@@ -212,7 +212,7 @@ STUDIES = {
 }
 
 
-KEPT = {
+CACHE_COMMANDS = {
     "cache": Offer(
         "the compiled programs that are kept between runs, in $JAXCLEAR_CACHE (0: none are)",
         [click.Option(["--clear"], is_flag=True, help="remove them all")],
@@ -224,16 +224,16 @@ KEPT = {
 HEADINGS = {
     "Your own scene": SCENE_FILES,
     "Studies of ready scenes": STUDIES,
-    "Compiled programs": KEPT,
+    "Compiled programs": CACHE_COMMANDS,
 }
 
 
-def offered(answered: Callable[[str], Callable[..., None]]) -> dict[str, list[click.Command]]:
+def make_commands(answered: Callable[[str], Callable[..., None]]) -> dict[str, list[click.Command]]:
     """Commands by heading; `answered` gives what runs when the command of a name is called."""
     return {
         heading: [
-            Command(name, own.examples, answered(name), help=own.text, params=own.arguments)
-            for name, own in offers.items()
+            Command(name, offer.examples, answered(name), help=offer.text, params=offer.arguments)
+            for name, offer in offers.items()
         ]
         for heading, offers in HEADINGS.items()
     }
