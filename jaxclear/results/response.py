@@ -22,6 +22,7 @@ from jaxclear.ground.arguments import check_name
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, lenient_converter
 from jaxclear.ground.wording import described
+from jaxclear.multibody.system import wearing_in
 from jaxclear.multibody.topology import coordinate_units, turns
 from jaxclear.multibody.transmissions import torque_on_flanks
 from jaxclear.results.pointing_error import checked_through, checked_tip, tip_errors
@@ -184,7 +185,8 @@ class PeakWornDepth(AbstractResponse):
         return "worn depth"
 
     def __call__(self, run):
-        return jnp.max(run.worn_depth(self.joint, self.surface))
+        wear_map = wearing_in(run.mechanism)[self.joint].maps()[self.surface][0]
+        return wear_map.deepest(run.worn_depth(self.joint, self.surface))
 
 
 class WornVolume(AbstractResponse):
