@@ -13,7 +13,6 @@ explained).
 
 import argparse
 import itertools
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.attack_slopes import LEAST, SHARES, Row, extrapolated, judge, summary
-from benchmarks.measure import about, report
+from benchmarks.measure import report, sign
 
 DURATION, SAVES = 0.6, 121
 # By how much of itself a slope may be off.
@@ -205,10 +204,7 @@ def main() -> None:
         jax.clear_caches()
     for key in ("rung", "mechanism"):
         report(f"slopes by {key}", summary(rows, key), given)
-    if given.json:
-        known = json.loads(given.json.read_text())
-        told = {"about": about("benchmarks.attack_pairs", given.json)}
-        given.json.write_text(json.dumps(known | told, indent=1) + "\n")
+    sign("benchmarks.attack_pairs", given.json)
 
 
 if __name__ == "__main__":

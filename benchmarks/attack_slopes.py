@@ -13,7 +13,6 @@ run warns of its response; undecidable, where the references disagree; or silent
 """
 
 import argparse
-import json
 from collections import Counter
 from collections.abc import Callable
 from enum import StrEnum
@@ -31,7 +30,7 @@ from benchmarks.attacks.answers import surfaces
 from benchmarks.attacks.bearings import Case
 from benchmarks.attacks.rungs import of_studies
 from benchmarks.attacks.structures import ROOM, Structure, structures
-from benchmarks.measure import about, report
+from benchmarks.measure import report, sign
 
 # Shares of a number by which differences are taken, and tolerances of the two references.
 SHARES, TOLERANCES = (2e-4, 1e-4, 5e-5), (1e-10, 1e-9)
@@ -290,10 +289,7 @@ def main() -> None:
         jax.clear_caches()
     for key in ("rung", "response"):
         report(f"slopes by {key}", summary(rows, key), given)
-    if given.json:
-        known = json.loads(given.json.read_text())
-        told = {"about": about("benchmarks.attack_slopes", given.json)}
-        given.json.write_text(json.dumps(known | told, indent=1) + "\n")
+    sign("benchmarks.attack_slopes", given.json)
 
 
 def _tell(structure: Structure, draw: int, rows: list[Row]) -> None:

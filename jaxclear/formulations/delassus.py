@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.formulations.contact_rows import ContactJacobianRow, FreeMotion
+from jaxclear.formulations.contact_rows import FreeMotion
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.elimination import Pattern, solved
@@ -35,7 +35,7 @@ class DelassusOperator(NamedTuple):
             of M^-1 J^T), a list of pairs.
     """
 
-    rows: list[ContactJacobianRow]
+    rows: list[JacobianRow]
     free: list
     multipliers: tuple
     responses: list[tuple[list, tuple]]
@@ -134,7 +134,7 @@ class ImplicitContact(NamedTuple):
     solve: Callable[[list, list, LinearLaws], ContactSolution]
 
 
-def delassus_operator(free_motion: FreeMotion, rows: list[ContactJacobianRow]) -> DelassusOperator:
+def delassus_operator(free_motion: FreeMotion, rows: list[JacobianRow]) -> DelassusOperator:
     """The response of a mechanism at an instant to forces along rows.
 
     Args:
@@ -158,7 +158,7 @@ def delassus_operator(free_motion: FreeMotion, rows: list[ContactJacobianRow]) -
 
 
 def implicit_contact(
-    free_motion: FreeMotion, further: Sequence[ContactJacobianRow] = ()
+    free_motion: FreeMotion, further: Sequence[JacobianRow] = ()
 ) -> ImplicitContact:
     """The equations of an instant, solved without contact and ready to be solved with it; `further`
     rows along which forces act stand behind those of the contacts.
@@ -195,7 +195,7 @@ def _whole(masses: list) -> list[list]:
     return out
 
 
-def _in_speeds(mass: list, rows: list[ContactJacobianRow]) -> Callable:
+def _in_speeds(mass: list, rows: list[JacobianRow]) -> Callable:
     """Scalars throughout."""
     size = len(mass)
     # Products of each row with itself, the lower half: they do not change while the laws are
@@ -226,7 +226,7 @@ def stacked(values: Sequence[Any]) -> jnp.ndarray:
     return in_memory(sp.stack(values))
 
 
-def _in_many_speeds(mass: list[list], rows: list[ContactJacobianRow]) -> Callable:
+def _in_many_speeds(mass: list[list], rows: list[JacobianRow]) -> Callable:
     """The same from array to array."""
     size, entries = len(mass), Entries(rows)
     lower = [(i, j) for i in range(size) for j in range(i + 1) if not sp.is_zero(mass[i][j])]

@@ -17,14 +17,13 @@ import jax.numpy as jnp
 from jaxclear.components.acting import AbstractCoordinateLoad, AbstractStateLoad, Side
 from jaxclear.components.clearance.backlash import middle_of
 from jaxclear.components.function_of_time import value_at
-from jaxclear.formulations.contact_rows import ContactJacobianRow
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.laws.rebound import restitution_of
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.forces import Forces, as_pressed, read_coordinate
-from jaxclear.multibody.kinematics import along
+from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.rows import ActingForces, Row, forces_on_drives
 from jaxclear.multibody.state import Followed, unpack_motion
@@ -164,7 +163,7 @@ class Coordinate(NamedTuple):
 
     position: Any
     speed: Any
-    row: ContactJacobianRow
+    row: JacobianRow
     friction: Any = None
 
 
@@ -245,7 +244,7 @@ class StopInStep(NamedTuple):
     side: Side
     beyond: Any
     opening: Any
-    row: ContactJacobianRow
+    row: JacobianRow
 
     def spring(self) -> Any:
         """Force [N m, N] of what gives way there."""
@@ -276,7 +275,7 @@ class RubInStep(NamedTuple):
     name: str
     bound: Any
     speed: Any
-    row: ContactJacobianRow
+    row: JacobianRow
 
 
 class LoadsInStep(NamedTuple):
@@ -286,7 +285,7 @@ class LoadsInStep(NamedTuple):
     rubs: tuple[RubInStep, ...]
 
     @property
-    def rows(self) -> list[ContactJacobianRow]:
+    def rows(self) -> list[JacobianRow]:
         """Their rows, those of stops signed as they open."""
         return [*(one.row for one in self.stops), *(one.row for one in self.rubs)]
 

@@ -12,7 +12,6 @@ import jax.numpy as jnp
 
 from jaxclear.components.joint import AbstractRubbingJoint
 from jaxclear.components.joint.base import drive_of
-from jaxclear.formulations.contact_rows import ContactJacobianRow
 from jaxclear.formulations.loads_over_step import NO_LOADS, LoadsInStep, with_loads
 from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
@@ -21,7 +20,7 @@ from jaxclear.ground.pose import FLIP, Pose
 from jaxclear.multibody import constraints, dynamics, kinematics
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
-from jaxclear.multibody.kinematics import along
+from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.rows import ActingForces, Direction, OnClosure, OnLink, Row
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import Wrench
@@ -46,7 +45,7 @@ class PermanentJoint(NamedTuple):
 class Slip(NamedTuple):
     """Speed of such a joint, offset + row @ speeds; what drives prescribe is in the offset."""
 
-    row: ContactJacobianRow
+    row: JacobianRow
     offset: Any
 
     def at(self, speeds: Any) -> Any:

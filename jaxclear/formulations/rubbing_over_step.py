@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from jaxclear.complementarity.joint_friction import across
 from jaxclear.components.clearance import carried_load
-from jaxclear.formulations.contact_rows import ContactJacobianRow, MiddleOfStep, combined, lightness
+from jaxclear.formulations.contact_rows import MiddleOfStep, combined, lightness
 from jaxclear.formulations.joint_friction import passive_of
 from jaxclear.formulations.laws_over_step import Averaging
 from jaxclear.formulations.model import Model
@@ -34,6 +34,7 @@ from jaxclear.ground.numerics import rounded_norm, safe_divide
 from jaxclear.multibody.contact_point import SLIP_ROUNDING
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.state import unpack_motion
 
 
@@ -46,7 +47,7 @@ class JointOverStep(NamedTuple):
     held: PermanentJoint
     slips: tuple[Slip, ...]
     directions: tuple[tuple, ...]
-    rows: tuple[ContactJacobianRow, ...]
+    rows: tuple[JacobianRow, ...]
     begun: tuple
     load: Any
     reach: Any

@@ -16,7 +16,6 @@ from jaxclear.complementarity.joint_friction import across
 from jaxclear.complementarity.kept_states import with_kept_states
 from jaxclear.components.clearance import CarryingEnd, carried_load
 from jaxclear.formulations.contact_rows import (
-    ContactJacobianRow,
     MiddleOfStep,
     lightness,
     rigid_reports,
@@ -51,7 +50,7 @@ from jaxclear.formulations.unilateral import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
-from jaxclear.multibody.kinematics import along
+from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.rows import add_action_and_reaction
 from jaxclear.multibody.state import unpack_motion
 
@@ -63,7 +62,7 @@ class JointInStep(NamedTuple):
 
     held: PermanentJoint
     slips: tuple[Slip, ...]
-    rows: list[ContactJacobianRow]
+    rows: list[JacobianRow]
     begun: tuple
     share: Any
 

@@ -25,7 +25,6 @@ from jaxclear.complementarity import FrictionContact, ProjectedGaussSeidel
 from jaxclear.complementarity.kept_states import with_kept_states
 from jaxclear.formulations import contact_rows
 from jaxclear.formulations.contact_rows import (
-    ContactJacobianRow,
     ContactPoint,
     MiddleOfStep,
     TimeStep,
@@ -39,7 +38,7 @@ from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.laws.friction import AbstractSetValuedFriction
-from jaxclear.multibody.kinematics import along
+from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.state import unpack_motion
 
 # Share of a step by which contacts of a joint may touch apart and count as touching at once: far
@@ -95,7 +94,7 @@ class UnilateralContact(NamedTuple):
     these slips, its laws, its joint, its normal percussion in the step before, and its indentation
     [m] in the middle; of a side of a stop what gives way there (None: it is rigid)."""
 
-    rows: list[ContactJacobianRow]
+    rows: list[JacobianRow]
     velocities: list
     shares: list[list]
     restitution: Any

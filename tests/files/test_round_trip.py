@@ -20,13 +20,13 @@ from jaxclear.files.forms import (
     ByName,
     Choice,
     Flag,
+    Integer,
     Listed,
     Number,
     NumberArray,
     Numbers,
     Place,
     Text,
-    Whole,
 )
 from jaxclear.files.parts import Part, arguments, members
 from jaxclear.files.scene import RUN, TOP, scene_text
@@ -183,7 +183,7 @@ def _(form: NumberArray, depth):
 
 
 @sample.register
-def _(form: Whole, depth):
+def _(form: Integer, depth):
     return form.metadata.get("at_least", 1) + 1
 
 

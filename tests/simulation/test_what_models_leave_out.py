@@ -240,7 +240,7 @@ def test_a_part_that_lags_in_its_gap_says_so():
     mean = [float(jnp.mean(one.contact("B").normal_force)) for one in (run, oracle)]
     assert nothing is None and mean[0] > 1.05 * mean[1]
     assert share > Check.GAP_MOTION.limit
-    assert any("follow it in the gap" in sentence for sentence in run.warnings)
+    assert any('through the gap of joint "B"' in sentence for sentence in run.warnings)
 
 
 @pytest.mark.slow

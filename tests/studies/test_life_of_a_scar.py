@@ -56,3 +56,17 @@ def test_a_tight_bushing_costs_no_more_cycles_than_a_wide_one(clearance):
     mine, theirs = (each.worn()["B"]["bearing"] for each in (life, exact))
     off = np.sqrt(np.mean((mine - theirs) ** 2) / np.mean(theirs**2))
     assert off < life.error + 1e-3
+
+
+@pytest.mark.slow
+def test_a_verified_life_states_the_error_of_its_cells():
+    """18 cells of a scar of 10; the closed form is the area between two circles. Steps alone would
+    say a tenth of it."""
+    depth = 127e-6
+    turns = crescent(depth, CLEARANCE) / lost(CLEARANCE)
+    life = jc.wear_life(scar(CLEARANCE, 18), cycles=turns, verify=True)
+    off = abs(life.at_end("depth") / depth - 1)
+    assert 0.5 * off < life.error < 5 * off
+    assert "That of cells" not in life.sentence()
+    unverified = jc.wear_life(scar(CLEARANCE, 18), cycles=turns)
+    assert unverified.by_cells is None and unverified.error < life.error
