@@ -32,6 +32,7 @@ __all__ = [
     "AbstractResponse",
     "FinalCoordinate",
     "FromFunction",
+    "LargestDeflection",
     "LostMotion",
     "MeanContactForce",
     "PeakContactForce",
@@ -299,6 +300,28 @@ class PointingAngle(AbstractResponse):
     def __call__(self, run):
         angle = tip_errors(run, self.tip, self.base, self.through)[2].pointing_angle
         return jnp.max(angle) if self.peak else safe_sqrt(jnp.mean(angle * angle))
+
+
+class LargestDeflection(AbstractResponse):
+    """Largest distance [m] of the axis of a `Beam` from a straight line, over the saving times and
+    along the beam.
+
+    Args:
+        beam: name of the beam.
+        relative_to: word for the line, as of `Trajectory.deflection`; "chord" by default.
+        unit: unit of the response; "m" by default.
+    """
+
+    beam: str = eqx.field(static=True)
+    relative_to: str = eqx.field(static=True, default="chord")
+    unit: str = eqx.field(static=True, default="m", kw_only=True)
+
+    def drawn_from(self):
+        return "motion"
+
+    def __call__(self, run):
+        away = run.deflection(self.beam, self.relative_to)
+        return safe_sqrt(jnp.max(jnp.sum(away * away, axis=-1)))
 
 
 class LostMotion(AbstractResponse):
