@@ -40,6 +40,7 @@ try:
     from jaxclear import formulations as formulation
     from jaxclear import integrators as integrator
     from jaxclear.components import clearance, coupling, drive, joint, load
+    from jaxclear.components.beam import Beam
     from jaxclear.components.body import Body, Connection, Marker
     from jaxclear.components.function_of_time import AbstractFunctionOfTime, TimeTable
     from jaxclear.components.wear_map import AbstractWearMap, Wearing
@@ -48,7 +49,7 @@ try:
     from jaxclear.ground.datasets import installed
     from jaxclear.ground.outcome import why_unknown
     from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
-    from jaxclear.laws import contact, flank, friction, material, stiffness, wear
+    from jaxclear.laws import contact, flank, friction, material, section, stiffness, wear
     from jaxclear.laws.material import Material
     from jaxclear.multibody.assemblies import assemblies
     from jaxclear.multibody.assembly import assemble
@@ -87,6 +88,7 @@ __all__ = [
     "AbstractVariable",
     "AbstractWearMap",
     "Baumgarte",
+    "Beam",
     "Body",
     "Condition",
     "Connection",
@@ -162,6 +164,7 @@ __all__ = [
     "scenes",
     "screening",
     "seated",
+    "section",
     "sensitivity",
     "sensor",
     "settled",

@@ -131,7 +131,7 @@ def told(cells: tuple[int, ...], finest: int) -> list[dict[str, Any]]:
                 off = abs(float(depth.max() / best[shape] - 1))
                 found.append((float(narrowness(own, jnp.asarray(depth))), off))
     figures, errors = np.array(found).T
-    bounds = [0.0, 0.05, Check.WEAR_BY_CELLS.limit, 0.15, 0.3, 0.5, 1.0]
+    bounds = [0.0, 0.05, 0.1, Check.WEAR_BY_CELLS.limit, 0.3, 0.5, 1.0]
     return [
         {
             "figure": f"{low:g} to {high:g}",

@@ -1,7 +1,7 @@
 """What acts on the coordinates of joints and motors: what it is asked, and what it answers."""
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -151,6 +151,20 @@ class AbstractStateLoad(AbstractLoad):
         """Inertia [kg m^2] that moves with its only coordinate and with nothing else; None unless
         overridden. Only a joint that the tree carries can have some."""
         return None
+
+    def of_bodies(self, bodies: Mapping[str, Any]) -> "AbstractStateLoad":
+        """The load with numbers of the mechanism's bodies; itself unless overridden.
+
+        Args:
+            bodies: dictionary of the bodies by name.
+        """
+        return self
+
+    def resistance(self) -> Sequence[tuple[Scalar, Scalar]]:
+        """Stiffness [N m/rad, N/m] and damping [N m s/rad, N s/m] of each of its coordinates, where
+        it is a linear spring on each that `ImplicitStep` need not resolve; none unless
+        overridden."""
+        return ()
 
     def sampled_every(self) -> Scalar | None:
         """Period [s] with which `sampled` sets its states, at its whole multiples; None: never, as

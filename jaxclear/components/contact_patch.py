@@ -319,6 +319,12 @@ def with_entry(array: Array, place: tuple, value: Scalar) -> Array:
     return jax.lax.dynamic_update_slice(array, jnp.reshape(value, (1,) * array.ndim), place)
 
 
+def block_centre(index: Array, side: Scalar) -> Array:
+    """Where the centre of the block of an index lies, in units of cells, if so many cells side by
+    side are one."""
+    return jnp.floor(index * (1.0 / side)) * side + 0.5 * (side - 1.0)
+
+
 def table_rows(table: Float[np.ndarray, "n m"], index: Int[Array, "*rows"]) -> Array:
     """Rows of a table, one or several."""
     if index.ndim:
@@ -363,8 +369,10 @@ def point_sunk(volume: Scalar, radius: Scalar, clearance: Scalar) -> Scalar:
 
 def square_width(indentation: Scalar, cell: Scalar, clearance: Scalar) -> Scalar:
     """Square of half the width [rad2] of a contact of some indentation [m], which is two cells wide
-    at least (`cell`: angle of one [rad]); the outlines overlap by half the indentation there."""
-    return positive_part(indentation) / clearance + (LEAST_WIDTH * cell) ** 2
+    at least (`cell`: angle of one [rad]); the outlines overlap by half the indentation there.
+    Fourth powers add up, so that cells hardly widen what they resolve."""
+    square, least = positive_part(indentation) / clearance, (LEAST_WIDTH * cell) ** 2
+    return jnp.sqrt(square * square + least * least)
 
 
 def depth_of(square: Scalar, cell: Scalar, clearance: Scalar) -> Scalar:

@@ -3,8 +3,9 @@ how wide and deep it is there. Cells share a loss as in `contact_patch`, all ove
 poles included; quadratic B-splines read the map between their centres.
 """
 
+import functools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -21,6 +22,7 @@ from jaxclear.components.contact_patch import (
     angle_touched,
     arc,
     arc_with_cell,
+    block_centre,
     depth_of,
     entry,
     point_contact,
@@ -28,7 +30,7 @@ from jaxclear.components.contact_patch import (
     square_width,
     table_rows,
 )
-from jaxclear.components.wear_map import AbstractSurface, directions_around
+from jaxclear.components.wear_map import AbstractSurface, half_steps
 from jaxclear.ground.numerics import OFF_THE_TIES, arc_sine, direction_angle, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 
@@ -97,11 +99,13 @@ class PointContact(NamedTuple):
 
     def in_columns(self, column: Int[Array, "*columns"]) -> tuple[Array, Array]:
         """Cosine and sine of the azimuth."""
-        azimuth = table_rows(directions_around(self.surface.cells[0]), column)
+        centre = (2.0 * block_centre(column, self.surface.coarseness)).astype(int)
+        azimuth = table_rows(half_steps(self.surface.cells[0]), centre)
         return azimuth[..., 0], azimuth[..., 1]
 
     def patch(self, columns: tuple[Array, Array], row: Array, depth: Array) -> Patch:
-        elevation = table_rows(self.surface.rows(), row)
+        centre = (2.0 * block_centre(row, self.surface.coarse_along)).astype(int)
+        elevation = table_rows(self.surface.elevations(), centre)
         level, z = elevation[..., 0], elevation[..., 1]
         x, y = columns[0] * level, columns[1] * level
         ahead, sideways = (x * a + y * b + z * c for a, b, c in (self.normal, self.travel))
@@ -144,7 +148,7 @@ class PointContact(NamedTuple):
         # Those of a cap about its mean direction.
         surface, (around, along) = self.surface, self.surface.cells
         # A cell that lies aslant of the travel is touched from as far as its diagonal.
-        diagonal = math.sqrt(2.0) * max(surface.sides)
+        diagonal = math.sqrt(2.0) * functools.reduce(jnp.maximum, surface.sides)
         reach = self.half_arc + angle_touched(level, diagonal, surface.clearance)
         column, row = surface.position(*self.normal)
         level = safe_sqrt(1.0 - self.normal[2] * self.normal[2])
@@ -152,7 +156,8 @@ class PointContact(NamedTuple):
         beside = jnp.sin(jnp.minimum(reach, 0.5 * jnp.pi))
         all_around = (beside >= level) | ~self.directed
         wide = arc_sine(jnp.where(all_around, 1.0, safe_divide(beside, level)))
-        wide, high = wide * (around / (2 * jnp.pi)), reach * (along / jnp.pi)
+        wider = 0.5 * (surface.coarseness - 1.0)
+        wide, high = wide * (around / (2 * jnp.pi)) + wider, reach * (along / jnp.pi) + wider
         first = -jnp.floor(wide - column)
         columns = jnp.where(all_around, around, jnp.floor(column + wide) - first + 1.0)
         lower = jnp.where(self.directed, jnp.maximum(-jnp.floor(high - row), 0.0), 0.0)
@@ -215,16 +220,17 @@ def spline_weights(position: Float[Array, "..."]) -> tuple[Array, Float[Array, "
 
 
 def stencil(
-    column: Float[Array, "..."], row: Float[Array, "..."], cells: tuple[int, ...]
+    column: Float[Array, "..."], row: Float[Array, "..."], cells: tuple[int, ...], side: Any = 1
 ) -> tuple[Array, Array, Float[Array, "... 3 3"]]:
-    """(columns, rows, weights) of the nine cells about a position in units of cells. What falls
-    beyond an end is kept in the last row, so that nothing is lost.
+    """(columns, rows, weights) of the nine cells about a position in units of cells, of which each
+    has a `side` of so many in the map. What falls beyond an end is kept in the last row, so that
+    nothing is lost.
     """
     nearest, across = spline_weights(column)
     level, upwards = spline_weights(row)
     offsets = jnp.arange(-1, 2)
-    columns = (nearest[..., None] + offsets) % cells[0]
-    rows = jnp.clip(level[..., None] + offsets, 0, cells[1] - 1)
+    columns = ((nearest[..., None] + offsets) * side) % cells[0]
+    rows = jnp.clip((level[..., None] + offsets) * side, 0, cells[1] - 1)
     weights = across[..., :, None] * upwards[..., None, :]
     return columns[..., :, None], rows[..., None, :], weights
 
@@ -240,6 +246,7 @@ class SphereMap(AbstractSurface):
     cells: tuple[int, int] = eqx.field(static=True)
     radius: Scalar = quantity(unit="m", meaning="radius of the socket", above=0)
     clearance: Scalar = quantity(unit="m", meaning="radial clearance in it", above=0)
+    coarseness: Scalar = quantity(1.0, "1", "cells that are one, side by side", at_least=1)
 
     @property
     def thickness(self):
@@ -249,24 +256,25 @@ class SphereMap(AbstractSurface):
     def sides(self) -> tuple[Scalar, Scalar]:
         """Of a cell at the equator, around and along [rad]."""
         around, along = self.cells
-        return 2 * math.pi / around, math.pi / along
+        return 2 * math.pi / around * self.coarseness, math.pi / along * self.coarse_along
 
     @property
     def cell(self) -> Scalar:
         """The shorter side of a cell at the equator [rad]: a groove of that width is resolved where
         it runs along the longer one."""
-        return min(self.sides)
+        return functools.reduce(jnp.minimum, self.sides)
 
-    def rows(self) -> Float[np.ndarray, "along 3"]:
-        """Cosine and sine of the elevation of the centre of each row, area of its cells relative to
-        the square of the radius."""
-        around, along = self.cells
-        angles = ((np.arange(along) + 0.5) / along - 0.5) * np.pi
-        bands = np.diff(np.sin(np.linspace(-np.pi / 2, np.pi / 2, along + 1)))
-        return np.stack([np.cos(angles), np.sin(angles), bands * (2 * np.pi / around)], axis=1)
+    def elevations(self) -> Float[np.ndarray, "steps 2"]:
+        """Cosine and sine of the elevation of the centre of each row, and of the edge above."""
+        along = self.cells[1]
+        angles = ((0.5 * np.arange(2 * along) + 0.5) / along - 0.5) * np.pi
+        return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
     def row_area(self, row):
-        return table_rows(self.rows(), row)[..., 2] * self.radius * self.radius
+        around, along = self.cells
+        bands = np.diff(np.sin(np.linspace(-np.pi / 2, np.pi / 2, along + 1)))
+        table = bands[:, None] * (2 * np.pi / around)
+        return table_rows(table, row)[..., 0] * self.radius * self.radius
 
     def path(self, features):
         return 2.0 * arc(safe_sqrt(jnp.sum(features[:3] ** 2))) / self.cell
@@ -277,7 +285,7 @@ class SphereMap(AbstractSurface):
 
     def directions(self) -> Float[Array, "around along 3"]:
         """Direction of the centre of each cell."""
-        azimuth, (level, height, _) = directions_around(self.cells[0])[:, None], self.rows().T
+        azimuth, (level, height) = half_steps(self.cells[0])[::2, None], self.elevations()[::2].T
         parts = azimuth[..., 0] * level, azimuth[..., 1] * level
         return jnp.stack([*parts, jnp.broadcast_to(height, self.cells)], axis=-1)
 
@@ -312,5 +320,9 @@ class SphereMap(AbstractSurface):
         self, depth: Float[Array, "around along"], x: Scalar, y: Scalar, z: Scalar
     ) -> Scalar:
         """Worn depth in the direction (x, y, z) [m]."""
-        columns, rows, weights = stencil(*self.position(x, y, z), self.cells)
+        sides = self.coarseness, self.coarse_along
+        azimuth, elevation = (
+            (at + 0.5) / side - 0.5 for at, side in zip(self.position(x, y, z), sides, strict=True)
+        )
+        columns, rows, weights = stencil(azimuth, elevation, self.cells, self.side)
         return jnp.sum(weights * depth[columns, rows], axis=(-2, -1))

@@ -23,6 +23,7 @@ from jaxclear.components.contact_patch import (
     Elasticity,
     Outline,
     Touched,
+    block_centre,
     entry,
 )
 from jaxclear.components.wear_map import AbstractSurface, mean_along, spline
@@ -140,8 +141,9 @@ class FaceContact(NamedTuple):
         # All cells that the face comes to.
         far, near = self.surface.face + self.half, self.half
         forward = self.end > 0
-        lower = self.surface.row(self.place - jnp.where(forward, far, near))
-        upper = self.surface.row(self.place + jnp.where(forward, near, far))
+        wider = 0.5 * (self.surface.coarseness - 1.0)
+        lower = self.surface.row(self.place - jnp.where(forward, far, near)) - wider
+        upper = self.surface.row(self.place + jnp.where(forward, near, far)) + wider
         last = self.surface.cells[1] - 1.0
         # A cell is come to where its centre is less than half a cell away.
         first = jnp.clip(jnp.floor(_number(lower + 0.5)), 0.0, last)
@@ -192,14 +194,15 @@ class WallMap(AbstractSurface):
     breadth: Scalar = quantity(unit="m", meaning="breadth of the faces", above=0)
     clearance: Scalar = quantity(unit="m", meaning="gap beside a centred slider", above=0)
     distance: Scalar = quantity(unit="m", meaning="distance of each wall from the middle", above=0)
+    coarseness: Scalar = quantity(1.0, "1", "cells that are one, side by side", at_least=1)
 
     @property
     def cell(self) -> Scalar:
         """Length of a cell [m]."""
-        return self.length / self.cells[1]
+        return self.length / self.cells[1] * self.coarseness
 
     def row_area(self, row):
-        return self.breadth * self.cell
+        return self.breadth * (self.length / self.cells[1])
 
     def over_three(self, depth):
         # Either row is a wall of its own.
@@ -210,7 +213,7 @@ class WallMap(AbstractSurface):
 
     def place(self, row: Array) -> Array:
         """Where the centres of cells lie, from the middle of the walls [m]."""
-        return self.length * ((row + 0.5) / self.cells[1] - 0.5)
+        return self.length * ((block_centre(row, self.coarse_along) + 0.5) / self.cells[1] - 0.5)
 
     def row(self, place: Scalar) -> Scalar:
         """A place from the middle of the walls [m] in units of cells."""
@@ -218,7 +221,8 @@ class WallMap(AbstractSurface):
 
     def places(self) -> Float[Array, " along"]:
         """Where the centre of each cell lies along the guide (or slider) [m]."""
-        return self.middle + self.place(jnp.arange(self.cells[1]))
+        rows = jnp.arange(self.cells[1])
+        return self.middle + self.length * ((rows + 0.5) / self.cells[1] - 0.5)
 
     @property
     def flat(self):
@@ -243,23 +247,26 @@ class WallMap(AbstractSurface):
 
     def depth_at(self, depth: Array, side: int, place: Scalar) -> Scalar:
         """Worn depth [m] of a wall (0 or 1) at a place along the guide [m]."""
-        last = self.cells[1] - 1
-        position = self.row(place - self.middle)
-        nearest = jnp.clip(jnp.round(position), 0.0, float(last))
-        row = nearest.astype(int)
-        left, here, right = (entry(depth, (side, jnp.clip(row + k, 0, last))) for k in (-1, 0, 1))
-        if last:
-            left, right = (
-                jnp.where(row == 0, _beyond(here, right), left),
-                jnp.where(row == last, _beyond(here, left), right),
-            )
+        side_of_cell = self.side
+        last = jnp.floor((self.cells[1] - 1) / self.coarseness)
+        position = (self.row(place - self.middle) + 0.5) / self.coarseness - 0.5
+        nearest = jnp.clip(jnp.round(position), 0.0, last)
+        row = nearest.astype(int) * side_of_cell
+        left, here, right = (
+            entry(depth, (side, jnp.clip(row + k * side_of_cell, 0, self.cells[1] - 1)))
+            for k in (-1, 0, 1)
+        )
+        left, right = (
+            jnp.where(nearest == 0, _beyond(here, right), left),
+            jnp.where(nearest == last, _beyond(here, left), right),
+        )
         return spline(position - nearest, left, here, right)
 
     def depth_at_end(self, depth: Array, side: int, end: int) -> Scalar:
         """Worn depth [m] of a wall (0 or 1) at its lower (-1) or upper (1) end."""
         last = self.cells[1] - 1
-        row, inside = (0, min(1, last)) if end < 0 else (last, max(last - 1, 0))
-        edge, further = (entry(depth, (side, k)) for k in (row, inside))
+        row, inside = (0, self.side) if end < 0 else (last, last - self.side)
+        edge, further = (entry(depth, (side, jnp.clip(k, 0, last))) for k in (row, inside))
         return 0.5 * (_beyond(edge, further) + edge)
 
 

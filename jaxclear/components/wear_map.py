@@ -29,6 +29,7 @@ from jaxclear.components.contact_patch import (
     angle_touched,
     arc,
     arc_with_cell,
+    block_centre,
     depth_lost,
     depth_of,
     entry,
@@ -59,7 +60,8 @@ class Wearing(AbstractQuantified):
     """A surface that wears.
 
     The surface is updated whenever a contact has moved by half a cell, and at the saving times;
-    companion runs halve that path, so that its error is part of the estimate. A scar narrower than
+    companion runs halve that path, and another one has cells twice as wide, so that errors of both
+    are part of the estimate. A scar narrower than
     a few cells has too small a depth, and the run says so; the tilted journal of a `JournalBearing`
     takes some hundred along. A run whose steps are counted (`steps_per_save`) updates the surface
     at each saving time.
@@ -74,6 +76,8 @@ class Wearing(AbstractQuantified):
             follows the radius as worn at the contact, not as made.
         updates: largest number of updates of the surface in a run, a count, >= 1; None: no bound.
             With a bound a depth may be wrong by more than the estimate.
+        coarseness: number of cells side by side that are one [1], >= 1 and <= 2; companion runs
+            take 2.
 
     Raises:
         ValueError: for fewer than 4 cells around or 1 along.
@@ -89,6 +93,7 @@ class Wearing(AbstractQuantified):
     acceleration: Scalar = quantity(1.0, "1", at_least=0)
     worn_radius: bool = eqx.field(static=True, default=False, kw_only=True)
     updates: int | None = count(None, kw_only=True)
+    coarseness: Scalar = quantity(1.0, "1", at_least=1, at_most=2, kw_only=True)
 
     def __check_init__(self):
         if self.cells[0] < 4 or self.cells[1] < 1:
@@ -148,6 +153,17 @@ class AbstractWearMap(AbstractQuantified):
         around = (jnp.roll(depth, 1, 0) + depth + jnp.roll(depth, -1, 0)) / 3
         return mean_along(around)
 
+    def deepest(self, depth: Float[Array, "around along"]) -> Array:
+        """Depth of the deepest place, from the mean depths of the cells.
+
+        Args:
+            depth: mean worn depth of each cell [m], an array (around, along).
+
+        Returns:
+            the depth [m].
+        """
+        return jnp.max(depth)
+
     @abstractmethod
     def reading(self, depth):
         """The depth in the form in which the gap reads it, made once for as long as the depth does
@@ -201,6 +217,42 @@ class AbstractSurface(AbstractWearMap):
     def contact(self, volume: Scalar, features: Float[Array, " n"]) -> Any:
         """The part that takes a volume [m3] off, by the location features of a loss: a `Contact`,
         the surface of which is this."""
+
+    coarseness: eqx.AbstractVar[Scalar]
+
+    @property
+    def side(self) -> Array:
+        """Side of a cell, in cells of the arrays of depths: a whole number."""
+        return jnp.asarray(self.coarseness).astype(int)
+
+    @property
+    def coarse_along(self) -> Scalar:
+        """How many rows are one."""
+        return self.coarseness if self.cells[1] > 1 else 1.0
+
+    def deepest(self, depth):
+        """A parabola through the means of the deepest cell and those beside it, in each direction;
+        at an end a straight line."""
+        around, along = self.cells
+        place = jnp.argmax(depth) // along, jnp.argmax(depth) % along
+        here = found = depth[place]
+        for axis, ring in ((0, not self.flat), (1, False)):
+            if self.cells[axis] < 3 or (axis == 0 and not ring):
+                continue
+            index = place[axis] // self.side * self.side
+            at = lambda k, axis=axis: depth[(k, place[1]) if axis == 0 else (place[0], k)]
+            before, after = index - self.side, index + self.side
+            if ring:
+                left, right = at(before % around), at(after % around)
+            else:
+                left, right = at(jnp.maximum(before, 0)), at(jnp.minimum(after, along - 1))
+                left = jnp.where(before < 0, 2.0 * here - right, left)
+                right = jnp.where(after >= along, 2.0 * here - left, right)
+            slope, bend = 0.5 * (right - left), 2.0 * here - left - right
+            top = jnp.clip(safe_divide(slope, bend), -0.5, 0.5)
+            top = jnp.where(bend > 0, top, 0.5 * jnp.sign(slope))
+            found = found + top * (slope - 0.5 * top * bend) + bend / 24.0
+        return found
 
     @abstractmethod
     def row_area(self, row: Int[Array, "*rows"]) -> Any:
@@ -304,7 +356,7 @@ class LineContact(NamedTuple):
     sunk: Scalar
 
     def in_columns(self, column: Int[Array, "*columns"]) -> Column:
-        direction = table_rows(directions_around(self.surface.cells[0]), column)
+        direction = table_rows(half_steps(self.surface.cells[0]), self.surface.centre(column))
         x, y = direction[..., 0], direction[..., 1]
         towards, (c, s) = self.towards, self.turned
         cosine = x * towards[0] + y * towards[1]
@@ -345,7 +397,7 @@ class LineContact(NamedTuple):
     @property
     def nearest(self) -> Scalar:
         """The first column in the arc, or the nearest to it."""
-        half_arc = self.half_arc / self.surface.cell
+        half_arc = self.half_arc / self.surface.pitch
         first = -jnp.floor(half_arc - self.middle)
         # Between two columns either rounding must choose the same.
         nearest = jnp.floor(self.middle + (OFF_THE_TIES - 0.5))
@@ -353,7 +405,8 @@ class LineContact(NamedTuple):
 
     def touched(self, level: Scalar) -> Touched:
         surface, (around, along) = self.surface, self.surface.cells
-        reach, middle = self.reach(level) / surface.cell, self.middle
+        wider = surface.coarseness - 1.0
+        reach, middle = self.reach(level) / surface.pitch + 0.5 * wider, self.middle
         first = -jnp.floor(reach - middle)
         nowhere = self.towards[0] ** 2 + self.towards[1] ** 2 < 0.5
         whole = nowhere | (2.0 * reach + 1.0 >= around)
@@ -363,14 +416,15 @@ class LineContact(NamedTuple):
         lowest = jnp.sqrt(needed * needed - rounding * rounding)
         share = (level + self.steepest - lowest) / jnp.where(self.fall > 0, self.fall, jnp.inf)
         tilted = (self.fall > 0) & (jnp.abs(self.end) > 0.5)
-        rows = jnp.where(tilted, jnp.clip(-jnp.floor(0.5 - share * along), 0.0, along), along)
+        fewer = jnp.clip(wider - jnp.floor(0.5 - share * along), 0.0, along)
+        rows = jnp.where(tilted, fewer, along)
         lower = jnp.where(self.end > 0.5, along - rows, 0.0)
         return Touched.of(first, columns, lower, rows)
 
 
-def directions_around(columns: int) -> Float[np.ndarray, "columns 2"]:
-    """Direction (x, y) of the centre of each of so many columns around."""
-    angles = (np.arange(columns) + 0.5) * (2 * np.pi / columns)
+def half_steps(columns: int) -> Float[np.ndarray, "steps 2"]:
+    """Direction (x, y) of the centre of each of so many columns around, and of the edge behind."""
+    angles = (0.5 * np.arange(2 * columns) + 0.5) * (2 * np.pi / columns)
     return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
@@ -387,15 +441,21 @@ class CylinderMap(AbstractSurface):
     radius: Scalar = quantity(unit="m", meaning="radius of the wall", above=0)
     length: Scalar = quantity(unit="m", meaning="length of the wall", above=0)
     clearance: Scalar = quantity(unit="m", meaning="radial clearance in it", above=0)
+    coarseness: Scalar = quantity(1.0, "1", "cells that are one, side by side", at_least=1)
 
     @property
     def thickness(self):
         return self.radius
 
     @property
+    def pitch(self) -> float:
+        """Angle between columns [rad]."""
+        return 2 * math.pi / self.cells[0]
+
+    @property
     def cell(self) -> Scalar:
         """Angle of a cell [rad]."""
-        return 2 * math.pi / self.cells[0]
+        return self.pitch * self.coarseness
 
     def row_area(self, row):
         return (2 * math.pi * self.radius / self.cells[0]) * (self.length / self.cells[1])
@@ -403,17 +463,22 @@ class CylinderMap(AbstractSurface):
     def path(self, features):
         return 2.0 * arc(safe_sqrt(features[0] ** 2 + features[1] ** 2)) / self.cell
 
+    def centre(self, column: Int[Array, "*columns"]) -> Array:
+        """Centres of columns, in half steps."""
+        return (2.0 * block_centre(column, self.coarseness)).astype(int)
+
     def angles(self) -> Float[Array, " around"]:
         """Direction of the centre of each cell [rad]."""
         return (jnp.arange(self.cells[0]) + 0.5) * (2 * jnp.pi / self.cells[0])
 
     def heights(self) -> Float[Array, " along"]:
         """z of the centre of each cell [m]."""
-        return self.height(jnp.arange(self.cells[1]))
+        return self.length * ((jnp.arange(self.cells[1]) + 0.5) / self.cells[1] - 0.5)
 
     def height(self, row: Array) -> Array:
         """z of the centre of cells of a row [m]."""
-        return self.length * ((row + 0.5) / self.cells[1] - 0.5)
+        centre = block_centre(row, self.coarse_along)
+        return self.length * ((centre + 0.5) / self.cells[1] - 0.5)
 
     def narrowness(self, indentation: Scalar) -> Scalar:
         """One over half the width [1/rad] of a contact of some indentation [m]. Its mean over a
@@ -422,10 +487,8 @@ class CylinderMap(AbstractSurface):
 
     def position(self, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
         """Where a place of the wall [m] lies, in units of cells: around, along."""
-        return self._column(x, y), (z / self.length + 0.5) * self.cells[1] - 0.5
-
-    def _column(self, x, y):
-        return direction_angle(x, y) * (self.cells[0] / (2 * jnp.pi)) - 0.5
+        column = direction_angle(x, y) * (self.cells[0] / (2 * jnp.pi)) - 0.5
+        return column, (z / self.length + 0.5) * self.cells[1] - 0.5
 
     def contact(self, volume, features):
         x, y, fall, narrowness, end = features
@@ -445,12 +508,12 @@ class CylinderMap(AbstractSurface):
             self,
             volume,
             towards,
-            direction_angle(*towards) / self.cell - 0.5,
+            direction_angle(*towards) / self.pitch - 0.5,
             half_arc,
             (jnp.cos(half_arc), jnp.sin(half_arc)),
             fall,
             end,
-            (0.5 / self.cells[1]) * jnp.abs(fall),
+            (0.5 / self.cells[1]) * self.coarse_along * jnp.abs(fall),
             load,
             line_sunk(wanted, self.radius, clearance, self.length, fallen),
         )
@@ -463,38 +526,39 @@ class CylinderMap(AbstractSurface):
             ends = []
             for own, (row, inside) in zip(reading, self._edges(), strict=True):
                 last, further = (entry(depth, (column, each)) for each in (row, inside))
-                ends.append(with_entry(own, (column + 1,), _to_the_edge(last, further)))
+                ends.append(with_entry(own, (column + 2,), _to_the_edge(last, further)))
             return tuple(ends)
 
         reading = through(touched, (around, 1), visit, reading, True)
-        # The last column once more in front of the first, the first behind the last.
-        for to, of in ((0, around), (around + 1, 1)):
+        # The last two columns once more in front of the first, the first two behind the last.
+        for to, of in ((0, around), (1, around + 1), (around + 2, 2), (around + 3, 3)):
             reading = tuple(with_entry(own, (to,), entry(own, (of,))) for own in reading)
         return reading
 
     def reading(self, depth):
-        """Of each row at an end the depth at the edge, column by column, the last one in front and
-        the first one behind: what a place reads of it is one small slice."""
+        """Of each row at an end the depth at the edge, column by column, the last two in front and
+        the first two behind."""
         rows = []
         for row, inside in self._edges():
             edge = _to_the_edge(depth[:, row], depth[:, inside])
-            rows.append(jnp.concatenate([edge[-1:], edge, edge[:1]]))
+            rows.append(jnp.concatenate([edge[-2:], edge, edge[:2]]))
         return tuple(rows)
 
-    def _edges(self) -> list[tuple[int, int]]:
+    def _edges(self) -> list[tuple[int, Any]]:
         """(row, the next further inside) at the lower and the upper end; one of a single row."""
         last = self.cells[1] - 1
-        return [(0, 1), (last, last - 1)] if last else [(0, 0)]
+        inside = jnp.minimum(self.side, last)
+        return [(0, inside), (last, last - inside)] if last else [(0, 0)]
 
     def depth_at_end(self, reading: tuple, x: Scalar, y: Scalar, end: int) -> Scalar:
         """Worn depth at the direction (x, y) of the row at the lower (-1) or upper (1) end, in
         metres.
         """
-        position = self._column(x, y)
+        position = direction_angle(x, y) / self.cell - 0.5
         nearest = jnp.round(position)
-        first = nearest.astype(int) % self.cells[0]
-        own = reading[0 if end < 0 else -1]
-        return spline(position - nearest, *jax.lax.dynamic_slice_in_dim(own, first, 3))
+        side, own = self.side, reading[0 if end < 0 else -1]
+        here = (nearest.astype(int) * side) % self.cells[0] + 2
+        return spline(position - nearest, *(entry(own, (here + k * side,)) for k in (-1, 0, 1)))
 
 
 def spline(place: Scalar, left: Scalar, here: Scalar, right: Scalar) -> Scalar:

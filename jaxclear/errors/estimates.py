@@ -17,6 +17,7 @@ from jaxclear.errors.observables import named
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
 from jaxclear.integrators.base import PART_OF, Promise
+from jaxclear.integrators.checks import Check, Checks
 from jaxclear.results.response import needs_of
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.results.verification import AbstractVerification, Estimate, Unverified
@@ -65,7 +66,7 @@ class Verified(AbstractVerification):
     tenth digit of the start, and `path`: from when on [s], and within which time errors grow e-fold
     [s] (None: its path is an answer); `since` [s]: where the run began, from where on errors count;
     `remedy`: what makes them smaller; `why`: what the integrator was chosen for ("": it was
-    given)."""
+    given); `coarser`: the run on worn surfaces with cells twice as wide."""
 
     replicas: tuple[Trajectory, ...]
     numbers: Float[np.ndarray, "answers 4"]
@@ -76,6 +77,7 @@ class Verified(AbstractVerification):
     answers: tuple[tuple[str, str, str, str], ...] = eqx.field(static=True)
     remedy: str = eqx.field(static=True)
     why: str = eqx.field(static=True, default="")
+    coarser: Trajectory | None = None
 
     @property
     def entries(self) -> tuple[StandardAnswer, ...]:
@@ -108,17 +110,22 @@ class Verified(AbstractVerification):
         worst, others = beyond[0], len(beyond) - 1
         more = f" (and {others} more answer{'s' * (others > 1)})" if others else ""
         error = f"{worst.share:.2g} {WORDS[worst.part]} ({worst.promised:g} promised)"
-        return f"{worst.name[0].upper()}{worst.name[1:]}: error about {error}{more}; {self.remedy}."
+        cells = "; " if self.coarser is None or worst.part != "losses" else "; more cells, or "
+        name = f"{worst.name[0].upper()}{worst.name[1:]}"
+        return f"{name}: error about {error}{more}{cells}{self.remedy}."
 
     def estimate(self, run, response):
         value = response(run)
         try:
             values = [response(each) for each in self.replicas]
+            coarse = value if self.coarser is None else response(self.coarser)
         except Exception as failure:
             # What is found in a run need not be in its replica: a tenth impact, a row of a table.
             return Estimate(value, math.nan, f"in finer steps the same fails: {failure}")
         try:
-            error = jax.tree.map(_estimate_error, value, *values)
+            share = of_cells(run.invariants)
+            estimate = lambda *each: _estimate_error(*each, share)
+            error = jax.tree.map(estimate, value, coarse, *values)
         except (TypeError, ValueError):
             return Estimate(value, math.nan, "the answer is no number, or of another form there")
         if not jax.tree.leaves(error):
@@ -131,6 +138,8 @@ class Verified(AbstractVerification):
         steps = "half" if len(self.replicas) == 1 else "half and quarter"
         began = not is_traced(self.since) and self.since != 0
         since = f", since {float(self.since):.6g} s" if began else ""
+        if self.coarser is not None:
+            return f"from {steps} steps and wider cells{since}"
         return f"twice what {steps} steps change{since}"
 
     def promised(self, response: Any) -> float | None:
@@ -191,14 +200,26 @@ def richardson(differences: list[Any], shares: Sequence[float | None] = (HALF, Q
     return functools.reduce(jnp.maximum if is_traced(errors) else np.maximum, errors)
 
 
-def _estimate_error(value: Any, *values: Any) -> Any:
-    """Of a number, or an array of them. Raises `TypeError` or `ValueError` for what is none, and
+def of_cells(checks: Checks) -> float:
+    """The error that cells leave, relative to what cells twice as wide change: that of order 2
+    where they resolve the scars, else of order 1."""
+    cells = checks.figures.get(Check.WEAR_BY_CELLS)
+    if cells is None or is_traced(cells.worst):
+        return 1.0
+    return 1 / 3 if np.max(np.asarray(cells.worst)) <= Check.WEAR_BY_CELLS.limit else 1.0
+
+
+def _estimate_error(value: Any, coarse: Any, *rest: Any) -> Any:
+    """Of a number, or an array of them, from one on `coarse` cells, others in finer steps and the
+    share of what cells change. Raises `TypeError` or `ValueError` for what is none, and
     for arrays of another shape."""
-    number, *others = (
-        each if is_traced(each) else np.asarray(each, float) for each in (value, *values)
+    *values, share = rest
+    number, coarse, *others = (
+        each if is_traced(each) else np.asarray(each, float) for each in (value, coarse, *values)
     )
-    if any(other.shape != number.shape for other in others):
+    if any(other.shape != number.shape for other in (coarse, *others)):
         raise ValueError("arrays of another shape")
     with np.errstate(invalid="ignore"):
-        error = richardson([abs(number - other) for other in others])
+        by_steps = richardson([abs(number - other) for other in others])
+        error = by_steps + share * abs(number - coarse)
     return error if is_traced(error) else np.asarray(error)[()]

@@ -156,8 +156,8 @@ def _observed(run: Trajectory) -> Observables:
         turnover = jnp.max(energies.kinetic) + jnp.max(jnp.abs(energies.input))
     places = [(joint, surface) for joint, part in run.worn.items() for surface in part]
     volumes = [histories.worn_volume(history, *place)[-1] for place in places]
-    depths = [jnp.max(run.worn[joint][surface]) for joint, surface in places]
     maps, opens = wear_maps(system), bool(system.bearings)
+    depths = [maps[name][surface][0].deepest(run.worn[name][surface]) for name, surface in places]
     areas = [jnp.sum(maps[joint][surface][0].areas()) for joint, surface in places]
     return Observables(
         centres,

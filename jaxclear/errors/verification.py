@@ -20,12 +20,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.errors.accuracy import Bounds, Observed
-from jaxclear.errors.estimates import HALF, QUARTER, Failed, Verified, richardson
+from jaxclear.errors.estimates import HALF, QUARTER, Failed, Verified, of_cells, richardson
 from jaxclear.errors.observables import parted
 from jaxclear.ground.quantity import concrete, is_traced, with_fields
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.events import Events
 from jaxclear.multibody.reach import narrowest
+from jaxclear.multibody.system import wearing_in
 from jaxclear.native import stoppable
 from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.trajectory import Trajectory
@@ -37,12 +38,14 @@ NEXT_TO_NOTHING = 0.01
 
 class Replica(NamedTuple):
     """How a run is made: by an `integrator`, saved at these `times` [s], of which every so many-th
-    is asked for; in every saving interval surfaces wear by so many `updates`."""
+    is asked for; surfaces wear by so many times as many `updates`, on cells as wide as so many
+    (`coarseness`)."""
 
     integrator: AbstractIntegrator
     times: Any
     every: int = 1
     updates: int = 1
+    coarseness: float = 1.0
 
     @property
     def work(self) -> float:
@@ -118,6 +121,7 @@ MOST_STEPS = 100_000
 # By how much of a radian or of a metre the start of a replica is moved.
 TENTH_DIGIT = 1e-10
 OF_A_REPLICA = "a replica of another run"
+LONG = f"beyond {MOST_STEPS} steps replicas are run with verify=True"
 
 
 def verify_run(
@@ -133,7 +137,9 @@ def verify_run(
     goes wrong in replicas, Ctrl-C too, leaves the run as it is."""
     bounds = Bounds(integrator.promise) if bounds is None else bounds
     why = _why_not(run, verify)
-    verification: AbstractVerification = Unverified(_and_chosen(why, bounds))
+    # Worn depths hang on updates and cells, which nothing but replicas looks at.
+    warns = why == LONG and bool(run.worn)
+    verification: AbstractVerification = Unverified(_and_chosen(why, bounds), warns)
     if not why:
         try:
             with stoppable():
@@ -181,18 +187,36 @@ def _verification(
         if not np.any(~np.isnan(promised) & ~(shares <= DOUBT * promised)):
             break
     errors = [float(richardson([each.off for each in row])) for row in rows]
+    coarser = _on_coarser_cells(run, integrator, repeated)
+    if coarser is not None:
+        rows_of_cells = bounds.differences(run, coarse, bounds.observe(coarser), finer[-1])
+        wear = of_cells(run.invariants) * np.array([row.part == "losses" for row in rows_of_cells])
+        errors = list(errors + wear * [row.off for row in rows_of_cells])
+        shares = shares + wear * [row.share for row in rows_of_cells]
     numbers = np.stack([[row[0].value for row in rows], errors, shares, promised], axis=1)
     path, chaotic = None, np.zeros(len(rows), bool)
     gaps = np.array([row[0].part == "gaps" for row in rows])
     if np.any(gaps & ~np.isnan(promised) & ~(shares <= promised)):
         limit = float(np.nanmin(promised[gaps]))
         path, chaotic = _find_chaotic(run, bounds, finer[0], repeated(plans[0], TENTH_DIGIT), limit)
-    companions = tuple(
-        dataclasses.replace(each, verification=Unverified(OF_A_REPLICA)) for each in replicas
-    )
+    of_replica = Unverified(OF_A_REPLICA)
+    companions = tuple(dataclasses.replace(each, verification=of_replica) for each in replicas)
+    coarser = coarser and dataclasses.replace(coarser, verification=of_replica)
     answers = tuple((row[0].answer, row[0].part, row[0].place, row[0].unit) for row in rows)
     ends = np.asarray(run.time)[0], bounds.promise, answers, integrator.remedy, bounds.why
-    return Verified(companions, numbers, chaotic, path, *ends)
+    return Verified(companions, numbers, chaotic, path, *ends, coarser=coarser)
+
+
+def _on_coarser_cells(
+    run: Trajectory, integrator: AbstractIntegrator, repeated: Callable[[Replica], Trajectory]
+) -> Trajectory | None:
+    """The run on worn surfaces whose cells are twice as wide; None where none has cells that a loss
+    is shared among, or the run fails so."""
+    maps = [own for joint in wearing_in(run.mechanism).values() for own, _ in joint.maps().values()]
+    if not any(math.prod(own.cells) > 1 for own in maps):
+        return None
+    coarser = repeated(Replica(integrator, np.asarray(run.time), coarseness=2.0))
+    return coarser if coarser.succeeded else None
 
 
 @compiled_quickly
@@ -213,7 +237,7 @@ def _why_not(run: Trajectory, verify: bool | None) -> str:
     if not run.succeeded:
         return "the run ended early"
     if verify is None and int(run.accepted_steps) > MOST_STEPS:
-        return f"beyond {MOST_STEPS} steps replicas are run with verify=True"
+        return LONG
     return ""
 
 

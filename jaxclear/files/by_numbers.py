@@ -36,8 +36,8 @@ def from_scipy(
         raise ValueError("distribution.FromScipy needs scipy (a name) or a table, one of the two.")
     if scipy is not None:
         return FromScipy(_frozen(scipy, numbers or {}), about=about)
-    given: dict[str, Any] = table or {}
-    rows = [np.asarray(given.get(row, ()), float) for row in ROWS]
+    columns: dict[str, Any] = table or {}
+    rows = [np.asarray(columns.get(row, ()), float) for row in ROWS]
     fits = all(row.shape == rows[0].shape and row.ndim == 1 for row in rows) and len(rows[0]) > 1
     if not fits or not np.isfinite(rows).all() or np.any(np.diff(rows[0]) <= 0):
         raise ValueError(
@@ -49,10 +49,10 @@ def from_scipy(
             f"distribution.FromScipy has spread = {described(spread)}; it must be above 0."
         )
     # Its constructor takes a distribution of scipy, which is gone.
-    found = object.__new__(FromScipy)
-    object.__setattr__(found, "table", Table(*map(jnp.asarray, rows)))
-    object.__setattr__(found, "spread", jnp.asarray(spread, float))
-    return found
+    built = object.__new__(FromScipy)
+    object.__setattr__(built, "table", Table(*map(jnp.asarray, rows)))
+    object.__setattr__(built, "spread", jnp.asarray(spread, float))
+    return built
 
 
 def _frozen(name: str, numbers: dict[str, float]) -> Any:
@@ -60,17 +60,17 @@ def _frozen(name: str, numbers: dict[str, float]) -> Any:
     from scipy import stats
 
     generic = stats.rv_continuous
-    found = getattr(stats, name, None) if not name.startswith("_") else None
-    if not isinstance(found, generic):
-        known = [n for n in dir(stats) if isinstance(getattr(stats, n), generic)]
-        raise ValueError(unknown("continuous distribution of scipy.stats", name, known))
-    if type(found)._ppf is generic._ppf:
+    frozen = getattr(stats, name, None) if not name.startswith("_") else None
+    if not isinstance(frozen, generic):
+        names = [n for n in dir(stats) if isinstance(getattr(stats, n), generic)]
+        raise ValueError(unknown("continuous distribution of scipy.stats", name, names))
+    if type(frozen)._ppf is generic._ppf:
         raise ValueError(
             f"scipy has no formula for the quantile of {name}; build it in Python, where it may "
             "take minutes, and write the scene from there."
         )
     try:
-        return found(**numbers)
+        return frozen(**numbers)
     except TypeError as error:
         raise ValueError(f"scipy.stats.{name}: {error}.") from None
 

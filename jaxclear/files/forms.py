@@ -51,7 +51,7 @@ class AbstractForm(ABC):
         `mechanism`: that in which variables point. Raises `ValueError` with a sentence."""
 
     @abstractmethod
-    def schema(self, known: dict[str, Schema]) -> Schema:
+    def schema(self, defs: dict[str, Schema]) -> Schema:
         """Its JSON schema; those of classes go into `known`."""
 
     def looks_like(self, node: Node) -> bool:
@@ -71,15 +71,15 @@ class Number(AbstractForm):
 
     def read(self, node: Node, path: str, folder: Path) -> Any:
         if not is_number(node):
-            wanted = f"one number{_unit(self.metadata)}"
-            raise misread(node, path, f"is {node.said}; it must be {wanted}.")
+            required = f"one number{_unit(self.metadata)}"
+            raise misread(node, path, f"is {node.words}; it must be {required}.")
         return as_float(node, path)
 
     def plain(self, thing: Any, path: str, mechanism: Mechanism) -> Any:
         return _float(thing, path)
 
-    def schema(self, known: dict[str, Schema]) -> Schema:
-        return NUMBER | _told(self.metadata)
+    def schema(self, defs: dict[str, Schema]) -> Schema:
+        return NUMBER | _field_schema(self.metadata)
 
     def looks_like(self, node: Node) -> bool:
         return is_number(node)
@@ -100,27 +100,27 @@ class Numbers(AbstractForm):
             return as_float(node, path)
         if not isinstance(node.value, list):
             counts = " or ".join(map(str, self.counts))
-            wanted = f"a list of {counts} numbers" if counts else "a list of numbers"
-            wanted += _unit(self.metadata)
-            raise misread(node, path, f"is {node.said}; it must be {wanted}.")
+            required = f"a list of {counts} numbers" if counts else "a list of numbers"
+            required += _unit(self.metadata)
+            raise misread(node, path, f"is {node.words}; it must be {required}.")
         for index, entry in enumerate(node.value):
             if not is_number(entry):
-                raise misread(entry, f"{path}[{index}]", f"is {entry.said}; it must be a number.")
+                raise misread(entry, f"{path}[{index}]", f"is {entry.words}; it must be a number.")
         return tuple(as_float(entry, path) for entry in node.value)
 
     def plain(self, thing: Any, path: str, mechanism: Mechanism) -> Any:
         if not isinstance(thing, (tuple, list)):
             refuse(path, f"is {described(thing)}, where a file holds numbers.")
-        found = [_float(entry, path) for entry in thing]
-        return found[0] if len(found) == 1 else found
+        values = [_float(entry, path) for entry in thing]
+        return values[0] if len(values) == 1 else values
 
-    def schema(self, known: dict[str, Schema]) -> Schema:
+    def schema(self, defs: dict[str, Schema]) -> Schema:
         several: Schema = {"type": "array", "items": NUMBER}
         counts = [count for count in self.counts if count > 1]
         if counts:
             several |= {"minItems": min(counts), "maxItems": max(counts)}
         one = [NUMBER] if not self.counts or 1 in self.counts else []
-        return {"anyOf": [several, *one], **_told(self.metadata)}
+        return {"anyOf": [several, *one], **_field_schema(self.metadata)}
 
     def looks_like(self, node: Node) -> bool:
         return is_number(node) or isinstance(node.value, list)
@@ -141,7 +141,7 @@ class NumberArray(AbstractForm):
             refuse(path, "is being traced; write it outside of jax.jit and derivatives.")
         return np.asarray(thing, float).tolist()
 
-    def schema(self, known: dict[str, Schema]) -> Schema:
+    def schema(self, defs: dict[str, Schema]) -> Schema:
         return {"anyOf": [{"type": "array"}, NUMBER]}
 
     def looks_like(self, node: Node) -> bool:
@@ -152,21 +152,21 @@ class NumberArray(AbstractForm):
 
 
 @dataclasses.dataclass(frozen=True)
-class Whole(AbstractForm):
+class Integer(AbstractForm):
     """A whole number."""
 
     metadata: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     def read(self, node: Node, path: str, folder: Path) -> Any:
         if not self.looks_like(node):
-            raise misread(node, path, f"is {node.said}; it must be a whole number.")
+            raise misread(node, path, f"is {node.words}; it must be a whole number.")
         return node.value
 
     def plain(self, thing: Any, path: str, mechanism: Mechanism) -> Any:
         return int(thing)
 
-    def schema(self, known: dict[str, Schema]) -> Schema:
-        return {"type": "integer"} | _told(self.metadata)
+    def schema(self, defs: dict[str, Schema]) -> Schema:
+        return {"type": "integer"} | _field_schema(self.metadata)
 
     def looks_like(self, node: Node) -> bool:
         return isinstance(node.value, int) and not isinstance(node.value, bool)
@@ -181,13 +181,13 @@ class Flag(AbstractForm):
 
     def read(self, node: Node, path: str, folder: Path) -> Any:
         if not self.looks_like(node):
-            raise misread(node, path, f"is {node.said}; it must be true or false.")
+            raise misread(node, path, f"is {node.words}; it must be true or false.")
         return node.value
 
     def plain(self, thing: Any, path: str, mechanism: Mechanism) -> Any:
         return bool(thing)
 
-    def schema(self, known: dict[str, Schema]) -> Schema:
+    def schema(self, defs: dict[str, Schema]) -> Schema:
         return {"type": "boolean"}
 
     def looks_like(self, node: Node) -> bool:
@@ -207,7 +207,7 @@ class Text(AbstractForm):
     def plain(self, thing: Any, path: str, mechanism: Mechanism) -> Any:
         return str(thing)
 
-    def schema(self, known: dict[str, Schema]) -> Schema:
+    def schema(self, defs: dict[str, Schema]) -> Schema:
         return {"type": ["string", "number", "boolean"]}
 
     def looks_like(self, node: Node) -> bool:
@@ -230,7 +230,7 @@ class FileName(AbstractForm):
     def plain(self, thing: Any, path: str, mechanism: Mechanism) -> Any:
         refuse(path, "is the name of a file, of which the numbers are written.")
 
-    def schema(self, known: dict[str, Schema]) -> Schema:
+    def schema(self, defs: dict[str, Schema]) -> Schema:
         return {"type": "string", "description": "a file, its path counted from this one"}
 
 
@@ -250,12 +250,12 @@ class Place(AbstractForm):
 
     def plain(self, thing: Any, path: str, mechanism: Mechanism) -> Any:
         try:
-            found = places_in_words(thing, mechanism)
+            paths = places_in_words(thing, mechanism)
         except (ValueError, KeyError, AttributeError, TypeError, IndexError) as error:
             refuse(path, f"is {described(thing)}, which points at no number: {error}")
-        return found[0] if len(found) == 1 else list(found)
+        return paths[0] if len(paths) == 1 else list(paths)
 
-    def schema(self, known: dict[str, Schema]) -> Schema:
+    def schema(self, defs: dict[str, Schema]) -> Schema:
         one = {"type": "string", "description": 'such as connections["B"].joint.clearance'}
         return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
 
@@ -269,9 +269,9 @@ class Listed(AbstractForm):
 
     def read(self, node: Node, path: str, folder: Path) -> Any:
         if not isinstance(node.value, list):
-            raise misread(node, path, f"is {node.said}; it must be a list.")
+            raise misread(node, path, f"is {node.words}; it must be a list.")
         if self.length is not None and len(node.value) != self.length:
-            raise misread(node, path, f"is {node.said}; it must be a list of {self.length}.")
+            raise misread(node, path, f"is {node.words}; it must be a list of {self.length}.")
         entries = enumerate(node.value)
         return tuple(self.entry.read(entry, f"{path}[{i}]", folder) for i, entry in entries)
 
@@ -279,9 +279,9 @@ class Listed(AbstractForm):
         entries = enumerate(thing)
         return [self.entry.plain(entry, f"{path}[{i}]", mechanism) for i, entry in entries]
 
-    def schema(self, known: dict[str, Schema]) -> Schema:
-        found: Schema = {"type": "array", "items": self.entry.schema(known)}
-        return found | ({"minItems": self.length, "maxItems": self.length} if self.length else {})
+    def schema(self, defs: dict[str, Schema]) -> Schema:
+        schema: Schema = {"type": "array", "items": self.entry.schema(defs)}
+        return schema | ({"minItems": self.length, "maxItems": self.length} if self.length else {})
 
     def looks_like(self, node: Node) -> bool:
         return isinstance(node.value, list)
@@ -298,7 +298,7 @@ class ByName(AbstractForm):
 
     def read(self, node: Node, path: str, folder: Path) -> Any:
         if not isinstance(node.value, dict):
-            raise misread(node, path, f"is {node.said}; it must be a mapping from names.")
+            raise misread(node, path, f"is {node.words}; it must be a mapping from names.")
         entries = node.value.items()
         return {n: self.entry.read(entry, f'{path}["{n}"]', folder) for n, entry in entries}
 
@@ -306,8 +306,8 @@ class ByName(AbstractForm):
         entries = thing.items()
         return {n: self.entry.plain(entry, f'{path}["{n}"]', mechanism) for n, entry in entries}
 
-    def schema(self, known: dict[str, Schema]) -> Schema:
-        return {"type": "object", "additionalProperties": self.entry.schema(known)}
+    def schema(self, defs: dict[str, Schema]) -> Schema:
+        return {"type": "object", "additionalProperties": self.entry.schema(defs)}
 
     def looks_like(self, node: Node) -> bool:
         return isinstance(node.value, dict)
@@ -334,8 +334,8 @@ class Choice(AbstractForm):
         one = next((one for one in self.forms if one.holds(thing)), self.forms[-1])
         return one.plain(thing, path, mechanism)
 
-    def schema(self, known: dict[str, Schema]) -> Schema:
-        return {"anyOf": [one.schema(known) for one in self.forms]}
+    def schema(self, defs: dict[str, Schema]) -> Schema:
+        return {"anyOf": [one.schema(defs) for one in self.forms]}
 
 
 def refuse(path: str, sentence: str) -> NoReturn:
@@ -360,11 +360,11 @@ def _unit(metadata: Mapping[str, Any]) -> str:
     return "" if unit == "1" or unit.startswith("(") else f" [{unit}]"
 
 
-def _told(metadata: Mapping[str, Any]) -> Schema:
+def _field_schema(metadata: Mapping[str, Any]) -> Schema:
     """What a field says of its number."""
     unit = metadata.get("unit", "1")
     sliding = f"; {metadata['sliding']} for a sliding joint" if "sliding" in metadata else ""
     words = [metadata.get("meaning", ""), "" if unit == "1" else f"[{unit}{sliding}]"]
-    said = " ".join(word for word in words if word)
+    text = " ".join(word for word in words if word)
     bounds = {word: metadata[key] for key, word in BOUNDS.items() if key in metadata}
-    return (bounds if "counts" not in metadata else {}) | ({"description": said} if said else {})
+    return (bounds if "counts" not in metadata else {}) | ({"description": text} if text else {})

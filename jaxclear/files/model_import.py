@@ -14,7 +14,7 @@ import numpy as np
 from jaxclear.components.body import Connection
 from jaxclear.components.drive import ConstantPosition
 from jaxclear.components.load import Gravity
-from jaxclear.files.model_loads import STOPS, gives_way, loads_of
+from jaxclear.files.model_loads import STOPS, list_deflections, loads_of
 from jaxclear.files.model_tree import HERE, Tree, equalities_of, rotation_of
 from jaxclear.files.mujoco_model import (
     Compiled,
@@ -108,9 +108,9 @@ def _mechanism(read: Compiled, stops: str, keyframe: str | None = None) -> Mecha
     model = read.model
     bodies, joints = names_of(model)
     tree = Tree(model, bodies, joints)
-    held = equalities_of(model, tree)
-    missing = [*not_taken_over(read, joints), *held.missing]
-    begins = {} if keyframe is None else coordinates_at(model, joints, keyframe)
+    equal = equalities_of(model, tree)
+    missing = [*not_taken_over(read, joints), *equal.missing]
+    initial = {} if keyframe is None else coordinates_at(model, joints, keyframe)
     if keyframe is None and model.nkey:
         missing.append(
             f"keyframes {listed(keyframes(model))} (read_mjcf(..., keyframe=...) starts)"
@@ -118,38 +118,38 @@ def _mechanism(read: Compiled, stops: str, keyframe: str | None = None) -> Mecha
     _warn(read, "not taken over", missing, NotImported)
     if not tree.bodies:
         raise ValueError(f"{read.name} has no body with mass.")
-    loads = without_loads_on(dict(loads_of(model, joints, stops)), tuple(held.held))
-    _warn(read, "gives way at rest", gives_way(model, joints, loads), ImportedSoft)
+    loads = without_loads_on(dict(loads_of(model, joints, stops)), tuple(equal.fixed))
+    _warn(read, "gives way at rest", list_deflections(model, joints, loads), ImportedSoft)
     if np.any(model.opt.gravity):
         loads["gravity"] = Gravity(tuple(map(float, model.opt.gravity)))
-    connections = _held(tree.connections, held.held) | held.connections
+    connections = _drive(tree.connections, equal.fixed) | equal.connections
     # Where an equality holds a free body, its place is only near: the loop decides.
-    free = tree.start | {name: begins[name] for name in tree.start if begins}
-    start = {name: place for name, place in free.items() if name not in held.free}
-    near = {name: place for name, place in free.items() if name in held.free} | held.turned
-    near |= {n: own for n, own in begins.items() if n not in free and n not in held.held}
+    free = tree.start | {name: initial[name] for name in tree.start if initial}
+    start = {name: place for name, place in free.items() if name not in equal.free}
+    near = {name: place for name, place in free.items() if name in equal.free} | equal.rotations
+    near |= {n: v for n, v in initial.items() if n not in free and n not in equal.fixed}
     grown = grow(tree.bodies, connections)
     guess = {name: place for name, place in near.items() if grown.branch_of(name) is not None}
     return Mechanism(
-        tree.bodies, connections, loads, couplings=held.couplings, start=start, guess=guess
+        tree.bodies, connections, loads, couplings=equal.couplings, start=start, guess=guess
     )
 
 
-def _held(connections: dict[str, Connection], places: dict[str, float]) -> dict[str, Connection]:
+def _drive(connections: dict[str, Connection], places: dict[str, float]) -> dict[str, Connection]:
     """Connections some of whose joints are held at a coordinate [rad, m]."""
-    found = dict(connections)
+    changed = dict(connections)
     for name, place in places.items():
-        own = connections[name]
-        joint: Any = own.joint
-        held = dataclasses.replace(joint, drive=ConstantPosition(place))
-        found[name] = Connection(held, own.parent, own.child)
-    return found
+        connection = connections[name]
+        joint: Any = connection.joint
+        driven = dataclasses.replace(joint, drive=ConstantPosition(place))
+        changed[name] = Connection(driven, connection.parent, connection.child)
+    return changed
 
 
-def _warn(read: Compiled, what: str, said: Iterable[str], kind: type[Warning]) -> None:
-    found = "; ".join(said)
-    if found:
-        warn(f"{read.name}: {what}: {found}.", kind)
+def _warn(read: Compiled, what: str, sentences: Iterable[str], kind: type[Warning]) -> None:
+    text = "; ".join(sentences)
+    if text:
+        warn(f"{read.name}: {what}: {text}.", kind)
 
 
 # Of mjtGeom: what a size says. Planes and height fields have no body.
@@ -162,7 +162,7 @@ SHAPES = {
 }
 MESH = 7
 # Groups that MuJoCo's viewer shows: others hold shapes for contacts.
-SHOWN = 2
+VISIBLE_GROUPS = 2
 
 
 @answering
@@ -186,29 +186,29 @@ def read_shapes(path: Any, *, floating: bool = False) -> dict[str, dict[str, Tri
     Raises:
         ValueError: if the file is invalid.
     """
-    model = compiled(path, floating=floating, seen=True).model
+    model = compiled(path, floating=floating, visible=True).model
     urdf = "<robot" in Path(path).read_text("utf-8", "ignore")
     bodies, joints = names_of(model)
     tree = Tree(model, bodies, joints)
-    found: dict[str, dict[str, Triangles]] = {}
+    shapes: dict[str, dict[str, Triangles]] = {}
     for index in range(model.nbody):
         owner, place = tree.part[index] if index else (0, HERE)
-        own = found.setdefault(bodies[owner], {})
+        of_body = shapes.setdefault(bodies[owner], {})
         for name, solid in _of_body(model, index, bodies[index], urdf):
-            name = name if name not in own else f"{name} {len(own)}"
-            own[name] = solid.moved(place.rotation, place.origin)
-    return {body: own for body, own in found.items() if own}
+            name = name if name not in of_body else f"{name} {len(of_body)}"
+            of_body[name] = solid.moved(place.rotation, place.origin)
+    return {body: of_body for body, of_body in shapes.items() if of_body}
 
 
 def _of_body(model: Any, index: int, body: str, urdf: bool) -> Iterator[tuple[str, Triangles]]:
     """Geometries of a body with their names, in its frame."""
     first = int(model.body_geomadr[index])
     every = range(first, first + int(model.body_geomnum[index]))
-    own = [k for k in every if int(model.geom_type[k]) in (*SHAPES, MESH)]
-    seen = [k for k in own if model.geom_group[k] <= SHOWN]
+    indices = [k for k in every if int(model.geom_type[k]) in (*SHAPES, MESH)]
+    visible = [k for k in indices if model.geom_group[k] <= VISIBLE_GROUPS]
     if urdf:
-        seen = [k for k in own if not (model.geom_contype[k] or model.geom_conaffinity[k])]
-    for count, k in enumerate(seen or own):
+        visible = [k for k in indices if not (model.geom_contype[k] or model.geom_conaffinity[k])]
+    for count, k in enumerate(visible or indices):
         size = np.array(model.geom_size[k])
         kind = int(model.geom_type[k])
         solid = _mesh(model, int(model.geom_dataid[k])) if kind == MESH else SHAPES[kind](size)

@@ -59,11 +59,11 @@ class Soft(NamedTuple):
     middle: float
     power: float
 
-    def impedance(self, way: float) -> float:
+    def impedance(self, depth: float) -> float:
         """d at a way [rad, m] beyond where the constraint begins."""
         if self.width <= NARROWEST or self.first == self.last:
             return 0.5 * (self.first + self.last)
-        x, mid, p = min(way / self.width, 1.0), self.middle, self.power
+        x, mid, p = min(depth / self.width, 1.0), self.middle, self.power
         share = mid * (x / mid) ** p if x <= mid else 1 - (1 - mid) * ((1 - x) / (1 - mid)) ** p
         return self.first + share * (self.last - self.first)
 
@@ -96,10 +96,10 @@ def sag(soft: Soft, force: float, inertia: float) -> float:
 
     if not force > 0:
         return 0.0
-    beyond = lambda way, d: inertia * soft.stiffness * d * d * way - (1 - d) * force
+    beyond = lambda depth, d: inertia * soft.stiffness * d * d * depth - (1 - d) * force
     least = min(soft.first, soft.last)
     most = (1 - least) * force / (inertia * soft.stiffness * least * least)
-    return float(brentq(lambda way: beyond(way, soft.impedance(way)), 0.0, 2 * most))
+    return float(brentq(lambda depth: beyond(depth, soft.impedance(depth)), 0.0, 2 * most))
 
 
 def pressing(model: Any, k: int) -> tuple[float, float]:
@@ -123,10 +123,10 @@ def steady_force(model: Any, k: int, at: float) -> float:
 
 
 # A way [rad, m] over which a limit's damping sets in, where the model has it set in at once.
-AT_ONCE = 1e-6
+LEAST_DEPTH = 1e-6
 # What gives way is said from this share of a limit's width on; whether it does so as in MuJoCo, to
 # this share of how far.
-SAID, ALIKE = 0.01, 0.05
+REPORTED_SHARE, SAME_SHARE = 0.01, 0.05
 # What a limit is right for, as the module says.
 STOPS = ("steady", "impact")
 
@@ -169,7 +169,7 @@ def _stop(model: Any, k: int, name: str, stops: str) -> JointStop:
         high - margin,
         stiffness=stiffness,
         damping=inertia * soft.last * soft.damping / shorter,
-        depth=max(soft.width * shorter, AT_ONCE),
+        depth=max(soft.width * shorter, LEAST_DEPTH),
     )
 
 
@@ -178,7 +178,7 @@ def _inertia(model: Any, k: int) -> float:
     return 1 / float(model.dof_invweight0[model.jnt_dofadr[k]])
 
 
-class Given(NamedTuple):
+class Deflection(NamedTuple):
     """By how much a limit gives way here and in MuJoCo [rad, m] under a force [N m, N] at rest."""
 
     here: float
@@ -186,33 +186,33 @@ class Given(NamedTuple):
     force: float
 
 
-def gives_way(model: Any, joints: list[str], loads: dict[str, Any]) -> Iterator[str]:
+def list_deflections(model: Any, joints: list[str], loads: dict[str, Any]) -> Iterator[str]:
     """Limits that give way under weight and springs by more than a share of their width, in
     words."""
     for k, name in enumerate(joints):
         stop = loads.get(f"{name} limits")
         if stop is not None:
             unit = "m" if model.jnt_type[k] == SLIDE else "rad"
-            yield from _stop_gives_way(model, k, name, stop, unit)
+            yield from _stop_deflections(model, k, name, stop, unit)
 
 
-def _stop_gives_way(model: Any, k: int, name: str, stop: JointStop, unit: str) -> Iterator[str]:
+def _stop_deflections(model: Any, k: int, name: str, stop: JointStop, unit: str) -> Iterator[str]:
     soft, inertia = limit_is_soft(model, k), _inertia(model, k)
-    given: Any = stop.stiffness
-    stiffness = float(given)
-    found = [
-        Given(force / stiffness, sag(soft, force, inertia), force)
+    spring: Any = stop.stiffness
+    stiffness = float(spring)
+    deflections = [
+        Deflection(force / stiffness, sag(soft, force, inertia), force)
         for force in pressing(model, k)
         if force > 0
     ]
     width = float(np.ptp(model.jnt_range[k]))
-    for own in found:
-        if max(own.here, own.there) > SAID * width:
-            alike = abs(own.here - own.there) <= ALIKE * own.there
-            there = "as in MuJoCo" if alike else f"in MuJoCo by {own.there:.3g} {unit}"
+    for d in deflections:
+        if max(d.here, d.there) > REPORTED_SHARE * width:
+            same = abs(d.here - d.there) <= SAME_SHARE * d.there
+            there = "as in MuJoCo" if same else f"in MuJoCo by {d.there:.3g} {unit}"
             yield (
-                f'limits of "{name}" by {own.here:.3g} {unit} ({own.here / width:.2g} of their '
-                f"width) under {_force(own.force, unit)}, {there}"
+                f'limits of "{name}" by {d.here:.3g} {unit} ({d.here / width:.2g} of their '
+                f"width) under {_force(d.force, unit)}, {there}"
             )
 
 

@@ -49,10 +49,10 @@ class Inertia(NamedTuple):
     centre: np.ndarray
     matrix: np.ndarray
 
-    def seen(self, place: Place) -> "Inertia":
+    def in_frame(self, place: Place) -> "Inertia":
         """The same in a frame in which its own stands at `place`."""
-        turned = place.rotation @ self.matrix @ place.rotation.T
-        return Inertia(self.mass, place.rotation @ self.centre + place.origin, turned)
+        rotated = place.rotation @ self.matrix @ place.rotation.T
+        return Inertia(self.mass, place.rotation @ self.centre + place.origin, rotated)
 
     def with_another(self, other: "Inertia") -> "Inertia":
         """Both as one body."""
@@ -68,17 +68,17 @@ class Inertia(NamedTuple):
         return self.matrix + self.mass * (away @ away * np.eye(3) - np.outer(away, away))
 
     @property
-    def whole(self) -> bool:
+    def is_body(self) -> bool:
         """Whether it is that of a body: some mass, extended in every direction."""
         return self.mass > 0 and bool(np.linalg.eigvalsh(self.matrix)[0] > 0)
 
     def body(self) -> Body:
         """The body that has it."""
-        own = self.matrix
-        products = (own[0, 1], own[0, 2], own[1, 2])
-        moments = tuple(map(float, np.diag(own)))
-        given = (*moments, *map(float, products)) if np.any(products) else moments
-        return Body(self.mass, given, tuple(map(float, self.centre)))
+        m = self.matrix
+        products = (m[0, 1], m[0, 2], m[1, 2])
+        moments = tuple(map(float, np.diag(m)))
+        numbers = (*moments, *map(float, products)) if np.any(products) else moments
+        return Body(self.mass, numbers, tuple(map(float, self.centre)))
 
 
 class Tree:
@@ -104,22 +104,22 @@ class Tree:
             parent = int(model.body_parentid[index])
             owner, place = self.part[parent]
             welded = model.body_jntnum[index] == 0
-            owner_whole = owner == 0 or self.inertias[owner].whole
-            if welded and not (self.inertias[index].whole and owner_whole):
+            owner_is_body = owner == 0 or self.inertias[owner].is_body
+            if welded and not (self.inertias[index].is_body and owner_is_body):
                 place = place.after(_place_of(model, index))
                 self.part.append((owner, place))
-                own = self.inertias[index].seen(place)
-                self.inertias[owner] = self.inertias[owner].with_another(own)
+                part = self.inertias[index].in_frame(place)
+                self.inertias[owner] = self.inertias[owner].with_another(part)
             else:
                 self.part.append((index, HERE))
 
     def _add(self, index: int) -> None:
         """A body with its connections."""
-        model, name, own = self.model, self.names[index], self.inertias[index]
-        if not own.whole:
+        model, name, inertia = self.model, self.names[index], self.inertias[index]
+        if not inertia.is_body:
             raise ValueError(
-                f'body "{name}" moves and has mass {own.mass:g} kg and moments of inertia '
-                f"{np.linalg.eigvalsh(own.matrix)} kg m^2; all must be above 0."
+                f'body "{name}" moves and has mass {inertia.mass:g} kg and moments of inertia '
+                f"{np.linalg.eigvalsh(inertia.matrix)} kg m^2; all must be above 0."
             )
         owner, place = self.part[int(model.body_parentid[index])]
         place = place.after(_place_of(model, index))
@@ -132,10 +132,10 @@ class Tree:
         for k in joints:
             child = name if k == joints[-1] else f"{self.joints[k]} carrier"
             if child != name:
-                self.bodies[child] = _carrier(own)
+                self.bodies[child] = _carrier(inertia)
             self._connect(k, parent, place, child)
             parent, place = child, HERE
-        self.bodies[name] = own.body()
+        self.bodies[name] = inertia.body()
 
     def _connect(self, k: int, parent: str, place: Place, child: str) -> None:
         """A joint between a parent, in which the child stands at `place` by reference, and a
@@ -148,14 +148,14 @@ class Tree:
             self.start[name] = tuple(map(float, start))
             return
         turn = np.eye(3) if model.jnt_type[k] == SPHERICAL else _with_z(model.jnt_axis[k])
-        own = Place(turn, at)
-        outer = place.after(own)
-        self.connections[name] = Connection(joint, marker_at(parent, outer), marker_at(child, own))
+        axis = Place(turn, at)
+        outer = place.after(axis)
+        self.connections[name] = Connection(joint, marker_at(parent, outer), marker_at(child, axis))
 
-    def stands(self, index: int, place: Place) -> tuple[str, Place]:
+    def locate(self, index: int, place: Place) -> tuple[str, Place]:
         """The body that has a body of the model, and where a place in that stands in it."""
-        owner, own = self.part[index]
-        return self.names[owner], own.after(place)
+        owner, offset = self.part[index]
+        return self.names[owner], offset.after(place)
 
 
 def _inertia_of(model: Any, index: int) -> Inertia:
@@ -165,10 +165,10 @@ def _inertia_of(model: Any, index: int) -> Inertia:
     return Inertia(float(model.body_mass[index]), np.array(model.body_ipos[index]), matrix)
 
 
-def _carrier(own: Inertia) -> Body:
+def _carrier(inertia: Inertia) -> Body:
     """What stands between two joints of a body."""
-    moment = SHARE_BETWEEN * float(np.linalg.eigvalsh(own.matrix)[-1])
-    return Body(SHARE_BETWEEN * own.mass, (moment, moment, moment))
+    moment = SHARE_BETWEEN * float(np.linalg.eigvalsh(inertia.matrix)[-1])
+    return Body(SHARE_BETWEEN * inertia.mass, (moment, moment, moment))
 
 
 def _place_of(model: Any, index: int) -> Place:
@@ -226,10 +226,10 @@ class Equalities(NamedTuple):
 
     connections: dict[str, Connection]
     couplings: dict[str, Ratio]
-    held: dict[str, float]
+    fixed: dict[str, float]
     missing: list[str]
     free: set[str]
-    turned: dict[str, tuple[float, ...]]
+    rotations: dict[str, tuple[float, ...]]
 
 
 class End(NamedTuple):
@@ -241,18 +241,18 @@ class End(NamedTuple):
 
 def equalities_of(model: Any, tree: Tree) -> Equalities:
     """The equality constraints of a model whose bodies and joints are those of a tree."""
-    found = Equalities({}, {}, {}, [], set(), {})
+    out = Equalities({}, {}, {}, [], set(), {})
     taken = [*tree.names, *tree.joints, *tree.connections]
     for k in range(model.neq):
-        own, kind = model.eq(k).name or _unnamed(model, tree, k), KINDS[model.eq_type[k]]
-        name = free_name(own, [*taken, *found.connections, *found.couplings], " equality")
+        label, kind = model.eq(k).name or _unnamed(model, tree, k), KINDS[model.eq_type[k]]
+        name = free_name(label, [*taken, *out.connections, *out.couplings], " equality")
         if not model.eq_active0[k] or kind not in ("connect", "weld", "joint"):
-            found.missing.append(_in_words(model, k, name, tree.joints))
+            out.missing.append(_in_words(model, k, name, tree.joints))
         elif kind == "joint":
-            _couple(found, model, tree, name, k)
+            _couple(out, model, tree, name, k)
         else:
-            _hold(found, model, tree, name, k)
-    return found
+            _hold(out, model, tree, name, k)
+    return out
 
 
 def _unnamed(model: Any, tree: Tree, k: int) -> str:
@@ -263,22 +263,22 @@ def _unnamed(model: Any, tree: Tree, k: int) -> str:
     return f"{tree.joints[follower]} " + (f"by {tree.joints[leader]}" if leader >= 0 else "held")
 
 
-def _couple(found: Equalities, model: Any, tree: Tree, name: str, k: int) -> None:
+def _couple(out: Equalities, model: Any, tree: Tree, name: str, k: int) -> None:
     """Puts an equality of joints into what was found; both coordinates count from the reference
     configuration there, too."""
-    follower, leader = (int(own[k]) for own in (model.eq_obj1id, model.eq_obj2id))
+    follower, leader = (int(ids[k]) for ids in (model.eq_obj1id, model.eq_obj2id))
     offset, ratio, *bent = map(float, model.eq_data[k][:5])
     if leader >= 0 and any(bent):
-        found.missing.append(_in_words(model, k, name, tree.joints))
+        out.missing.append(_in_words(model, k, name, tree.joints))
         return
     if leader >= 0 and ratio:
         joints = tree.joints[follower], tree.joints[leader]
-        found.couplings[name] = Ratio(*joints, ratio, offset or None)
+        out.couplings[name] = Ratio(*joints, ratio, offset or None)
     else:
-        found.held[tree.joints[follower]] = offset
+        out.fixed[tree.joints[follower]] = offset
     if abs(offset) > OPEN:
         unit = "m" if model.jnt_type[follower] == SLIDE else "rad"
-        found.missing.append(
+        out.missing.append(
             f'the reference configuration, in which equality "{name}" is off by {offset:.3g} {unit}'
             " (the mechanism is assembled from it)"
         )
@@ -293,8 +293,8 @@ def _ends(model: Any, k: int) -> tuple[End, End]:
     first, second = np.array(data[:3]), np.array(data[3:6])
     if KINDS[model.eq_type[k]] == "connect":
         return End(one, Place(np.eye(3), first)), End(other, Place(np.eye(3), second))
-    turned = Place(rotation_of(data[6:10]), second)
-    return End(one, turned), End(other, Place(np.eye(3), first))
+    rotated = Place(rotation_of(data[6:10]), second)
+    return End(one, rotated), End(other, Place(np.eye(3), first))
 
 
 def _site(model: Any, index: int) -> End:
@@ -302,34 +302,34 @@ def _site(model: Any, index: int) -> End:
     return End(int(model.site_bodyid[index]), place)
 
 
-def _hold(found: Equalities, model: Any, tree: Tree, name: str, k: int) -> None:
+def _hold(out: Equalities, model: Any, tree: Tree, name: str, k: int) -> None:
     """Puts a connection between two ends, and what has to be said of it, into what was found."""
     ends = _ends(model, k)
-    (parent, outer), (child, inner) = (tree.stands(end.body, end.place) for end in ends)
+    (parent, outer), (child, inner) = (tree.locate(end.body, end.place) for end in ends)
     # A weld whose torques count nothing holds a point only.
     turns = KINDS[model.eq_type[k]] == "connect" or model.eq_data[k][10] == 0
     kind, joint = ("connect", Spherical()) if turns else ("weld", Fixed())
-    gap, turned = _apart(model, ends)
-    turn = 0.0 if turns else _angle(turned)
+    gap, rotation = _measure_gap(model, ends)
+    turn = 0.0 if turns else _angle(rotation)
     far = gap > OPEN * model.stat.extent or turn > OPEN
     if parent == child:
-        said = ", which it does not close" if far else ""
-        found.missing.append(f'{kind} "{name}" (both ends are parts of "{parent}"{said})')
+        note = ", which it does not close" if far else ""
+        out.missing.append(f'{kind} "{name}" (both ends are parts of "{parent}"{note})')
         return
-    found.connections[name] = Connection(joint, marker_at(parent, outer), marker_at(child, inner))
+    out.connections[name] = Connection(joint, marker_at(parent, outer), marker_at(child, inner))
     free = {name for end in ends for name in _free_joints(model, tree, end.body)}
-    found.free.update(free)
+    out.free.update(free)
     if free and turns:
-        found.turned[name] = quaternion_of(turned)
+        out.rotations[name] = quaternion_of(rotation)
     if far:
-        beside = f" and {turn:.3g} rad" if turn > OPEN else ""
-        found.missing.append(
-            f'the reference configuration, in which {kind} "{name}" is open by {gap:.3g} m{beside}'
+        by = f" and {turn:.3g} rad" if turn > OPEN else ""
+        out.missing.append(
+            f'the reference configuration, in which {kind} "{name}" is open by {gap:.3g} m{by}'
             " (the mechanism is assembled from it)"
         )
 
 
-def _apart(model: Any, ends: tuple[End, End]) -> tuple[float, np.ndarray]:
+def _measure_gap(model: Any, ends: tuple[End, End]) -> tuple[float, np.ndarray]:
     """Distance [m] of two ends and the rotation between them in the reference configuration."""
     import mujoco
 
@@ -350,13 +350,13 @@ def _angle(turn: np.ndarray) -> float:
 
 def _free_joints(model: Any, tree: Tree, body: int) -> list[str]:
     """The free joints that carry a body of the model."""
-    found = []
+    names = []
     while body:
         first = int(model.body_jntadr[body])
         if first >= 0 and model.jnt_type[first] == FREE:
-            found.append(tree.joints[first])
+            names.append(tree.joints[first])
         body = int(model.body_parentid[body])
-    return found
+    return names
 
 
 def _in_words(model: Any, k: int, name: str, joints: list[str]) -> str:

@@ -29,7 +29,7 @@ class Compiled(NamedTuple):
     warned: tuple[str, ...] = ()
 
 
-def compiled(path: Any, *, floating: bool, seen: bool = False) -> Compiled:
+def compiled(path: Any, *, floating: bool, visible: bool = False) -> Compiled:
     """The model in a file of URDF or MJCF. `floating`: bodies that stand in the ground without a
     joint, the roots, get a free one. `seen`: with geometries that are only seen. Raises
     `ValueError` with a sentence, `ImportError` without MuJoCo."""
@@ -47,19 +47,19 @@ def compiled(path: Any, *, floating: bool, seen: bool = False) -> Compiled:
 
     # It would write a log into the working directory.
     before, warned = mujoco.get_mju_user_warning(), dict[str, None]()
-    mujoco.set_mju_user_warning(lambda said: warned.setdefault(" ".join(str(said).split())))
+    mujoco.set_mju_user_warning(lambda message: warned.setdefault(" ".join(str(message).split())))
     try:
-        spec = _with_visuals(path) if seen else mujoco.MjSpec.from_file(str(path))
+        spec = _with_visuals(path) if visible else mujoco.MjSpec.from_file(str(path))
         # Welded bodies keep their names.
         spec.compiler.fusestatic = False
         if floating:
             _float(spec)
-        found = _compiled(spec, path.name)
-        _switch_off(found.model)
-        return found._replace(warned=tuple(warned))
+        result = _compiled(spec, path.name)
+        _switch_off(result.model)
+        return result._replace(warned=tuple(warned))
     except (ValueError, mujoco.FatalError, UnicodeError, OSError) as error:
-        said = " ".join(str(error).split()).rstrip(".")
-        raise ValueError(f"MuJoCo cannot read {path.name}: {said}.") from None
+        message = " ".join(str(error).split()).rstrip(".")
+        raise ValueError(f"MuJoCo cannot read {path.name}: {message}.") from None
     finally:
         mujoco.set_mju_user_warning(before)
 
@@ -141,8 +141,8 @@ def names_of(model: Any) -> tuple[list[str], list[str]]:
         bodies.append(free_name(model.body(index).name or f"body {index}", bodies))
     joints: list[str] = []
     for index in range(model.njnt):
-        own = model.joint(index).name or f"{bodies[model.jnt_bodyid[index]]} joint"
-        joints.append(free_name(own, [*bodies, *joints], " joint"))
+        name = model.joint(index).name or f"{bodies[model.jnt_bodyid[index]]} joint"
+        joints.append(free_name(name, [*bodies, *joints], " joint"))
     return bodies, joints
 
 
@@ -156,7 +156,7 @@ def free_name(name: str, taken: list[str], ending: str = " body") -> str:
 
 def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
     """What a model has and the mechanism will not have, in words."""
-    model, found = compiled.model, []
+    model, missing = compiled.model, []
     of_joint = lambda values: [joints[model.dof_jntid[k]] for k in np.flatnonzero(values)]
     ball = model.jnt_type[model.dof_jntid] <= SPHERICAL
     for what, names in (
@@ -165,7 +165,7 @@ def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
         ("damping", of_joint((model.dof_damping > 0) & ball)),
         ("damping that is not linear", of_joint(np.any(model.dof_dampingpoly != 0, axis=-1))),
     ):
-        found += [_of_joints(what, names)] if names else []
+        missing += [_of_joints(what, names)] if names else []
     soft = (model.jnt_stiffness > 0) & (model.jnt_type <= SPHERICAL)
     bent = np.any(np.atleast_2d(model.jnt_stiffnesspoly) != 0, axis=-1)
     for what, flags in (
@@ -173,28 +173,28 @@ def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
         ("stiffness", soft),
         ("stiffness that is not linear", bent),
     ):
-        found += (
+        missing += (
             [_of_joints(what, [joints[k] for k in np.flatnonzero(flags)])] if any(flags) else []
         )
     if np.any((model.geom_contype > 0) | (model.geom_conaffinity > 0)):
-        found.append("contacts between geometries (bodies pass through each other)")
+        missing.append("contacts between geometries (bodies pass through each other)")
     if np.any(model.body_gravcomp != 0):
-        found.append("compensation of gravity")
+        missing.append("compensation of gravity")
     if model.opt.density > 0 or model.opt.viscosity > 0 or np.any(model.opt.wind != 0):
-        found.append("the fluid around the bodies")
+        missing.append("the fluid around the bodies")
     mocap = [k for k in range(model.nbody) if model.body_mocapid[k] >= 0]
-    for what, own in (
+    for what, names_of in (
         ("actuator", [model.actuator(k).name for k in range(model.nu)]),
         ("tendon", [model.tendon(k).name for k in range(model.ntendon)]),
         ("flexible body", [model.flex(k).name for k in range(model.nflex)]),
         ("motion capture of body", [model.body(k).name for k in mocap]),
     ):
-        found += [f"{what} {_named(name, k)}" for k, name in enumerate(own)]
+        missing += [f"{what} {_named(name, k)}" for k, name in enumerate(names_of)]
     if compiled.without:
-        found.append(
+        missing.append(
             f"meshes that MuJoCo finds no file for or cannot read ({listed(compiled.without)})"
         )
-    return found + [f"MuJoCo says: {said.rstrip('.')}" for said in compiled.warned]
+    return missing + [f"MuJoCo says: {words.rstrip('.')}" for words in compiled.warned]
 
 
 def _named(name: str, k: int) -> str:
@@ -210,16 +210,16 @@ def keyframes(model: Any) -> list[str]:
 def coordinates_at(model: Any, joints: list[str], keyframe: str) -> dict[str, tuple[float, ...]]:
     """The coordinates of joints at a keyframe, from the reference on; of balls and free joints as
     they are. Raises `ValueError` for another name."""
-    known = keyframes(model)
-    check_name("keyframe", keyframe, known)
-    own, found = model.key_qpos[known.index(keyframe)], {}
+    names = keyframes(model)
+    check_name("keyframe", keyframe, names)
+    value, coordinates = model.key_qpos[names.index(keyframe)], {}
     sizes = {FREE: 7, SPHERICAL: 4}
     for k, name in enumerate(joints):
         place, size = int(model.jnt_qposadr[k]), sizes.get(int(model.jnt_type[k]), 1)
         part = slice(place, place + size)
-        values = own[part] if size > 1 else own[part] - model.qpos0[part]
-        found[name] = tuple(map(float, values))
-    return found
+        values = value[part] if size > 1 else value[part] - model.qpos0[part]
+        coordinates[name] = tuple(map(float, values))
+    return coordinates
 
 
 def has_stop(model: Any) -> np.ndarray:

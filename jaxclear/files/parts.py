@@ -29,6 +29,7 @@ from jaxclear.files.forms import (
     Choice,
     FileName,
     Flag,
+    Integer,
     Listed,
     Number,
     NumberArray,
@@ -36,7 +37,6 @@ from jaxclear.files.forms import (
     Place,
     Schema,
     Text,
-    Whole,
     refuse,
 )
 from jaxclear.files.text import Misread, Node, misread, plain_text
@@ -70,8 +70,8 @@ class Argument:
     form: AbstractForm | None
     needed: bool
     default: Any
-    told: Getter
-    left_out: Any = None
+    read_from: Getter
+    implied: Any = None
     metadata: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
@@ -90,62 +90,62 @@ class Part(AbstractForm):
         return isinstance(thing, self.families)
 
     def read(self, node: Node, path: str, folder: Path) -> Any:
-        known = members(self.families)
+        kinds = members(self.families)
         made = builders(self.families)
         values = node.value
         alone = ALONE.get(self.families[0]) if len(self.families) == 1 else None
         kind: Any = None
         if isinstance(values, dict):
-            given = {name: entry for name, entry in values.items() if name != KIND}
+            entries = {name: entry for name, entry in values.items() if name != KIND}
             named = values.get(KIND)
             if named is None:
-                kind = self._only_member(known, made, node, path)
+                kind = self._only_member(kinds, made, node, path)
             else:
-                kind = _known(plain_text(named, f"{path}.{KIND}"), named, known, made, path)
+                kind = _named_kind(plain_text(named, f"{path}.{KIND}"), named, kinds, made, path)
         elif isinstance(values, str) and alone is not None:
-            kind, given = self.families[0], {alone: node}
+            kind, entries = self.families[0], {alone: node}
         elif isinstance(values, str):
-            kind, given = _known(values, node, known, made, path), {}
+            kind, entries = _named_kind(values, node, kinds, made, path), {}
         else:
-            raise misread(node, path, f"is {node.said}; it must be {_one_of(known, made)}.")
+            raise misread(node, path, f"is {node.words}; it must be {_one_of(kinds, made)}.")
         if kind in made:
             called = Called(kind, *made[kind])
         else:
             build = INSTEAD[kind][0] if kind in INSTEAD else kind
             called = Called(public_name(kind), build, arguments(kind))
-        return _built(called, given, node, path, folder)
+        return _built(called, entries, node, path, folder)
 
-    def _only_member(self, known: dict, made: dict, node: Node, path: str) -> type:
+    def _only_member(self, kinds: dict, made: dict, node: Node, path: str) -> type:
         """The class of a mapping that does not say its kind."""
-        if len(self.families) == 1 and self.families[0] in known.values():
+        if len(self.families) == 1 and self.families[0] in kinds.values():
             return self.families[0]
         if self.families[0] in USUAL:
             return USUAL[self.families[0]]
-        raise misread(node, path, f"says no {KIND}; it must be {_one_of(known, made)}.")
+        raise misread(node, path, f"says no {KIND}; it must be {_one_of(kinds, made)}.")
 
     def plain(self, thing: Any, path: str, mechanism: Mechanism) -> Any:
-        known = members(self.families)
+        kinds = members(self.families)
         kind: Any = thing.__class__
-        if kind not in known.values():
-            refuse(path, _no_data(thing, known))
-        found: dict[str, Any] = {}
+        if kind not in kinds.values():
+            refuse(path, _no_data(thing, kinds))
+        values: dict[str, Any] = {}
         if self.families != (kind,):
-            found[KIND] = kind.__name__
-        for name, own in arguments(kind).items():
-            value, place = own.told(thing), f"{path}.{name}" if path else name
-            if own.form is None:
-                _check_usual(own, value, place)
+            values[KIND] = kind.__name__
+        for name, arg in arguments(kind).items():
+            value, place = arg.read_from(thing), f"{path}.{name}" if path else name
+            if arg.form is None:
+                _check_usual(arg, value, place)
             elif value is None:
                 # Absent where that is not the usual.
-                found |= {name: None} if own.default not in (None, inspect.Parameter.empty) else {}
-            elif not (isinstance(value, (str, dict)) and value in ({}, own.left_out)):
-                found[name] = own.form.plain(value, place, mechanism)
+                values |= {name: None} if arg.default not in (None, inspect.Parameter.empty) else {}
+            elif not (isinstance(value, (str, dict)) and value in ({}, arg.implied)):
+                values[name] = arg.form.plain(value, place, mechanism)
         alone = ALONE.get(kind, KIND)
         if self.spelled_out:
-            return found
-        return found[alone] if found.keys() == {alone} else found
+            return values
+        return values[alone] if values.keys() == {alone} else values
 
-    def schema(self, known: dict[str, Schema]) -> Schema:
+    def schema(self, defs: dict[str, Schema]) -> Schema:
         kinds = {n: kind for n, kind in members(self.families).items() if _is_ours(kind)}
         if not all(_is_ours(family) for family in self.families):
             return {"type": ["string", "object"]}
@@ -157,22 +157,22 @@ class Part(AbstractForm):
             places[name] = (public_name(build), taken)
         single = len(self.families) == 1 and self.families[0] in {*kinds.values(), *USUAL}
         refs = []
-        for name, (full, own) in sorted(places.items()):
-            if any(argument.needed and argument.form is None for argument in own.values()):
+        for name, (full, args) in sorted(places.items()):
+            if any(argument.needed and argument.form is None for argument in args.values()):
                 continue
             place = full if full.count(".") and full.rpartition(".")[2] == name else name
-            _define(place, name, full, own, known)
+            _define(place, name, full, args, defs)
             refs.append({"$ref": f"#/$defs/{place}"})
-        whole: Schema = {"anyOf": refs} if single else {"anyOf": refs, "required": [KIND]}
+        full_form: Schema = {"anyOf": refs} if single else {"anyOf": refs, "required": [KIND]}
         words = [
-            name for name, (_, own) in places.items() if not any(a.needed for a in own.values())
+            name for name, (_, args) in places.items() if not any(a.needed for a in args.values())
         ]
         alone = single and ALONE.get(self.families[0])
         text: list[Schema] = [{"type": "string"}] if alone else []
         if words and not alone:
             both = {word for name in words for word in _spellings(name, places[name][0])}
             text = [{"enum": sorted(both)}]
-        return {"anyOf": [whole, *text]} if text else whole
+        return {"anyOf": [full_form, *text]} if text else full_form
 
 
 def _attribute(name: str) -> Getter:
@@ -191,27 +191,27 @@ def _end(side: str, other: str) -> Getter:
     """A marker, or its body's name where that stands for it: beside a marker a name would be turned
     as that one is."""
 
-    def told(connection: Connection) -> Any:
-        marker, beside = getattr(connection, side), getattr(connection, other)
-        turned = [end.quaternion is not None or end.angle is not None for end in (marker, beside)]
-        plain = not any(turned) and _axis(marker) == "z" == _axis(beside)
+    def read(connection: Connection) -> Any:
+        marker, facing = getattr(connection, side), getattr(connection, other)
+        turns = [end.quaternion is not None or end.angle is not None for end in (marker, facing)]
+        plain = not any(turns) and _axis(marker) == "z" == _axis(facing)
         return marker.body if plain and marker.at is None else marker
 
-    return told
+    return read
 
 
-def _given(what: str) -> Getter:
+def _mechanism_value(what: str) -> Getter:
     return lambda mechanism: mechanism.given[what]
 
 
 def _stabilisation(mechanism: Mechanism) -> Any:
-    held = mechanism.stabilisation
-    return AS_NEEDED if isinstance(held, AsNeeded) else held
+    value = mechanism.stabilisation
+    return AS_NEEDED if isinstance(value, AsNeeded) else value
 
 
 def _expansion(heating: Heating) -> Any:
-    own = heating.expansion
-    return dict(own) if isinstance(own, tuple) else own
+    value = heating.expansion
+    return dict(value) if isinstance(value, tuple) else value
 
 
 EXPANSION = {"unit": "1/K", "meaning": "coefficient of linear expansion"}
@@ -221,9 +221,9 @@ END = Choice((Text(), Part((Marker,), spelled_out=True)))
 # What stands where a mechanism does not say how its loops are held.
 AS_NEEDED = "default"
 # Words that go without saying, by how they are told.
-LEFT_OUT: Mapping[Getter, str] = MappingProxyType({_axis: "z", _stabilisation: AS_NEEDED})
+IMPLIED: Mapping[Getter, str] = MappingProxyType({_axis: "z", _stabilisation: AS_NEEDED})
 # How arguments are told that are not the field of the same name.
-TOLD: dict[type, dict[str, tuple[AbstractForm | None, Getter]]] = {
+ARGUMENT_FORMS: dict[type, dict[str, tuple[AbstractForm | None, Getter]]] = {
     Marker: {"axis": (DIRECTION, _axis)},
     Connection: {
         "parent": (END, _end("parent", "child")),
@@ -234,13 +234,13 @@ TOLD: dict[type, dict[str, tuple[AbstractForm | None, Getter]]] = {
     Mechanism: {
         "bodies": (ByName(Part((Body,))), _attribute("bodies")),
         "connections": (ByName(Part((Connection,))), _attribute("connections")),
-        "start": (NUMBERS_BY_NAME, _given("start")),
-        "speeds": (NUMBERS_BY_NAME, _given("speeds")),
-        "guess": (NUMBERS_BY_NAME, _given("guess")),
+        "start": (NUMBERS_BY_NAME, _mechanism_value("start")),
+        "speeds": (NUMBERS_BY_NAME, _mechanism_value("speeds")),
+        "guess": (NUMBERS_BY_NAME, _mechanism_value("guess")),
         "stabilisation": (Part((Baumgarte, Projection)), _stabilisation),
     },
     Adaptive: {"breaks": (NumberArray(), _attribute("breaks"))},
-    Saving: {"at": (Choice((Whole({"at_least": 2}), NumberArray())), _attribute("at"))},
+    Saving: {"at": (Choice((Integer({"at_least": 2}), NumberArray())), _attribute("at"))},
     Condition: {
         "acts": (Part((Heating,)), _attribute("acts")),
         "tolerance": (Number({"unit": "1", "above": 0}), _nothing),
@@ -295,12 +295,12 @@ ALONE: Mapping[Any, str] = MappingProxyType({Marker: "body"})
 
 def members(families: tuple[type, ...]) -> dict[str, type]:
     """Final classes of some families, by short name, in the order of their definition."""
-    found: dict[str, type] = {}
+    kinds: dict[str, type] = {}
     for family in families:
         for kind in (family, *_below(family)):
             if not kind.__name__.startswith(("Abstract", "_")) and _is_final(kind):
-                found.setdefault(kind.__name__, kind)
-    return found
+                kinds.setdefault(kind.__name__, kind)
+    return kinds
 
 
 def _is_final(kind: Any) -> bool:
@@ -308,8 +308,8 @@ def _is_final(kind: Any) -> bool:
 
 
 def _below(family: Any) -> Iterator[type]:
-    own: list[type] = family.__subclasses__()
-    for kind in own:
+    subclasses: list[type] = family.__subclasses__()
+    for kind in subclasses:
         yield kind
         yield from _below(kind)
 
@@ -320,22 +320,22 @@ def arguments(kind: Any) -> Mapping[str, Argument]:
     if kind in INSTEAD:
         return MappingProxyType(INSTEAD[kind][1])
     fields = {field.name: field for field in dataclasses.fields(kind)}
-    own = TOLD.get(kind, {})
-    found = {}
+    special = ARGUMENT_FORMS.get(kind, {})
+    listed_args = {}
     for name, parameter in inspect.signature(kind).parameters.items():
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
             continue
         needed, field = parameter.default is parameter.empty, fields.get(name)
         metadata = {} if field is None else field.metadata
-        if name in own:
-            form, told = own[name]
+        if name in special:
+            form, read_from = special[name]
         else:
             form = None if field is None else form_of(field.type, metadata)
-            told = _attribute(name)
-        left_out = LEFT_OUT.get(told)
+            read_from = _attribute(name)
+        implied = IMPLIED.get(read_from)
         default = _default(parameter, field)
-        found[name] = Argument(form, needed, default, told, left_out, metadata)
-    return MappingProxyType(found)
+        listed_args[name] = Argument(form, needed, default, read_from, implied, metadata)
+    return MappingProxyType(listed_args)
 
 
 def _default(parameter: inspect.Parameter, field: Any) -> Any:
@@ -348,15 +348,15 @@ def _default(parameter: inspect.Parameter, field: Any) -> Any:
 def builders(families: tuple[type, ...]) -> dict[str, tuple[Callable, dict[str, Argument]]]:
     """Functions beside the classes of some families that a file may name: products of contact
     laws, materials."""
-    found: dict[str, tuple[Callable, dict[str, Argument]]] = {}
+    functions: dict[str, tuple[Callable, dict[str, Argument]]] = {}
     if any(issubclass(AbstractNormalLaw, f) or issubclass(f, AbstractNormalLaw) for f in families):
         for name in contact.__all__:
             build = getattr(contact, name)
             if inspect.isfunction(build):
-                found[name] = (build, _of_product(build))
+                functions[name] = (build, _of_product(build))
     if material.Material in families:
-        found |= {"steel": (material.steel, {}), "aluminium": (material.aluminium, {})}
-    return found
+        functions |= {"steel": (material.steel, {}), "aluminium": (material.aluminium, {})}
+    return functions
 
 
 def _of_product(build: Any) -> dict[str, Argument]:
@@ -404,7 +404,7 @@ def _is_a_part(kind: type) -> bool:
 
 def _plain_form(kind: Any, metadata: Mapping[str, Any]) -> AbstractForm | None:
     """The form of what is neither a number with a unit nor a part."""
-    simple = {bool: Flag(), int: Whole(metadata), float: Number(UNMEASURED), str: Text()}
+    simple = {bool: Flag(), int: Integer(metadata), float: Number(UNMEASURED), str: Text()}
     if kind in simple:
         return simple[kind]
     if kind is tuple:
@@ -430,26 +430,26 @@ class Called(NamedTuple):
     arguments: Mapping[str, Argument]
 
 
-def _built(called: Called, given: dict, node: Node, path: str, folder: Path) -> Any:
+def _built(called: Called, entries: dict, node: Node, path: str, folder: Path) -> Any:
     """What a class or function, told by its name and arguments, makes of what is given."""
-    name, build, known = called
-    given = with_new_arguments(name, known, given)
-    code = [word for word, own in known.items() if own.needed and own.form is None]
+    name, build, forms = called
+    entries = with_new_arguments(name, forms, entries)
+    code = [word for word, argument in forms.items() if argument.needed and argument.form is None]
     if code:
         raise misread(
             node, path, f"{name} takes a function ({listed(code)}); a file holds data, no code."
         )
-    for word, entry in given.items():
-        if word not in known:
-            raise misread(entry, path, f"{name} {_has_no(word, known)}")
-        if known[word].form is None:
+    for word, entry in entries.items():
+        if word not in forms:
+            raise misread(entry, path, f"{name} {_has_no(word, forms)}")
+        if forms[word].form is None:
             raise misread(entry, path, f"{name} takes {word} in Python only; leave it out.")
-    missing = [word for word, own in known.items() if own.needed and word not in given]
+    missing = [word for word, argument in forms.items() if argument.needed and word not in entries]
     if missing:
         raise misread(node, path, f"{name} needs {listed(missing)}.")
-    built: dict[str, Any] = dict.fromkeys(given)
-    for word, entry in given.items():
-        form = known[word].form
+    built: dict[str, Any] = dict.fromkeys(entries)
+    for word, entry in entries.items():
+        form = forms[word].form
         if entry.value is not None and form is not None:
             built[word] = form.read(entry, _inner(path, word), folder)
     try:
@@ -460,21 +460,21 @@ def _built(called: Called, given: dict, node: Node, path: str, folder: Path) -> 
         raise misread(node, path, _one_line(error)) from None
 
 
-def _has_no(word: str, known: Mapping[str, Argument]) -> str:
-    text = unknown("argument", word, known)
+def _has_no(word: str, names: Mapping[str, Argument]) -> str:
+    text = unknown("argument", word, names)
     return f"has {text[0].lower()}{text[1:]}"
 
 
 def _one_line(error: Exception) -> str:
-    said = " ".join(str(error).split())
-    return said if said.endswith((".", "?")) else f"{said}."
+    sentence = " ".join(str(error).split())
+    return sentence if sentence.endswith((".", "?")) else f"{sentence}."
 
 
 def _inner(path: str, word: str) -> str:
     return f"{path}.{word}" if path else word
 
 
-def _known(word: str, node: Node, known: dict, made: dict, path: str) -> Any:
+def _named_kind(word: str, node: Node, kinds: dict, made: dict, path: str) -> Any:
     """The class, or the name of the function, that a word names."""
     place, _, last = word.removeprefix("jaxclear.").rpartition(".")
     old = next((p for p in RENAMED if p.endswith(f"{place}.{last}")), None)
@@ -482,18 +482,18 @@ def _known(word: str, node: Node, known: dict, made: dict, path: str) -> Any:
     fits = lambda thing: not place or public_name(thing) == f"{place}.{last}"
     if last in made and fits(made[last][0]):
         return last
-    if last in known and fits(known[last]):
-        return known[last]
-    raise misread(node, path, unknown("kind", word, [*known, *made], " that fits here"))
+    if last in kinds and fits(kinds[last]):
+        return kinds[last]
+    raise misread(node, path, unknown("kind", word, [*kinds, *made], " that fits here"))
 
 
-def _one_of(known: dict, made: dict) -> str:
-    return f"a mapping whose {KIND} is one of {listed([*known, *made])}"
+def _one_of(kinds: dict, made: dict) -> str:
+    return f"a mapping whose {KIND} is one of {listed([*kinds, *made])}"
 
 
-def _check_usual(own: Argument, value: Any, path: str) -> None:
+def _check_usual(argument: Argument, value: Any, path: str) -> None:
     """What a file cannot hold must be as it is unless told otherwise."""
-    if own.needed or not _is_same(value, own.default):
+    if argument.needed or not _is_same(value, argument.default):
         refuse(path, f"is {described(value)}, which a file cannot hold: it holds data, no code.")
 
 
@@ -501,15 +501,15 @@ def _is_same(one: Any, other: Any) -> bool:
     return bool(one is other or eqx.tree_equal(one, other))
 
 
-def _no_data(thing: Any, known: dict[str, type]) -> str:
+def _no_data(thing: Any, kinds: dict[str, type]) -> str:
     """Why a thing has no place in a file."""
-    names = listed(known)
+    names = listed(kinds)
     if callable(thing) and not isinstance(thing, eqx.Module):
-        told = f"is {described(thing)}: a file holds data, no code. Take one of {names}"
-        if TimeTable.__name__ not in known:
-            return f"{told}."
+        sentence = f"is {described(thing)}: a file holds data, no code. Take one of {names}"
+        if TimeTable.__name__ not in kinds:
+            return f"{sentence}."
         return (
-            f"{told}; a function of time becomes data by jaxclear.TimeTable.sampled(function, "
+            f"{sentence}; a function of time becomes data by jaxclear.TimeTable.sampled(function, "
             "times)."
         )
     return f"is {described(thing)}; a file knows {names} there."
@@ -524,22 +524,22 @@ def _spellings(name: str, full: str) -> tuple[str, ...]:
 
 
 def _define(
-    place: str, name: str, full: str, own: Mapping[str, Argument], known: dict[str, Schema]
+    place: str, name: str, full: str, taken_args: Mapping[str, Argument], defs: dict[str, Schema]
 ) -> None:
     """Puts the schema of a class or function by its arguments into `known`."""
-    if place in known:
+    if place in defs:
         return
-    known[place] = {}
+    defs[place] = {}
     properties: Schema = {KIND: {"enum": sorted(set(_spellings(name, full)))}}
-    for word, argument in own.items():
+    for word, argument in taken_args.items():
         if argument.form is not None:
-            found = argument.form.schema(known)
-            properties[word] = found if argument.needed else {"anyOf": [found, {"type": "null"}]}
-    needed = [word for word, argument in own.items() if argument.needed]
-    known[place] = mapping(properties, needed)
+            entry = argument.form.schema(defs)
+            properties[word] = entry if argument.needed else {"anyOf": [entry, {"type": "null"}]}
+    needed = [word for word, argument in taken_args.items() if argument.needed]
+    defs[place] = mapping(properties, needed)
 
 
 def mapping(properties: Schema, required: list[str]) -> Schema:
     """The schema of a mapping whose names are known."""
-    found: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
-    return found | ({"required": required} if required else {})
+    schema: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
+    return schema | ({"required": required} if required else {})

@@ -26,13 +26,13 @@ class NumberPlaces:
 
     def __call__(self, mechanism: Mechanism) -> Any:
         """The number, or several."""
-        found = tuple(_followed(mechanism, path) for path in self.paths)
-        return found[0] if len(found) == 1 else found
+        values = tuple(_followed(mechanism, path) for path in self.paths)
+        return values[0] if len(values) == 1 else values
 
 
 def steps_of(path: str) -> list[str | int]:
     """The names and indices of a path. Raises `ValueError` with a sentence for what is none."""
-    rest, found = path.removeprefix(PREFIX), []
+    rest, steps = path.removeprefix(PREFIX), []
     while rest:
         match = STEP.match(rest)
         if match is None:
@@ -41,9 +41,9 @@ def steps_of(path: str) -> list[str | int]:
                 'connections["B"].joint.clearance, as mechanism.parameters() does.'
             )
         name, quoted, index = match.groups()
-        found.append(name or (json.loads(quoted) if quoted else int(index)))
+        steps.append(name or (json.loads(quoted) if quoted else int(index)))
         rest = rest[match.end() :]
-    return found
+    return steps
 
 
 def _followed(mechanism: Any, path: str) -> Any:
@@ -68,12 +68,12 @@ def check_numbers(where: NumberPlaces, mechanism: Mechanism) -> None:
     leaves = {id(leaf) for leaf in jax.tree.leaves(mechanism)}
     for path in where.paths:
         try:
-            found = _followed(mechanism, path)
+            value = _followed(mechanism, path)
         except (KeyError, AttributeError, IndexError, TypeError):
             raise ValueError(_nowhere(path, mechanism)) from None
-        if id(found) not in leaves:
+        if id(value) not in leaves:
             raise ValueError(
-                f'"{path}" is {described(found)}; it must be the place of one number of the '
+                f'"{path}" is {described(value)}; it must be the place of one number of the '
                 "mechanism, as in the table of mechanism.parameters()."
             )
 
@@ -82,18 +82,18 @@ def _nowhere(path: str, mechanism: Any) -> str:
     """Which step of a path leads nowhere, and what there is instead."""
     place = mechanism
     for step in steps_of(path):
-        known: list[str] = []
+        names: list[str] = []
         if isinstance(place, Mapping):
-            known = list(place)
+            names = list(place)
         elif is_dataclass(place):
-            known = [f.name for f in fields(place) if getattr(place, f.name) is not None]
+            names = [f.name for f in fields(place) if getattr(place, f.name) is not None]
         elif isinstance(place, tuple):
-            known = [str(index) for index in range(len(place))]
+            names = [str(index) for index in range(len(place))]
         try:
             place = _one_further(place, step)
         except (KeyError, AttributeError, IndexError, TypeError):
             break
-    return f'"{path}": {unknown("part", str(step), known, " there")}'
+    return f'"{path}": {unknown("part", str(step), names, " there")}'
 
 
 def places_in_words(where: Callable[[Mechanism], Any], mechanism: Mechanism) -> tuple[str, ...]:
@@ -103,11 +103,11 @@ def places_in_words(where: Callable[[Mechanism], Any], mechanism: Mechanism) -> 
     marks = [_Mark() for _ in leaves]
     marked = jax.tree.unflatten(structure, marks)
     paths = [path for path, _ in jax.tree_util.tree_leaves_with_path(mechanism)]
-    known = {id(mark): path for mark, path in zip(marks, paths, strict=True)}
-    found = jax.tree.leaves(where(marked))
-    if not found or any(id(mark) not in known for mark in found):
+    by_mark = {id(mark): path for mark, path in zip(marks, paths, strict=True)}
+    marks_found = jax.tree.leaves(where(marked))
+    if not marks_found or any(id(mark) not in by_mark for mark in marks_found):
         raise ValueError("its `where` computes something instead of pointing at numbers.")
-    return tuple(_in_words(known[id(mark)]) for mark in found)
+    return tuple(_in_words(by_mark[id(mark)]) for mark in marks_found)
 
 
 class _Mark:

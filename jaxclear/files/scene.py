@@ -27,12 +27,12 @@ from jaxclear.files.forms import (
     ByName,
     Choice,
     Flag,
+    Integer,
     Listed,
     Number,
     NumberArray,
     Schema,
     Text,
-    Whole,
 )
 from jaxclear.files.parts import Part, mapping
 from jaxclear.files.places import NumberPlaces, check_numbers
@@ -101,10 +101,10 @@ class Scene(AbstractQuantified):
         if self.positions is not None:
             checked_positions(self.positions)
             timed = ("duration", "integrator", "save", "state")
-            given = [name for name in timed if getattr(self, name) is not None]
-            if given:
+            extra = [name for name in timed if getattr(self, name) is not None]
+            if extra:
                 raise ValueError(
-                    f"a Scene is given positions and {listed(given)}; it is a mechanism over "
+                    f"a Scene is given positions and {listed(extra)}; it is a mechanism over "
                     "positions, without time, or a run: give one of the two."
                 )
         elif self.both_ways:
@@ -118,11 +118,11 @@ class Scene(AbstractQuantified):
 
     def _shown(self):
         """What it is of, how it is run, and what is asked of it."""
-        known = self.mechanism
+        m = self.mechanism
         lines = [f"Scene{f': {self.description}' if self.description else ''}"]
         for part in ("bodies", "connections", "loads", "couplings"):
-            lines += [f"  {part} {', '.join(getattr(known, part))}"] if getattr(known, part) else []
-        told = {
+            lines += [f"  {part} {', '.join(getattr(m, part))}"] if getattr(m, part) else []
+        settings = {
             "duration": None if self.duration is None else f"{float(self.duration):.6g} s",
             "positions of": self.positions and ", ".join(self.positions),
             "integrator": self.integrator,
@@ -130,7 +130,7 @@ class Scene(AbstractQuantified):
             "variables": ", ".join(self.variables),
             "responses": ", ".join(self.responses),
         }
-        return "\n".join([*lines, *(f"  {what} {own}" for what, own in told.items() if own)])
+        return "\n".join([*lines, *(f"  {what} {v}" for what, v in settings.items() if v)])
 
     def simulate(
         self,
@@ -160,10 +160,10 @@ class Scene(AbstractQuantified):
                 "this scene states positions, without time: ask scene.stand(), or give it a "
                 "duration [s] in their place."
             )
-        given = self._given()
+        arguments = self._run_arguments()
         flags: dict[str, Any] = {"balance": balance, "progress_bar": progress_bar, "throw": throw}
         flags["verify"] = verify
-        return simulate(self.mechanism, integrator=self.integrator, **given, **flags)
+        return simulate(self.mechanism, integrator=self.integrator, **arguments, **flags)
 
     def stand(self) -> Positions:
         """The mechanism at the positions of the scene, as `jaxclear.positions` computes it.
@@ -187,24 +187,24 @@ class Scene(AbstractQuantified):
         Raises:
             ValueError: if the scene has no variables or no responses.
         """
-        for what, own in (("variables", self.variables), ("responses", self.responses)):
-            if not own:
+        for what, entries in (("variables", self.variables), ("responses", self.responses)):
+            if not entries:
                 raise ValueError(f"this scene states no {what}; a problem needs some.")
-        asked = (self.mechanism, dict(self.responses), dict(self.variables))
+        parts = (self.mechanism, dict(self.responses), dict(self.variables))
         more: dict[str, Any] = {"correlation": self.correlation}
         if self.positions is not None:
             more |= {"positions": self.positions, "both_ways": self.both_ways}
-            return PositionProblem(*asked, **more)
-        more |= {"integrator": self.integrator, **self._given()}
-        return Problem(*asked, **more)
+            return PositionProblem(*parts, **more)
+        more |= {"integrator": self.integrator, **self._run_arguments()}
+        return Problem(*parts, **more)
 
-    def _given(self) -> dict[str, Any]:
+    def _run_arguments(self) -> dict[str, Any]:
         """What `simulate` and `Problem` are given alike."""
         if self.duration is None:
             raise ValueError("this scene states no duration and no positions; give it one [s].")
         state = seated(self.mechanism) if self.state == SEATED else self.state
-        given: dict[str, Any] = {"duration": self.duration, "state": state}
-        return given if self.save is None else given | {"save": self.save}
+        arguments: dict[str, Any] = {"duration": self.duration, "state": state}
+        return arguments if self.save is None else arguments | {"save": self.save}
 
 
 FORMAT = 1
@@ -228,7 +228,7 @@ class Correlated:
 PAIRS = Listed(Part((Correlated,)))
 # What stands at the top of a file, and under "run".
 TOP: dict[str, AbstractForm] = {
-    HEAD: Whole({"at_least": 1}),
+    HEAD: Integer({"at_least": 1}),
     "$schema": Text(),
     "written_by": Text(),
     "description": Text(),
@@ -240,7 +240,7 @@ TOP: dict[str, AbstractForm] = {
 RUN: dict[str, AbstractForm] = {
     "duration": Number({"unit": "s", "above": 0}),
     "integrator": Part((AbstractIntegrator,)),
-    "save": Choice((Whole({"at_least": 2}), NumberArray(), Part((Saving,)))),
+    "save": Choice((Integer({"at_least": 2}), NumberArray(), Part((Saving,)))),
     "state": Choice((Text(), Part((State,)))),
     "positions": ByName(NumberArray()),
     "both_ways": Flag(),
@@ -326,41 +326,41 @@ def _scene_of(node: Node, folder: Path) -> Scene:
     if HEAD not in values:
         raise Misread(f'has no "{HEAD}: {FORMAT}"; a scene file begins with it.')
     if values[HEAD].value != FORMAT or isinstance(values[HEAD].value, bool):
-        sentence = f"is {values[HEAD].said}; this version of jaxclear reads {FORMAT}."
+        sentence = f"is {values[HEAD].words}; this version of jaxclear reads {FORMAT}."
         raise misread(values[HEAD], HEAD, sentence)
     if "mechanism" not in values:
         raise Misread("has no mechanism.")
-    found = {
+    read = {
         name: form.read(values[name], name, folder)
         for name, form in TOP.items()
         if name in values and values[name].value is not None and name != "correlation"
     }
-    expect(found.get("mechanism"), Mechanism, "mechanism", "a mapping of bodies and connections")
+    expect(read.get("mechanism"), Mechanism, "mechanism", "a mapping of bodies and connections")
     run = _mapping(values["run"], "run", RUN) if "run" in values else {}
-    for name, own in run.items():
-        if own.value is not None:
-            found[name] = RUN[name].read(own, f"run.{name}", folder)
+    for name, entry in run.items():
+        if entry.value is not None:
+            read[name] = RUN[name].read(entry, f"run.{name}", folder)
     if "correlation" in values:
-        found["correlation"] = _correlation(values["correlation"], folder)
-    for name, variable in found.get("variables", {}).items():
-        _check_variable(variable, found["mechanism"], values["variables"].value[name], name)
-    for name, response in found.get("responses", {}).items():
-        _check_response(response, found["mechanism"], values["responses"].value[name], name)
+        read["correlation"] = _correlation(values["correlation"], folder)
+    for name, variable in read.get("variables", {}).items():
+        _check_variable(variable, read["mechanism"], values["variables"].value[name], name)
+    for name, response in read.get("responses", {}).items():
+        _check_response(response, read["mechanism"], values["responses"].value[name], name)
     for word in (HEAD, "$schema", "written_by"):
-        found.pop(word, None)
+        read.pop(word, None)
     try:
-        return Scene(**found)
+        return Scene(**read)
     except ValueError as error:
         raise Misread(f"run: {error}") from None
 
 
-def _mapping(node: Node, what: str, known: Any) -> dict[str, Node]:
+def _mapping(node: Node, what: str, names: Any) -> dict[str, Node]:
     """The values of a mapping whose names are known."""
     if not isinstance(node.value, dict):
-        raise misread(node, what, f"is {node.said}; it must be a mapping of {listed(known)}.")
+        raise misread(node, what, f"is {node.words}; it must be a mapping of {listed(names)}.")
     for name, entry in node.value.items():
-        if name not in known:
-            raise misread(entry, what, unknown("entry", name, known))
+        if name not in names:
+            raise misread(entry, what, unknown("entry", name, names))
     return node.value
 
 
@@ -388,22 +388,22 @@ def _check_variable(variable: Any, mechanism: Mechanism, node: Node, name: str) 
 def _check_response(response: Any, mechanism: Mechanism, node: Node, name: str) -> None:
     """That a response asks about a joint and a body that there are."""
     parts: dict[str, Mapping[str, Any]] = {"joint": mechanism.connections, "body": mechanism.bodies}
-    for what, known in parts.items():
-        own = getattr(response, what, None)
-        if isinstance(own, str) and own not in known:
-            sentence = unknown(what, own, known, " in this mechanism")
+    for what, names in parts.items():
+        name_asked = getattr(response, what, None)
+        if isinstance(name_asked, str) and name_asked not in names:
+            sentence = unknown(what, name_asked, names, " in this mechanism")
             raise misread(node, f'responses["{name}"]', sentence)
 
 
 def _values_of(scene: Scene) -> dict[str, Any]:
     """A scene in plain values."""
     mechanism = scene.mechanism
-    found: dict[str, Any] = {HEAD: FORMAT, "written_by": _program()}
+    plain_scene: dict[str, Any] = {HEAD: FORMAT, "written_by": _program()}
     if scene.description:
-        found["description"] = scene.description
+        plain_scene["description"] = scene.description
     plain = lambda form, thing, path: form.plain(thing, path, mechanism)
-    found["mechanism"] = plain(TOP["mechanism"], mechanism, "")
-    told = {
+    plain_scene["mechanism"] = plain(TOP["mechanism"], mechanism, "")
+    settings = {
         "duration": scene.duration,
         "integrator": scene.integrator,
         "save": _plain_save(scene.save),
@@ -411,14 +411,14 @@ def _values_of(scene: Scene) -> dict[str, Any]:
         "positions": scene.positions,
         "both_ways": scene.both_ways or None,
     }
-    run = {name: plain(RUN[name], own, name) for name, own in told.items() if own is not None}
-    found |= {"run": run} if run else {}
+    run = {name: plain(RUN[name], v, name) for name, v in settings.items() if v is not None}
+    plain_scene |= {"run": run} if run else {}
     for what in ("variables", "responses"):
-        own = dict(getattr(scene, what))
-        found |= {what: plain(TOP[what], own, what)} if own else {}
+        v = dict(getattr(scene, what))
+        plain_scene |= {what: plain(TOP[what], v, what)} if v else {}
     if scene.correlation is not None:
-        found["correlation"] = _plain_correlation(scene.correlation, mechanism)
-    return found
+        plain_scene["correlation"] = _plain_correlation(scene.correlation, mechanism)
+    return plain_scene
 
 
 def _plain_save(save: Any) -> Any:
@@ -452,13 +452,13 @@ def scene_schema() -> Schema:
     Returns:
         The schema as a dictionary.
     """
-    known: dict[str, Schema] = {}
-    of = lambda forms: {name: form.schema(known) for name, form in forms.items()}
+    defs: dict[str, Schema] = {}
+    of = lambda forms: {name: form.schema(defs) for name, form in forms.items()}
     properties = of(TOP) | {HEAD: {"const": FORMAT}, "run": mapping(of(RUN), [])}
     return {
         "$schema": DRAFT,
         "title": "A scene of jaxclear",
         "description": "A mechanism, how it is run, what varies of it, and responses; SI units.",
         **mapping(properties, [HEAD, "mechanism"]),
-        "$defs": dict(sorted(known.items())),
+        "$defs": dict(sorted(defs.items())),
     }

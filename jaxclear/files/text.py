@@ -32,7 +32,7 @@ YAML, JSON = (".yaml", ".yml"), (".json",)
 # YAML 1.2.2, section 10.3.2, https://yaml.org/spec/1.2.2/.
 NULLS = {"", "~", "null", "Null", "NULL"}
 FLAGS = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
-WHOLE = re.compile(r"[-+]?[0-9]+")
+INTEGER = re.compile(r"[-+]?[0-9]+")
 DECIMAL = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 STRANGE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
@@ -53,7 +53,7 @@ class Node:
     size: int = 1
 
     @property
-    def said(self) -> str:
+    def words(self) -> str:
         """The value in a few words."""
         if isinstance(self.value, dict):
             names = ", ".join(self.value)[:60]
@@ -101,7 +101,7 @@ def _of_json(text: str) -> Node:
     if _most_values(text) > MOST_VALUES and values_of(text) > MOST_VALUES:
         raise Misread(f"{TOO_MANY}.")
     try:
-        found = json.loads(text, object_pairs_hook=_Pairs, parse_constant=_no_number)
+        entries = json.loads(text, object_pairs_hook=_Pairs, parse_constant=_no_number)
     except json.JSONDecodeError as error:
         raise Misread(f"line {error.lineno}: {error.msg} (JSON).") from None
     except RecursionError:
@@ -110,7 +110,7 @@ def _of_json(text: str) -> Node:
         raise
     except ValueError:
         raise Misread("holds a whole number of thousands of digits.") from None
-    return _of_value(found, 0)
+    return _of_value(entries, 0)
 
 
 def _most_values(text: str) -> int:
@@ -137,12 +137,12 @@ def _of_value(value: Any, depth: int) -> Node:
     if depth > DEEPEST:
         raise Misread(f"is nested more than {DEEPEST} deep.")
     if isinstance(value, _Pairs):
-        found: dict[str, Node] = {}
+        entries: dict[str, Node] = {}
         for name, inner in value:
-            if name in found:
+            if name in entries:
                 raise Misread(f'the name "{name[:60]}" stands twice in one mapping.')
-            found[name] = _of_value(inner, depth + 1)
-        return Node(found)
+            entries[name] = _of_value(inner, depth + 1)
+        return Node(entries)
     if isinstance(value, list):
         return Node([_of_value(inner, depth + 1) for inner in value])
     return Node(value)
@@ -170,11 +170,11 @@ class _Open:
         self.size += node.size
 
 
-def _name(node: Node, known: dict) -> str:
+def _name(node: Node, names: dict) -> str:
     name = node.raw if node.raw is not None else node.value
     if not isinstance(name, str):
-        raise Misread(f"line {node.line}: a name is {node.said}; it must be a text.")
-    if name in known:
+        raise Misread(f"line {node.line}: a name is {node.words}; it must be a text.")
+    if name in names:
         raise Misread(f'line {node.line}: the name "{name[:60]}" stands twice in one mapping.')
     return name
 
@@ -202,7 +202,7 @@ def _built(events: Any, yaml: Any) -> Node:
     """The one document of a stream of events."""
     anchors: dict[str, Node | None] = {}
     stack: list[_Open] = []
-    found: Node | None = None
+    entries: Node | None = None
     for event in events:
         node = _closed_or_scalar(event, yaml, anchors, stack)
         if node is None:
@@ -211,13 +211,13 @@ def _built(events: Any, yaml: Any) -> Node:
             raise Misread(f"line {node.line}: {TOO_MANY}, aliases written out.")
         if stack:
             stack[-1].take(node)
-        elif found is not None:
+        elif entries is not None:
             raise Misread(f"line {node.line}: a second document begins; a file holds one.")
         else:
-            found = node
-    if found is None:
+            entries = node
+    if entries is None:
         raise Misread("is empty.")
-    return found
+    return entries
 
 
 def _closed_or_scalar(event: Any, yaml: Any, anchors: dict, stack: list[_Open]) -> Node | None:
@@ -261,16 +261,16 @@ def _scalar(event: Any, line: int) -> Node:
     if text in FLAGS:
         return Node(FLAGS[text], line, text)
     if len(text) <= LONGEST_NUMBER:
-        if WHOLE.fullmatch(text):
+        if INTEGER.fullmatch(text):
             return Node(int(text), line, text)
         if DECIMAL.fullmatch(text) or STRANGE.fullmatch(text):
             return Node(float(text.replace(".inf", "inf").replace(".nan", "nan")), line, text)
     return Node(text, line, text)
 
 
-def _check_tag(tag: str | None, known: tuple[str, ...], line: int) -> None:
+def _check_tag(tag: str | None, tags: tuple[str, ...], line: int) -> None:
     """A tag would name a type of another program: only YAML's own are read."""
-    plain = ("!", *(f"tag:yaml.org,2002:{word}" for word in known))
+    plain = ("!", *(f"tag:yaml.org,2002:{word}" for word in tags))
     if tag is not None and tag not in plain:
         raise Misread(
             f'line {line}: the tag "{tag[:60]}" asks for an object; a scene file holds mappings, '
@@ -297,7 +297,7 @@ def plain_text(node: Node, path: str) -> str:
         return node.value
     if node.raw is not None:
         return node.raw
-    raise misread(node, path, f"is {node.said}; it must be a text.")
+    raise misread(node, path, f"is {node.words}; it must be a text.")
 
 
 def nested(node: Node, path: str) -> Any:
@@ -305,8 +305,8 @@ def nested(node: Node, path: str) -> Any:
     if is_number(node):
         return as_float(node, path)
     if not isinstance(node.value, list):
-        raise misread(node, path, f"is {node.said}; it must be a list of numbers.")
-    found = [nested(entry, path) for entry in node.value]
-    if len({np.shape(entry) for entry in found}) > 1:
+        raise misread(node, path, f"is {node.words}; it must be a list of numbers.")
+    values = [nested(entry, path) for entry in node.value]
+    if len({np.shape(entry) for entry in values}) > 1:
         raise misread(node, path, "is a list whose entries have different lengths.")
-    return found
+    return values

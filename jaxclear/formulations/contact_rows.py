@@ -27,7 +27,7 @@ from jaxclear.multibody.damped_stops import forces_at
 from jaxclear.multibody.forces import Forces, relative_motions
 from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.state import Followed, component_count, unpack_followed, unpack_motion
-from jaxclear.multibody.system import System
+from jaxclear.multibody.system import System, coordinate_loads
 
 
 class TimeStep(NamedTuple):
@@ -152,7 +152,32 @@ def middle_of_step(
     motion = unpack_motion(model.system, [*halfway, *predicted])
     followed = unpack_followed(layout, entries)
     now = free_motion(model, time_step.middle, *motion, followed)
+    now = with_implicit_springs(model.system, now, h, accelerations)
     return MiddleOfStep(q, v, halfway, predicted, now)
+
+
+def with_implicit_springs(
+    system: System, now: FreeMotion, h: Any, accelerations: list
+) -> FreeMotion:
+    """The equations with springs that steps need not resolve at the middle to which the sought
+    accelerations lead, q + h v / 2 + h^2 a / 4: M + h D / 2 + h^2 K / 4 in the place of M."""
+    springs = {
+        name: (0.25 * h * h * stiffness, sp.mul(0.5 * h, damping))
+        for _, load in coordinate_loads(system)
+        if load.resistance()
+        for name, (stiffness, damping) in zip(load.coordinates(), load.resistance(), strict=True)
+    }
+    if not springs:
+        return now
+    branches, masses, right = system.topology.branches, [], list(now.right)
+    for subtree, mass in zip(system.topology.subtrees, now.masses, strict=True):
+        start, rows = branches[subtree[0]].speeds.start, [list(row) for row in mass]
+        for branch in (branches[i] for i in subtree if branches[i].name in springs):
+            at, (spring, damper) = branch.speeds.start, springs[branch.name]
+            rows[at - start][at - start] += sp.add(spring, damper)
+            right[at] = sp.add(right[at], sp.mul(damper, accelerations[at]))
+        masses.append(tuple(map(tuple, rows)))
+    return now._replace(masses=masses, right=tuple(right))
 
 
 def free_motion(model: Model, time: Any, q: tuple, v: tuple, followed: Followed) -> FreeMotion:

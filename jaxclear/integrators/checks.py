@@ -191,7 +191,7 @@ class Check(AbstractCheck):
     WEAR_BY_CELLS = (
         31,
         "cells: worn depth",
-        0.1,
+        0.15,
         "worn depth",
         SURFACES,
         'the deepest scar of joint "{place}" is hardly wider than a cell, its depth underestimated '

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxclear.components.beam import Beam, Piece, parts_of_beams, with_pieces
 from jaxclear.components.body import Body, Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import AbstractCoupling
@@ -78,22 +79,43 @@ class Parts(dict):
         return dict(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Parts, (dict(self),)
+        return type(self), (dict(self),)
 
 
-def _unflattened(names: tuple[str, ...], parts: Iterable[Any]) -> Parts:
-    return Parts(zip(names, parts, strict=True))
+class Bodies(Parts):
+    """Bodies, of which pieces of beams are read from the numbers of their beam."""
+
+    def __getitem__(self, name: str) -> Any:
+        body = dict.__getitem__(self, name)
+        return self[body.beam].piece(body.index) if isinstance(body, Piece) else body
+
+    def get(self, name: str, default: Any = None) -> Any:
+        return self[name] if name in self else default  # noqa: SIM401
+
+    def values(self) -> Any:
+        return [self[name] for name in self]
+
+    def items(self) -> Any:
+        return [(name, self[name]) for name in self]
 
 
-def _flattened(parts: Parts) -> tuple[list[Any], tuple[str, ...]]:
-    return list(parts.values()), tuple(parts)
+def _register(kind: type[Parts]) -> None:
+    """Make a dictionary of a mechanism a node of a pytree."""
+
+    def unflatten(names: tuple[str, ...], parts: Iterable[Any]) -> Parts:
+        return kind(zip(names, parts, strict=True))
+
+    def flatten(parts: Parts) -> tuple[list[Any], tuple[str, ...]]:
+        return list(dict.values(parts)), tuple(parts)
+
+    def flatten_with_names(parts: Parts) -> tuple[list[tuple[Any, Any]], tuple[str, ...]]:
+        return [(jax.tree_util.DictKey(name), x) for name, x in dict.items(parts)], tuple(parts)
+
+    jax.tree_util.register_pytree_with_keys(kind, flatten_with_names, unflatten, flatten)
 
 
-def _flattened_with_names(parts: Parts) -> tuple[list[tuple[Any, Any]], tuple[str, ...]]:
-    return [(jax.tree_util.DictKey(name), part) for name, part in parts.items()], tuple(parts)
-
-
-jax.tree_util.register_pytree_with_keys(Parts, _flattened_with_names, _unflattened, _flattened)
+_register(Parts)
+_register(Bodies)
 
 
 AS_NEEDED = "as the integrator needs it: by Projection where its steps open them, else by Baumgarte"
@@ -114,6 +136,8 @@ def in_words(mechanism: Any) -> str:
         ("speeds", lambda name, values: _coordinates(mechanism, name, values, "/s")),
     ):
         given = getattr(mechanism, part)
+        hidden = parts_of_beams(mechanism.loads)
+        given = {n: x for n, x in dict.items(given) if not isinstance(x, Piece) and n not in hidden}
         if given:
             width = max(map(len, given))
             lines += [part, *(f"  {n:<{width}}  {entry(n, x)}".rstrip() for n, x in given.items())]
@@ -265,10 +289,13 @@ class Mechanism(AbstractQuantified):
             for what, given in (("start", start), ("speeds", speeds), ("guess", guess))
         )
         self.order = tuple(dict.fromkeys([*self.start, *self.speeds, *self.guess]))
+        bodies, connections, loads = with_pieces(*parts[:3])
+        parts = (Bodies(bodies), connections, loads, parts[3])
         validation.check_parts(*parts)
         validation.check_finite("the mechanism", self.given)
         self.bodies, self.connections, self.loads, self.couplings = _unshared(parts)
-        self.topology = grow(self.bodies, self.connections, self.couplings)
+        hinges = parts_of_beams(self.loads)
+        self.topology = grow(self.bodies, self.connections, self.couplings, hinges)
         usual = isinstance(stabilisation, str) and stabilisation == "default"
         self.stabilisation = AsNeeded() if usual else stabilisation  # type: ignore[assignment]
         expect(
@@ -362,7 +389,7 @@ class Mechanism(AbstractQuantified):
                 both to `Mechanism`.
         """
         check_name("body", name, self.bodies, " in this mechanism")
-        expect(body, Body, f'what is put in place of "{name}"', "a jaxclear.Body")
+        expect(body, (Body, Beam), f'what is put in place of "{name}"', "a jaxclear.Body or Beam")
         return rebuilt(self, bodies=self.bodies | {name: body})
 
     def with_load(self, name: str, load: AbstractLoad | None) -> "Mechanism":
@@ -449,7 +476,12 @@ def _unshared(parts: tuple[dict[str, Any], ...]) -> tuple[Parts, ...]:
         kept = all(a is b for a, b in zip(new, jax.tree.leaves(part), strict=True))
         return part if kept else jax.tree.unflatten(jax.tree.structure(part), new)
 
-    return tuple(Parts((name, told_apart(part)) for name, part in one.items()) for one in parts)
+    return tuple(
+        (Bodies if isinstance(one, Bodies) else Parts)(
+            (name, told_apart(part)) for name, part in dict.items(one)
+        )
+        for one in parts
+    )
 
 
 # Arguments of a mechanism beside what is given for its start.

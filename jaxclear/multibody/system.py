@@ -228,7 +228,9 @@ def acting_in(mechanism: Mechanism) -> dict[str, Any]:
     behind its joints."""
     ends, found = motor_ends(mechanism), {}
     for name, load in mechanism.loads.items():
-        found[name] = load.behind(ends) if isinstance(load, AbstractStateLoad) else load
+        if isinstance(load, AbstractStateLoad):
+            load = load.of_bodies(mechanism.bodies).behind(ends)
+        found[name] = load
     own = mechanism.couplings.items()
     return found | {n: c for n, c in own if isinstance(c, AbstractForceCoupling)}
 

@@ -210,8 +210,10 @@ def grow(
     bodies: dict[str, Body],
     connections: dict[str, Connection],
     couplings: Mapping[str, AbstractCoupling] | None = None,
+    first: tuple[str, ...] = (),
 ) -> Topology:
-    """The spanning tree of a mechanism whose names have been checked."""
+    """The spanning tree of a mechanism whose names have been checked; joints that are to come
+    `first` are in it wherever they can be."""
     ideal = {name: c for name, c in connections.items() if isinstance(c.joint, AbstractJoint)}
     depth = {GROUND: 0}
     order: list[tuple[str, str | None, str, bool]] = []
@@ -223,7 +225,7 @@ def grow(
         reached = [end for end in ends if end in depth]
         free = len(joint.home) if drive_of(joint) is None else -1
         # Friction costs least in the tree: joints that may have it go first among equals.
-        free -= 0.5 * isinstance(joint, AbstractRubbingJoint)
+        free -= 0.5 * isinstance(joint, AbstractRubbingJoint) + 10 * (name in first)
         return (free, depth[reached[0]], unused.index(name))
 
     while len(depth) <= len(bodies):
@@ -313,7 +315,7 @@ def own_numbers(mechanism: Any) -> Iterator[tuple[str, Any, Mapping[str, Any], s
     """(name, value, metadata of its field, unit) of every number of a mechanism but those of its
     start, in definition order."""
     for part in ("bodies", "connections", "loads", "couplings"):
-        for name, own in getattr(mechanism, part).items():
+        for name, own in dict.items(getattr(mechanism, part)):
             joint = part == "connections"
             along = slides(mechanism, name) if joint else moves_along(mechanism, own)
             for path, leaf, metadata in numbers(own, f'{part}["{name}"]'):

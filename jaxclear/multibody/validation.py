@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.components.acting import acts_on_coordinates
+from jaxclear.components.beam import Beam
 from jaxclear.components.body import GROUND, Body, Connection, Marker
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import (
@@ -171,7 +172,7 @@ def check_parts(bodies: dict, connections: dict, loads: dict, couplings: dict) -
             f'"{GROUND}" is the fixed frame and cannot be a body; choose another name.'
         )
     for name, body in bodies.items():
-        expect(body, Body, f'body "{name}"', "a jaxclear.Body")
+        expect(body, (Body, Beam), f'body "{name}"', "a jaxclear.Body or a jaxclear.Beam")
         check_values(f'body "{name}"', body)
     for name, connection in connections.items():
         _check_connection(name, connection, bodies)

@@ -22,6 +22,7 @@ from jaxclear.ground.arguments import check_name
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, lenient_converter
 from jaxclear.ground.wording import described
+from jaxclear.multibody.system import wearing_in
 from jaxclear.multibody.topology import coordinate_units, turns
 from jaxclear.multibody.transmissions import torque_on_flanks
 from jaxclear.results.pointing_error import checked_through, checked_tip, tip_errors
@@ -31,6 +32,7 @@ __all__ = [
     "AbstractResponse",
     "FinalCoordinate",
     "FromFunction",
+    "LargestDeflection",
     "LostMotion",
     "MeanContactForce",
     "PeakContactForce",
@@ -183,7 +185,8 @@ class PeakWornDepth(AbstractResponse):
         return "worn depth"
 
     def __call__(self, run):
-        return jnp.max(run.worn_depth(self.joint, self.surface))
+        wear_map = wearing_in(run.mechanism)[self.joint].maps()[self.surface][0]
+        return wear_map.deepest(run.worn_depth(self.joint, self.surface))
 
 
 class WornVolume(AbstractResponse):
@@ -297,6 +300,28 @@ class PointingAngle(AbstractResponse):
     def __call__(self, run):
         angle = tip_errors(run, self.tip, self.base, self.through)[2].pointing_angle
         return jnp.max(angle) if self.peak else safe_sqrt(jnp.mean(angle * angle))
+
+
+class LargestDeflection(AbstractResponse):
+    """Largest distance [m] of the axis of a `Beam` from a straight line, over the saving times and
+    along the beam.
+
+    Args:
+        beam: name of the beam.
+        relative_to: word for the line, as of `Trajectory.deflection`; "chord" by default.
+        unit: unit of the response; "m" by default.
+    """
+
+    beam: str = eqx.field(static=True)
+    relative_to: str = eqx.field(static=True, default="chord")
+    unit: str = eqx.field(static=True, default="m", kw_only=True)
+
+    def drawn_from(self):
+        return "motion"
+
+    def __call__(self, run):
+        away = run.deflection(self.beam, self.relative_to)
+        return safe_sqrt(jnp.max(jnp.sum(away * away, axis=-1)))
 
 
 class LostMotion(AbstractResponse):

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxclear.components.beam import parts_of_beams
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.wording import described
@@ -184,6 +185,7 @@ def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, P
     """What every body, and the ground, is drawn by."""
     ends: dict[str, list[np.ndarray]] = {name: [] for name in (GROUND, *run.mechanism.bodies)}
     joints: dict[str, dict[str, Triangles]] = {name: {} for name in ends}
+    hinges = parts_of_beams(run.mechanism.loads)
     for name, connection in run.mechanism.connections.items():
         outer, inner = _joint(connection, size, _travel(run, name))
         for marker, part in ((connection.parent, outer), (connection.child, inner)):
@@ -191,7 +193,8 @@ def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, P
             if not len(part.points):
                 continue
             ends[marker.body].append(place)
-            joints[marker.body][name] = part.moved(rotation, place)
+            if name not in hinges:
+                joints[marker.body][name] = part.moved(rotation, place)
     solids = {name: joined([]) for name in ends} | dict(meshes)
     heaviest = max(float(body.mass) for body in run.mechanism.bodies.values())
     for name, body in run.mechanism.bodies.items():

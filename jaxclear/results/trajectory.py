@@ -10,12 +10,13 @@ are not determined.
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxclear.components.beam import on_piece
 from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground.arguments import check_count, check_flags, check_name
@@ -27,7 +28,7 @@ from jaxclear.integrators.events import Events
 from jaxclear.multibody import state
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import explain
-from jaxclear.results import export, histories, modes, transmissions
+from jaxclear.results import beams, export, histories, modes, transmissions
 from jaxclear.results.histories import (
     BodyHistory,
     ContactHistory,
@@ -384,7 +385,43 @@ class Trajectory(AbstractShown):
         Raises:
             ValueError: if there is no such body, or `at` is given beside a `Marker`.
         """
-        return histories.marker(self.body, body, at)
+        where = body if isinstance(body, Marker) or at is None else Marker(body, at)
+        at = at if isinstance(body, Marker) else None
+        return histories.marker(self.body, on_piece(self.mechanism.bodies, where), at)
+
+    def deflection(
+        self, name: str, relative_to: Literal["chord", "start"] = "chord"
+    ) -> Float[Array, "time place 3"]:
+        """How far the axis of a `Beam` lies from a straight line.
+
+        Args:
+            name: name of the beam.
+            relative_to: word for the line: through both ends ("chord", the default), or along
+                which the beam starts ("start").
+
+        Returns:
+            [m], in axes along and across that line, by saving time, place along the beam
+            (`run.mechanism.bodies[name].ends()` [m]), and axis; along the line what is undeformed
+            is taken off.
+
+        Raises:
+            ValueError: for a name that is no beam's.
+        """
+        return beams.deflection(self, name, relative_to)
+
+    def stress(self, name: str) -> Float[Array, "time element"]:
+        """Largest normal stress in the outer fibre of a `Beam`, by bending and stretching.
+
+        Args:
+            name: name of the beam.
+
+        Returns:
+            Its size [Pa], by saving time and element, in the middle of each.
+
+        Raises:
+            ValueError: for a name that is no beam's, or a section without a shape.
+        """
+        return beams.stress(self, name)
 
     def contact(self, name: str) -> ContactHistory:
         """Forces and gaps of a clearance joint.

@@ -121,16 +121,18 @@ class Unverified(AbstractVerification):
 
     Args:
         why: the reason, as part of a sentence.
+        warns: whether the first line of the run says so.
     """
 
     why: str = eqx.field(static=True, default="it has no replicas")
+    warns: bool = eqx.field(static=True, default=False)
 
     def _shown(self):
         return f"Not verified: {self.why}."
 
     @property
     def warnings(self):
-        return ()
+        return (f"Not verified: {self.why}.",) if self.warns else ()
 
     @property
     def beyond(self):

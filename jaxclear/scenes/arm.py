@@ -33,6 +33,7 @@ from jaxclear.components.joint import Fixed, Revolute
 from jaxclear.components.load import Gravity, JointFriction, JointSpring, Servo
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number
+from jaxclear.laws.wear import AbstractWearLaw
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.scenes.slack import slack_joints
 
@@ -126,8 +127,13 @@ def _size(stiffness: float, rotor: float) -> Size:
     return Size(stiffness, 2 * DAMPED * RATIO * sqrt(stiffness * rotor), rotor)
 
 
+# Of a size the pitch diameter of its teeth [inch], times ten. As high as 1.3 modules and as wide as
+# a third of that diameter, they have a flank of about the square of the pitch radius in all; on it
+# they slide by a tenth of their way.
+INCH, SLIDING = 0.0254, 0.1
+SIZE_OF = dict(zip(JOINTS, (20, 20, 17, 17, 17, 14, 14), strict=True))
 SIZES = {20: _size(25e3, 20e-6), 17: _size(14e3, 10e-6), 14: _size(6.1e3, 4e-6)}
-REDUCERS = dict(zip(JOINTS, (SIZES[size] for size in (20, 20, 17, 17, 17, 14, 14)), strict=True))
+REDUCERS = {name: SIZES[size] for name, size in SIZE_OF.items()}
 ARCMIN = pi / 180 / 60
 PLAY = 1.0 * ARCMIN
 
@@ -243,16 +249,17 @@ def servos(path: JointPath) -> dict[str, Servo]:
     return loads
 
 
-def reducer(name: str, play: Any = None) -> Gear:
+def reducer(name: str, play: Any = None, wear: Any = None) -> Gear:
     """The reducer of a joint with its motor, elastic and with a `play` [rad], from flank to flank,
-    or rigid and without (None)."""
+    whose flanks lose by a law of `wear`, or rigid and without (None)."""
     size = REDUCERS[name]
     motor = Motor(size.rotor)
     if play is None:
         return Gear(motor, name, RATIO)
-    return Gear(
-        motor, name, RATIO, play=Backlash(play), stiffness=size.stiffness, damping=size.damping
-    )
+    radius = 0.05 * INCH * SIZE_OF[name]
+    teeth = {"slide": SLIDING, "area": radius**2, "pitch_radius": radius}
+    flanks = Backlash(play) if wear is None else Backlash(play, wear=wear, **teeth)
+    return Gear(motor, name, RATIO, play=flanks, stiffness=size.stiffness, damping=size.damping)
 
 
 def _bodies() -> dict[str, Body]:
@@ -278,6 +285,7 @@ def arm(
     *,
     path: JointPath | None = None,
     driven: bool = False,
+    wear: AbstractWearLaw | None = None,
 ) -> Mechanism:
     """The robot arm xArm7 with its gripper, moving from pick to place.
 
@@ -290,6 +298,8 @@ def arm(
         path: path of the joint angles that the servos follow, a `JointPath`; None: that of
             `pick_and_place()`.
         driven: whether joints are driven along the path, without servos: the commanded path.
+        wear: law of `jaxclear.wear` by which the flanks of reducers with play lose; None: they do
+            not wear. Worn surfaces are "upper" and "lower" of the joint's name.
 
     Returns:
         the mechanism.
@@ -317,6 +327,9 @@ def arm(
         _bodies(),
         _connections((None,) * 7),
         loads | servos(path),
-        couplings={name: reducer(name, plays[name] if name in slack else None) for name in JOINTS},
+        couplings={
+            name: reducer(name, plays[name], wear) if name in slack else reducer(name)
+            for name in JOINTS
+        },
         start=dict(zip(JOINTS, map(float, path.angles[0]), strict=True)),
     )

@@ -23,6 +23,7 @@ from jaxclear.ground.warning import count_warnings
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
+from jaxclear.multibody.system import wearing_in
 from jaxclear.native import forwards_only, has_kernels, stoppable
 from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_for_kernels, compiled_quickly
 from jaxclear.results.state_history import State
@@ -45,6 +46,7 @@ from jaxclear.simulation.not_finite import told_of_the_end
 from jaxclear.simulation.sampling import check_instants
 from jaxclear.simulation.saving import Saving, as_saving, check_steps, checked_saving, saving_times
 from jaxclear.simulation.singular_positions import diagnosed
+from jaxclear.simulation.wear import with_coarser_cells
 
 
 class SimulationError(RuntimeError):
@@ -197,7 +199,8 @@ def simulate(
             accuracies by the name of a quantity of `print(run)`, or by response, in its unit, a
             dict.
         save: number of equally spaced saving times, >= 2; or the times [s]; or a `Saving`, which
-            keeps touches and releases too. Worn surfaces are updated at these times.
+            keeps touches and releases too. Worn surfaces are updated as contacts move, and at
+            these times.
         state: state in which the run begins instead of the mechanism's start, such as `run.state()`
             of another run; saving times, worn volumes and energies count from there.
         balance: whether to integrate the energies that `Trajectory.energy_balance` needs.
@@ -297,7 +300,7 @@ def _simulated(
     own = _kept(_STEPS, of_times, steps)
     mechanism, start, past, doubt = _kept(_BEGUN, key, begins)
     integrator, passed = own
-    whole = 1.0 if how.verify is False else 1.0 + 1 / HALF
+    whole = 1.0 if how.verify is False else 1.0 + 1 / HALF + bool(wearing_in(mechanism))
     with progress.bar(how.progress_bar, "simulating", whole) as part:
         extras = Extras(how.balance, how.progress_bar, saving.events)
         kernel = is_all_kernel(mechanism, integrator, how.progress_bar)
@@ -305,7 +308,8 @@ def _simulated(
 
         def again(one: Replica, moved: float = 0.0) -> Trajectory:
             begun = on_host(start.coordinates) + moved if moved else start.coordinates
-            given = mechanism, begun, start.speeds, on_host(one.times)
+            wearing = with_coarser_cells(mechanism, one.coarseness)
+            given = wearing, begun, start.speeds, on_host(one.times)
             more = one.integrator, extras, past, np.asarray(one.updates)
             with part(one.work):
                 found = runs(*given, *more)

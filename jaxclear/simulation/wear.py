@@ -1,5 +1,6 @@
 """Depth maps of worn surfaces: new ones, and what a saving interval takes off."""
 
+import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.components.wear_map import Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_name
 from jaxclear.ground.numerics import safe_divide
@@ -53,6 +55,17 @@ def worn_as_given(mechanism: Mechanism, given: Worn | None) -> Worn | None:
         }
         for joint, surfaces in cells.items()
     }
+
+
+def with_coarser_cells(mechanism: Mechanism, factor: float) -> Mechanism:
+    """The mechanism with cells of worn surfaces so many times as wide, in the same program."""
+    if factor == 1:
+        return mechanism
+    is_wearing = lambda node: isinstance(node, Wearing)
+    wider = lambda node: (
+        dataclasses.replace(node, coarseness=factor * node.coarseness) if is_wearing(node) else node
+    )
+    return jax.tree.map(wider, mechanism, is_leaf=is_wearing)
 
 
 def _depths(name: str, depths: Any, cells: tuple[int, ...]) -> Array:

@@ -20,13 +20,13 @@ from jaxclear.files.forms import (
     ByName,
     Choice,
     Flag,
+    Integer,
     Listed,
     Number,
     NumberArray,
     Numbers,
     Place,
     Text,
-    Whole,
 )
 from jaxclear.files.parts import Part, arguments, members
 from jaxclear.files.scene import RUN, TOP, scene_text
@@ -183,7 +183,7 @@ def _(form: NumberArray, depth):
 
 
 @sample.register
-def _(form: Whole, depth):
+def _(form: Integer, depth):
     return form.metadata.get("at_least", 1) + 1
 
 
@@ -384,7 +384,7 @@ def test_a_scene_over_positions_asks_the_same_after_it_was_written(ending, tmp_p
     one, other = scene.problem(), again.problem()
     assert isinstance(one.experiment, PositionExperiment)
     assert in_texts(other) == in_texts(one)
-    stood = one.positions(one.nominal())
+    stood = one.detail(one.nominal())
     np.testing.assert_array_equal(again.stand().body("coupler").com, stood.body("coupler").com)
 
 

@@ -19,6 +19,7 @@ from jaxclear.scenes.arm import (
     JOINTS,
     PLAY,
     REDUCERS,
+    SLIDING,
     TIP,
     arm,
     gravity_torques,
@@ -169,3 +170,17 @@ def test_slopes_by_all_plays_are_those_of_narrower_differences_and_derivatives(h
     np.testing.assert_allclose(found, narrow, rtol=0.02)
     derived = jax.jit(jax.jacfwd(lambda plays: problem.evaluate(plays).responses["tip error"]))
     np.testing.assert_allclose(1e3 * ARCMIN * derived(nominal), narrow, rtol=0.02)
+
+
+@pytest.mark.slow
+def test_flanks_of_a_reducer_wear_by_archards_law():
+    """k F s / H of the torque that the teeth carry along the way of the joint."""
+    law = jc.wear.Archard(wear_coefficient=1e-4, hardness=2e9)
+    run = jc.simulate(jc.scenes.arm(["joint2"], wear=law), 0.5, save=501, verify=False)
+    power = np.abs(np.asarray(run.coupling("joint2").torque) * np.asarray(run.speed("joint2")))
+    way = np.trapezoid(power, np.asarray(run.time))
+    volume = sum(float(run.worn_volume("joint2", flank)[-1]) for flank in ("upper", "lower"))
+    # Between saving times; damping of the teeth is in both.
+    np.testing.assert_allclose(volume, 1e-4 / 2e9 * SLIDING * way, rtol=0.02)
+    depth = sum(float(run.worn_depth("joint2", flank)[0, 0]) for flank in ("upper", "lower"))
+    assert depth == pytest.approx(volume / 0.0254**2, rel=1e-9)

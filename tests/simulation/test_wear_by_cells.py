@@ -1,5 +1,6 @@
 """What a run says of worn depths that hang on the number of cells: beside finer ones."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,7 +9,9 @@ import jaxclear as jc
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wall_map import WallMap
 from jaxclear.components.wear_map import AreaMap, CylinderMap
+from jaxclear.errors import verification
 from jaxclear.integrators.checks import Check
+from jaxclear.native import scan
 from jaxclear.simulation.invariants import narrowness
 
 LIMIT = Check.WEAR_BY_CELLS.limit
@@ -83,3 +86,100 @@ def test_a_run_that_says_nothing_is_right():
     said = [bool(run.invariants.beyond()[Check.WEAR_BY_CELLS]) for run in (coarse, fine, finer)]
     assert said == [True, False, False]
     assert depths[0] < 0.75 * depths[2] and depths[1] == pytest.approx(depths[2], rel=0.03)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.2, 0.5])
+def test_the_deepest_place_is_that_of_the_parabola_whose_means_the_cells_are(shift):
+    """A trough of 1 - (x/w)^2 with w = 3.3 cells, whose middle lies off that of a cell."""
+    x, width = np.arange(36) - 20.0 - shift, 3.3
+    mean = np.maximum(1.0 - (x * x + 1 / 12) / width**2, 0.0)
+    assert float(LINE.deepest(jnp.asarray(mean)[:, None])) == pytest.approx(1.0)
+    walls = jnp.zeros(GUIDE.cells).at[1, : len(mean)].set(mean)
+    assert float(GUIDE.deepest(walls)) == pytest.approx(1.0)
+    # Wear that grows straight towards an end is deepest at the edge.
+    ramp = jnp.broadcast_to(jnp.arange(WALL.cells[1]) + 0.5, WALL.cells)
+    assert float(WALL.deepest(ramp)) == pytest.approx(WALL.cells[1])
+
+
+PLACES = {
+    "wall": (0.6, 0.7, 2e-5, 22.0, 1.0),
+    "ball": (0.48, 0.64, 0.6, 0.2304, 0.3072, 0.288, 0.4096, 0.384, 400.0),
+    "guide": (0.003, 5e-5, 1e-6, 2e-6, 1.0, -1.0),
+}
+
+
+@pytest.mark.parametrize(
+    "kind, fine, coarse",
+    [
+        (
+            "wall",
+            CylinderMap((48, 8), 10e-3, 20e-3, 1e-4, 2.0),
+            CylinderMap((24, 4), 10e-3, 20e-3, 1e-4),
+        ),
+        ("ball", SphereMap((48, 24), 10e-3, 1e-4, 2.0), SphereMap((24, 12), 10e-3, 1e-4)),
+        (
+            "guide",
+            WallMap((2, 24), 0.12, 0.0, 0.04, 0.01, 1e-4, 0.01, 2.0),
+            WallMap((2, 12), 0.12, 0.0, 0.04, 0.01, 1e-4, 0.01),
+        ),
+    ],
+    ids=PLACES,
+)
+def test_cells_twice_as_wide_are_those_of_a_map_with_half_as_many(kind, fine, coarse):
+    event, volume = jnp.asarray(PLACES[kind])[None], jnp.asarray([1e-12])
+
+    def lose(wear_map):
+        depth = jnp.zeros(wear_map.cells)
+        for _ in range(2):
+            depth = wear_map.deposit(depth, volume, event)
+        begun = depth, wear_map.reading(depth), (jnp.zeros_like(depth),)
+        turn = lambda now, _: (wear_map.deposit_in_turn(*now, volume, event), ())
+        depth, reading, _ = scan(turn, begun, np.zeros(1), long=True)[0]
+        read = {
+            "wall": lambda: wear_map.depth_at_end(reading, 0.6, 0.7, 1),
+            "ball": lambda: wear_map.depth_towards(reading, 0.48, 0.64, 0.6),
+            "guide": lambda: wear_map.depth_at(reading, 1, 0.0137),
+        }[kind]()
+        return depth, read, wear_map.deepest(depth)
+
+    (wide, *told), (half, *wanted) = (
+        jax.jit(lambda wear_map=wear_map: lose(wear_map))() for wear_map in (fine, coarse)
+    )
+    sides = [a // b for a, b in zip(fine.cells, coarse.cells, strict=True)]
+    half = np.kron(half, np.ones(sides))
+    # A sphere's band between two latitudes is not split in halves of equal area.
+    within = 0.02 if kind == "ball" else 1e-9
+    np.testing.assert_allclose(wide, half, rtol=0, atol=within * half.max())
+    np.testing.assert_allclose(told, wanted, rtol=within)
+
+
+def rubbing(cells):
+    """The pin of a slider-crank that hammers."""
+    law = jc.wear.Archard(wear_coefficient=2e-2, hardness=1e9)
+    joint = jc.clearance.PlanarJournalBearing(
+        jc.contact.CarvalhoMartins(stiffness=3e8, restitution=0.6),
+        jc.friction.CoulombTanh(mu_kinetic=0.1, transition_speed=1e-2),
+        bearing_radius=9e-3,
+        clearance=1.5e-4,
+        length=0.02,
+        bearing_wear=jc.Wearing(law, (cells, 1)),
+    )
+    rig = jc.scenes.slider_crank(joint, crank_speed=60.0)
+    return jc.simulate(rig, 4 * np.pi / 60, verify=True)
+
+
+@pytest.mark.slow
+def test_the_stated_error_of_a_depth_holds_its_cells():
+    """Steps alone would say 4e-4."""
+    deepest = jc.response.PeakWornDepth("B")
+    true = float(deepest(rubbing(576)))
+    for cells, off in ((36, 0.03), (48, 0.01), (72, 0.005)):
+        told = rubbing(cells).estimate(deepest)
+        assert abs(float(told.value) / true - 1) < off
+        assert float(told.error) > 0.5 * abs(float(told.value) - true)
+        assert "wider cells" in told.why
+
+
+def test_the_first_line_of_a_long_run_that_wears_says_that_it_is_not_verified(monkeypatch):
+    monkeypatch.setattr(verification, "MOST_STEPS", 10)
+    assert "Not verified" in pressed((16, 8)).result

@@ -69,3 +69,17 @@ def test_a_life_whose_scar_is_hardly_wider_than_a_cell_says_so_as_a_run_does(cel
     run = jc.simulate(asked.mechanism, TURN, **how)
     warned = [any("hardly wider than a cell" in one for one in own.warnings) for own in (life, run)]
     assert warned == [cells == 16, True]
+
+
+@pytest.mark.slow
+def test_a_verified_life_states_the_error_of_its_cells():
+    """18 cells of a scar of 10; the closed form is the area between two circles. Steps alone would
+    say a tenth of it."""
+    depth = 127e-6
+    turns = crescent(depth, CLEARANCE) / lost(CLEARANCE)
+    life = jc.wear_life(scar(CLEARANCE, 18), cycles=turns, verify=True)
+    off = abs(life.at_end("depth") / depth - 1)
+    assert 0.5 * off < life.error < 5 * off
+    assert "That of cells" not in life.sentence()
+    unverified = jc.wear_life(scar(CLEARANCE, 18), cycles=turns)
+    assert unverified.by_cells is None and unverified.error < life.error

@@ -79,7 +79,7 @@ class BallSocket(AbstractClearance):
             "ball": (self.ball_wear, self.ball_radius),
         }
         return {
-            name: (SphereMap(own.cells, radius, self.clearance), own)
+            name: (SphereMap(own.cells, radius, self.clearance, own.coarseness), own)
             for name, (own, radius) in surfaces.items()
             if own is not None
         }

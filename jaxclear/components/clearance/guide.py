@@ -129,7 +129,7 @@ class SliderGuide(AbstractClearance):
         }
         size = self.length, self.breadth, self.clearance
         return {
-            name: (WallMap((2, own.cells[1]), *along, *size, away), own)
+            name: (WallMap((2, own.cells[1]), *along, *size, away, own.coarseness), own)
             for name, (own, away, *along) in walls.items()
             if own is not None
         }

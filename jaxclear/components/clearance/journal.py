@@ -172,7 +172,10 @@ class PlanarJournalBearing(AbstractJournalBearing):
         }
         # The whole length carries alike: one row of cells, whatever the number along.
         return {
-            name: (CylinderMap((own.cells[0], 1), radius, self.length, self.clearance), own)
+            name: (
+                CylinderMap((own.cells[0], 1), radius, self.length, self.clearance, own.coarseness),
+                own,
+            )
             for name, (own, radius) in surfaces.items()
             if own is not None
         }
@@ -320,14 +323,16 @@ class JournalBearing(AbstractJournalBearing):
         return tuple(candidates)
 
     def maps(self):
-        surfaces = {}
-        if self.bearing_wear is not None:
-            size = (self.bearing_radius, self.length, self.clearance)
-            surfaces["bearing"] = (CylinderMap(self.bearing_wear.cells, *size), self.bearing_wear)
-        if self.journal_wear is not None:
-            size = (self.journal_radius, self.length, self.clearance)
-            surfaces["journal"] = (CylinderMap(self.journal_wear.cells, *size), self.journal_wear)
-        return surfaces
+        surfaces = {
+            "bearing": (self.bearing_wear, self.bearing_radius),
+            "journal": (self.journal_wear, self.journal_radius),
+        }
+        size = self.length, self.clearance
+        return {
+            name: (CylinderMap(own.cells, radius, *size, own.coarseness), own)
+            for name, (own, radius) in surfaces.items()
+            if own is not None
+        }
 
     def inner_surfaces(self):
         return ("journal",)

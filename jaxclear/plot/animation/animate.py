@@ -21,6 +21,7 @@ import matplotlib
 import matplotlib.colors
 import numpy as np
 
+from jaxclear.components.beam import beam_of
 from jaxclear.components.body import GROUND
 from jaxclear.components.load import Gravity
 from jaxclear.ground.argument_errors import answering
@@ -238,7 +239,9 @@ def _packed(values: Any) -> dict[str, Any]:
 def _colours(run: Trajectory) -> dict[str, str]:
     palette = [matplotlib.colors.to_hex(f"C{k}") for k in range(10)]
     palette.pop(7)  # the grey of the ground
-    return {name: palette[i % len(palette)] for i, name in enumerate(run.mechanism.bodies)}
+    bodies = run.mechanism.bodies
+    wholes = list(dict.fromkeys(beam_of(bodies, name) for name in bodies))
+    return {n: palette[wholes.index(beam_of(bodies, n)) % len(palette)] for n in bodies}
 
 
 def _page(run: Trajectory, solids: dict, frames: np.ndarray, data: dict, forces: Pushes) -> str:

@@ -207,7 +207,7 @@ def _bore(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarr
     """A planar journal."""
     centre = np.asarray(history.offset)[frames, :2]
     along = lambda depth: depth[:, 0]
-    wear = _wearing(run, (name, "bearing"), frames, along, lambda read: read[0][..., 1:-1])
+    wear = _wearing(run, (name, "bearing"), frames, along, lambda read: read[0][..., 2:-2])
     paths = _paths(history, frames, [0], (0, 1))
     return [_round("across the axis", centre, _wall(joint), paths, [0], wear)]
 
@@ -220,7 +220,7 @@ def _ends(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarr
         place = np.stack([np.broadcast_to(np.asarray(x), len(frames)) for x in centre[:2]], -1)
         paths = _paths(history, frames, [end], (0, 1))
         along = lambda depth, end=end: depth[:, -end]
-        cut = lambda read, end=end: read[-end][..., 1:-1]
+        cut = lambda read, end=end: read[-end][..., 2:-2]
         wear = _wearing(run, (name, "bearing"), frames, along, cut)
         title = ("lower end", "upper end")[end]
         views.append(_round(title, place, _wall(joint), paths, [end], wear))

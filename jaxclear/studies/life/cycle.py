@@ -50,6 +50,10 @@ SAME_PLACE = 1e-5
 # Parts of a cycle after which drives are looked at: no drive repeats after a ratio of Fibonacci
 # numbers that does not repeat throughout.
 LOOKS = (0.0, 2 / 13, 3 / 8, 8 / 13, 7 / 8)
+# Power by which the parts of a step are shorter towards its end (a graded mesh).
+GRADING = 2
+# Places that so follow upon each other lie as evenly as they can, however many they are.
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 # Beyond so many cycles one more is no other number in double precision.
 MOST_CYCLES = 2.0**53
 
@@ -148,20 +152,32 @@ def cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajecto
 
 
 @eqx.filter_jit
-def worn_again(asked: Asked, worn: Worn, losses: Losses, share: Any, begin: Any) -> Worn:
-    """Depth maps once a cycle has been gone through from its saving time `begin` on: `share` times
-    what it lost, in the order in which it lost it, or, below zero, backwards."""
+def worn_by_cycles(asked: Asked, worn: Worn, losses: Losses, lengths: Any, parts: Any) -> Worn:
+    """Depth maps after so many (`lengths`) of each of some cycles, whose `losses` have an axis of
+    cycles in front, in so many `parts`, the shorter the nearer they are to the end: of the former
+    ones walls forget. In each part the cycles go by in their order and backwards, from another
+    place on than in the one before, so that no loss of a cycle comes before the others."""
     system = model_of(asked.mechanism, asked.integrator.formulation).system
+    cycles, saves = len(lengths), len(asked.times) - 1
 
-    def turned(rows):
-        rows = jnp.roll(rows, -begin, axis=0)
-        return jnp.where(share < 0, rows[::-1], rows)
+    def put_on(turn, worn):
+        part, order = turn // (2 * cycles), turn % (2 * cycles)
+        which = jnp.minimum(order, 2 * cycles - 1 - order)
+        ends = (1.0 - part / parts) ** GRADING, (1.0 - (part + 1) / parts) ** GRADING
+        share = 0.5 * (ends[0] - ends[1]) * lengths[which]
+        begin = jnp.floor(saves * (part * GOLDEN % 1.0)).astype(int)
 
-    lost: Losses = {
-        surface: (jnp.abs(share) * turned(volumes), turned(places))
-        for surface, (volumes, places) in losses.items()
-    }
-    return worn_by(system, worn, lost)
+        def turned(rows):
+            rows = jnp.roll(rows[which], -begin, axis=0)
+            return jnp.where(order < cycles, rows, rows[::-1])
+
+        lost: Losses = {
+            surface: (share * turned(volumes), turned(places))
+            for surface, (volumes, places) in losses.items()
+        }
+        return worn_by(system, worn, lost)
+
+    return jax.lax.fori_loop(0, 2 * cycles * parts, put_on, worn)
 
 
 def kind_of_cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> Cycle:

@@ -26,7 +26,7 @@ from jaxclear.studies.life.cycle import (
     cycle,
     first_state,
     kind_of_cycle,
-    worn_again,
+    worn_by_cycles,
     worst_of,
 )
 from jaxclear.studies.life.settling import Patience, Settling, settle
@@ -40,10 +40,6 @@ from jaxclear.studies.store.store import CURRENT, compute_address
 NARROW = (Check.WEAR_BY_CELLS,)
 # So many times the way between two surfaces a line is carried on at the most.
 FURTHEST = 4.0
-# Power by which the parts of a step are shorter towards its end (a graded mesh).
-GRADING = 2
-# Places that so follow upon each other lie as evenly as they can, however many they are.
-GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 class Rates:
@@ -99,24 +95,20 @@ class Rates:
                     )
 
     def carry(self, row: np.ndarray, losses: Losses, parts: int) -> np.ndarray:
-        """What is left of these depths by so many cycles of each of some rates, in so many `parts`,
-        the shorter the nearer they are to the end: of the former ones walls forget. In each the
-        cycles go by in their order and backwards, from another place on than in the one before, so
-        that no loss of a cycle comes before the others."""
-        worn = self.unflat(row[: self.count])
+        """What is left of these depths by so many cycles of each of some rates, in so many `parts`
+        (`worn_by_cycles`)."""
         cycles = [
             (length / len(rate.settled.taken), one.losses)
             for length, rate in losses
             for one in rate.settled.taken
         ]
-        saves = len(self.asked.times) - 1
+        # One program for many numbers of cycles.
+        cycles += [(0.0, cycles[0][1])] * (2 ** (len(cycles) - 1).bit_length() - len(cycles))
+        lengths = np.array([length for length, _ in cycles])
+        stacked = jax.tree.map(lambda *rows: np.stack(rows), *(lost for _, lost in cycles))
+        given = self.unflat(row[: self.count]), stacked, lengths, np.asarray(parts)
+        worn = worn_by_cycles(self.asked, *given)
         means: Any = sum(length * self.cells.means(rate.wear) for length, rate in losses)
-        for i, part in enumerate(-np.diff((1.0 - np.arange(parts + 1) / parts) ** GRADING)):
-            begin = np.asarray(int(saves * (i * GOLDEN % 1.0)))
-            for order, way in ((cycles, 0.5), (cycles[::-1], -0.5)):
-                for share, lost in order:
-                    given = lost, np.asarray(way * share * part), begin
-                    worn = worn_again(self.asked, worn, *given)
         return np.concatenate([flattened(worn)[0], self.cells.means(row) + means])
 
     def halves(self, rate: Rate) -> tuple[Rate, Rate] | None:

@@ -14,6 +14,7 @@ from jax.flatten_util import ravel_pytree
 from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.ground.printing import with_text_repr
 from jaxclear.integrators.checks import Checks
+from jaxclear.multibody.system import wearing_in
 from jaxclear.results.response import concerned
 from jaxclear.results.state_history import State
 from jaxclear.simulation.wear import Worn
@@ -58,7 +59,8 @@ class WearLife(AbstractAnswer):
     stand in a row, `new` are the surfaces at its start; `asked` [cycles] and `accuracy` [1] as
     asked for; `ended` says why a life ended before its time, "" for one that did not; `simulated`
     cycles were run in all, `rejected` steps taken back; `checks` is the worst that any cycle found
-    out about itself.
+    out about itself; `by_cells` [1]: the relative error that cells leave in the depth (None: not
+    verified).
     """
 
     problem: Problem
@@ -71,6 +73,7 @@ class WearLife(AbstractAnswer):
     ended: str = eqx.field(static=True)
     simulated: int = eqx.field(static=True)
     rejected: int = eqx.field(static=True)
+    by_cells: float | None = eqx.field(static=True, default=None)
 
     @property
     def cycles(self) -> np.ndarray:
@@ -100,7 +103,8 @@ class WearLife(AbstractAnswer):
     def errors(self) -> np.ndarray:
         """Error of the depth at each stage, as a share of it: what the steps may be off and the
         95 % interval of what noise has left, root mean squares over the cells, of the worst
-        surface. What hangs on the saving times of a cycle comes beside it (`by_saves`)."""
+        surface; of a verified life what cells leave. What hangs on the saving times of a cycle
+        comes beside it (`by_saves`)."""
         return self._errors(0)
 
     @property
@@ -127,7 +131,8 @@ class WearLife(AbstractAnswer):
         """Of the depths (0) or of the volumes (1)."""
         first = self.stages[0].node
         found = [node.errors(self.cells, first)[which] for node, _ in self.stages]
-        return np.array([float(own.max(initial=0.0)) for own in found])
+        of_cells = 0.0 if which or self.by_cells is None else self.by_cells
+        return np.array([float(own.max(initial=0.0)) for own in found]) + of_cells
 
     @property
     def error(self) -> float:
@@ -216,10 +221,15 @@ class WearLife(AbstractAnswer):
         row, places = self._row_at(), self.surfaces
         own = [i for i, place in enumerate(places) if surface in ("", " ".join(place))]
         if kind == DEPTH:
-            parts = [self.cells.surfaces[i] for i in own]
-            return lambda at: float(max(row(at)[part].max() for part in parts))
+            readers = [(self.cells.surfaces[i], self._deepest(*places[i])) for i in own]
+            return lambda at: max(float(read(row(at)[part])) for part, read in readers)
         areas = self.cells.whole[own]
         return lambda at: float(np.dot(areas, self.cells.means(row(at))[own]))
+
+    def _deepest(self, joint: str, surface: str) -> Callable[[np.ndarray], Any]:
+        """The depth of the deepest place of a surface, of the cells in a row."""
+        wear_map = wearing_in(self.problem.mechanism)[joint].maps()[surface][0]
+        return jax.jit(lambda row: wear_map.deepest(row.reshape(wear_map.cells)))
 
     def _row_at(self) -> Callable[[float], np.ndarray]:
         """Depths of all cells and mean depths of all surfaces, in a row, over cycles: volumes by
@@ -261,6 +271,7 @@ class WearLife(AbstractAnswer):
         text = f"{reached:.4g} cycles of machine life from {self.simulated} simulated ones{back}: "
         known = [100 * own for own in (self.error, self.errors_of_volume[-1])]
         text += f"{deepest:.4g} m deep, known to {known[0]:.2g} %, the volume to {known[1]:.2g} %."
+        text += " That of cells is not in it: verify=True." if self.by_cells is None else ""
         if self.ended:
             early = f"The life ended before its {self.asked:.4g} cycles: {self.ended}"
             text = f"{early} Until then, {text}"

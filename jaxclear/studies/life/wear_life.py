@@ -6,6 +6,7 @@ allows, and so on, each cycle from where the one before settled. One program is 
 worn surfaces and numbers are inputs of it.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import wearing_in
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
+from jaxclear.simulation.wear import with_coarser_cells
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
 from jaxclear.studies.life.cycle import as_problem, check_cycle, check_cycles, check_period
 from jaxclear.studies.life.rates import Rates
@@ -55,6 +57,7 @@ def wear_life(
     jump: float | None = None,
     most: int = 12,
     store: str | Path | None = None,
+    verify: bool = False,
     progress_bar: bool = False,
 ) -> WearLife:
     """Wear over many cycles, from few simulated ones.
@@ -76,6 +79,8 @@ def wear_life(
         most: largest number of cycles over which a rate is averaged; 12 by default.
         store: folder that keeps every cycle, from which a life is continued; None (default) for
             none.
+        verify: whether a second life, on cells twice as wide, gives the error that cells leave in
+            the depth; False by default.
         progress_bar: whether to show the progress; False by default.
 
     Returns:
@@ -91,11 +96,28 @@ def wear_life(
     if jump is not None:
         check_number("jump of wear_life", jump, at_least=1)
     check_count("most of wear_life", most)
-    check_flags("wear_life", progress_bar=progress_bar)
+    check_flags("wear_life", progress_bar=progress_bar, verify=verify)
     check_asked(problem)
     with open_store(store, "a wear life", problem), progress.bar(progress_bar, "wear life"):
         rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, most))
-        return lived(rates, float(cycles), float(accuracy), jump)
+        life = lived(rates, float(cycles), float(accuracy), jump)
+    if not verify:
+        return life
+    # Outside the folder, which knows cycles by their surfaces alone.
+    return dataclasses.replace(life, by_cells=_error_of_cells(life, rates.patience))
+
+
+def _error_of_cells(life: WearLife, patience: Patience) -> float:
+    """The relative error that cells leave in the depth of a life, from another one with the same
+    steps on cells twice as wide."""
+    coarser = with_coarser_cells(life.problem.mechanism, 2.0)
+    problem = eqx.tree_at(lambda own: own.mechanism, life.problem, coarser)
+    rates = Rates(problem, problem.nominal(), patience)
+    other = lived(rates, float(life.cycles[-1]), life.accuracy, None, life.lengths)
+    depth, reached = life.at_end(DEPTH), min(life.cycles[-1], other.cycles[-1])
+    coarse, fine = (float(own.over_life(DEPTH, reached)) for own in (other, life))
+    # Scars that have grown to the shape of the part have edges: errors are of order 1 in the cells.
+    return abs(coarse - fine) / depth if depth else 0.0
 
 
 def lived(

@@ -1,0 +1,275 @@
+"""Slender flexible bodies: rigid pieces between hinges with springs in the middle of elements.
+
+Hinges in the middle of elements, and not between them, make clamped, pinned and free ends right
+alike. Source: Wittbrodt, Adamiec-Wojcik & Wojciech 2006, Dynamics of Flexible Multibody Systems:
+Rigid Finite Element Method, ch. 2, doi:10.1007/978-3-540-32352-9.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.components.acting import AbstractStateLoad, CoordinateEffect
+from jaxclear.components.body import Body, Connection, Marker
+from jaxclear.components.joint import Prismatic, Revolute
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.quantity import (
+    AbstractQuantified,
+    Scalar,
+    concrete,
+    count,
+    quantity,
+    with_fields,
+)
+from jaxclear.ground.wording import described
+from jaxclear.laws.material import Material
+from jaxclear.laws.section import AbstractSection, AbstractShape
+
+# By which share of an element hinges of several kinds lie apart in it, so that there is a piece
+# with mass between them; the order alternates, which keeps order two.
+APART = 0.125
+HINGES = {
+    "bend_z": ("bend", Revolute(), "z"),
+    "bend_y": ("bend across", Revolute(), "y"),
+    "twist": ("twist", Revolute(), "x"),
+    "stretch": ("stretch", Prismatic(), "x"),
+}
+
+
+class Hinge(NamedTuple):
+    """A hinge of a beam: name of its joint, field of `Rigidity` that holds it, place [m]."""
+
+    joint: str
+    kind: str
+    place: float
+
+
+class Beam(AbstractQuantified):
+    """A slender flexible body, which stands in the place of a `Body` in a mechanism. It lies along
+    x of its frame, from 0 to its length; markers may be anywhere on it.
+
+    It becomes rigid pieces between hinges: "rod" begins at its start, "rod 2" and so on follow.
+    Large deflections are right; shear is left out. Frequencies, deflections and loads of buckling
+    are right to order two in 1 / segments. Section, material and density are numbers that may vary;
+    the length is not, as it decides on which piece a marker lies (vary the markers).
+
+    Args:
+        length: length [m], > 0.
+        section: part of `jaxclear.section`.
+        material: a `Material`; needed unless the section is `section.Properties`.
+        density: density [kg/m^3], > 0; needed with the material.
+        segments: number of elements, >= 2; 8 by default. Steps that resolve the springs
+            shorten with their square: `integrator.ImplicitStep` need not resolve them.
+        damping: ratio to the critical damping of the first bending mode of the beam on pins at both
+            ends [-], >= 0; damping is proportional to stiffness, so that of other modes is
+            proportional to their frequency. None by default: no damping.
+        space: whether it bends in two planes and twists; False by default: it bends about z alone.
+        stretches: whether it stretches as well; False by default.
+
+    Raises:
+        ValueError: for a shape without material and density, and for properties that lack the
+            stiffness which `space` or `stretches` asks for.
+    """
+
+    length: float = eqx.field(static=True, converter=lambda given: concrete(given) or given)
+    section: AbstractSection
+    material: Material | None = None
+    density: Scalar | None = quantity(None, "kg/m^3", "density", above=0)
+    segments: int = count(8, "number of elements", at_least=2)
+    damping: Scalar | None = quantity(
+        None, "1", "damping ratio of the first bending mode on pins", at_least=0
+    )
+    space: bool = eqx.field(static=True, default=False)
+    stretches: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        if not isinstance(self.length, float) or not 0 < self.length < np.inf:
+            raise ValueError(
+                f"a Beam has length = {described(self.length)}; it must be a number above 0 [m]."
+            )
+        shape = isinstance(self.section, AbstractShape)
+        if shape and (self.material is None or self.density is None):
+            raise ValueError(
+                "a Beam with a shape as its section needs a material and a density [kg/m^3], such "
+                "as material=jaxclear.material.steel(), density=7850."
+            )
+        needs = ["GJ", "turning_inertia"] * self.space + ["EA"] * self.stretches
+        missing = [n for n in needs if not shape and getattr(self.section, n, 1) is None]
+        if missing:
+            raise ValueError(
+                f"a Beam that bends in space or stretches needs {' and '.join(missing)} of its "
+                "section.Properties."
+            )
+
+    @property
+    def _kinds(self) -> tuple[str, ...]:
+        in_space = ("bend_y", "twist", "bend_z") if self.space else ("bend_z",)
+        return ("stretch",) * self.stretches + in_space
+
+    def hinges(self, name: str) -> tuple[Hinge, ...]:
+        """The hinges from start to end.
+
+        Args:
+            name: name of the beam.
+        """
+        found, element = [], self.length / self.segments
+        for i in range(self.segments):
+            kinds = self._kinds[:: -1 if i % 2 else 1]
+            for j, kind in enumerate(kinds):
+                place = element * (i + 0.5 + APART * (j - (len(kinds) - 1) / 2))
+                found.append(Hinge(f"{name} {HINGES[kind][0]} {i + 1}", kind, place))
+        return tuple(found)
+
+    def ends(self) -> list[float]:
+        """Where pieces begin and end along the beam [m]."""
+        return [0.0, *(hinge.place for hinge in self.hinges("")), self.length]
+
+    def piece(self, index: int) -> Body:
+        """A rigid piece, whose frame lies at its start.
+
+        Args:
+            index: which one, an integer from 0.
+        """
+        start, end = self.ends()[index : index + 2]
+        size = end - start
+        mass, about_y, about_z = self.section.inertia(self.density)
+        slender = mass * size**3 / 12
+        across = (about_y * size + slender, about_z * size + slender)
+        inertia = ((about_y + about_z) * size, *across) if self.space else across[1]
+        return Body(mass * size, inertia, (0.5 * size, 0.0))
+
+    # What is asked of it as of the body that its first piece is.
+    mass = property(lambda self: self.piece(0).mass)
+    inertia = property(lambda self: self.piece(0).inertia)
+    com = property(lambda self: self.piece(0).com)
+
+    def inertia_matrix(self) -> Any:
+        """Of its first piece [kg m^2]."""
+        return self.piece(0).inertia_matrix()
+
+    def springs(self) -> dict[str, tuple[Scalar, Scalar]]:
+        """By kind of hinge: stiffness [N m/rad, N/m] and damping [N m s/rad, N s/m]."""
+        element, rigidity = self.length / self.segments, self.section.rigidity(self.material)
+        delay: Any = 0
+        if self.damping is not None:
+            mass = self.section.inertia(self.density)[0]
+            first = (np.pi / self.length) ** 2 * jnp.sqrt(rigidity.bend_z / mass)
+            delay = 2 * self.damping / first
+        stiffness = {kind: getattr(rigidity, kind) / element for kind in self._kinds}
+        return {kind: (own, sp.mul(delay, own)) for kind, own in stiffness.items()}
+
+
+class Piece(AbstractQuantified):
+    """A further rigid piece of a beam: what stands in a mechanism's bodies, without numbers of its
+    own."""
+
+    beam: str = eqx.field(static=True)
+    index: int = eqx.field(static=True)
+
+
+class Elasticity(AbstractStateLoad):
+    """The springs and dampers in the hinges of a beam, which reads its numbers of the mechanism."""
+
+    name: str = eqx.field(static=True)
+    hinges: tuple[Hinge, ...] = eqx.field(static=True)
+    springs: dict[str, tuple] | None = None
+
+    def of_bodies(self, bodies: Mapping[str, Any]) -> "Elasticity":
+        """With stiffness and damping of each kind of hinge, by the numbers of its beam."""
+        return Elasticity(self.name, self.hinges, bodies[self.name].springs())
+
+    def coordinates(self):
+        return tuple(hinge.joint for hinge in self.hinges)
+
+    def states(self):
+        return ()
+
+    def resistance(self):
+        return [(self.springs or {})[hinge.kind] for hinge in self.hinges]
+
+    def effect(self, time, positions, speeds, states):
+        each = list(zip(self.resistance(), positions, speeds, strict=True))
+        forces = tuple(sp.neg(sp.add(k * q, sp.mul(d, v))) for (k, d), q, v in each)
+        stored = sum(0.5 * k * q * q for (k, _), q, _ in each)
+        lost = sp.total(sp.mul(d, v * v) for (_, d), _, v in each)
+        return CoordinateEffect(forces, (), stored, lost, 0)
+
+
+def beam_of(bodies: dict[str, Any], name: str) -> str:
+    """The name of the beam of which a body is a piece; that of the body elsewhere."""
+    body = dict.__getitem__(bodies, name)
+    return body.beam if isinstance(body, Piece) else name
+
+
+def parts_of_beams(loads: Mapping[str, Any]) -> tuple[str, ...]:
+    """The names of hinges of beams and of their elasticity in a mechanism under these loads."""
+    elastic = {name: own for name, own in loads.items() if isinstance(own, Elasticity)}
+    return (*elastic, *(joint for own in elastic.values() for joint in own.coordinates()))
+
+
+def piece_name(beam: str, index: int) -> str:
+    """The name of a piece, from 0."""
+    return beam if index == 0 else f"{beam} {index + 1}"
+
+
+def with_pieces(
+    bodies: dict[str, Any], connections: dict[str, Any], loads: dict[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """Bodies, connections and loads of a mechanism in which beams are pieces, hinges and their
+    elasticity, and markers lie on pieces; those that are already stay."""
+    beams = {n: own for n, own in bodies.items() if isinstance(own, Beam)}
+    fresh = {n: own for n, own in beams.items() if f"{n} elasticity" not in loads}
+    for name, beam in beams.items():
+        load = loads.get(f"{name} elasticity")
+        if load is not None and load.hinges != beam.hinges(name):
+            raise ValueError(
+                f'the beam "{name}" has another length or other hinges than the one in whose place '
+                "it is put; build the mechanism anew."
+            )
+    moved = [
+        {
+            n: jax.tree.map(
+                lambda x: on_piece(beams, x), own, is_leaf=lambda x: isinstance(x, Marker)
+            )
+            for n, own in part.items()
+        }
+        for part in ((connections, loads) if beams else ())
+    ]
+    if not fresh:
+        return bodies, *(moved or (connections, loads))
+    bodies, connections, loads = dict(bodies), *moved
+    for name, beam in fresh.items():
+        hinges, ends = beam.hinges(name), beam.ends()
+        for i, hinge in enumerate(hinges):
+            after, (_, joint, axis) = piece_name(name, i + 1), HINGES[hinge.kind]
+            for new, taken in ((after, bodies), (hinge.joint, connections)):
+                if new in taken:
+                    raise ValueError(f'"{new}" is a part of the beam "{name}"; name it otherwise.')
+            bodies[after] = Piece(name, i + 1)
+            parent = Marker(piece_name(name, i), (ends[i + 1] - ends[i], 0.0), axis)
+            connections[hinge.joint] = Connection(joint, parent, Marker(after, axis=axis))
+        loads[f"{name} elasticity"] = Elasticity(name, hinges)
+    return bodies, connections, loads
+
+
+def on_piece(bodies: Mapping[str, Any], part: Any) -> Any:
+    """A marker on a beam of these bodies as one on the piece where it lies; anything else as it
+    is."""
+    beam = bodies.get(part.body) if isinstance(part, Marker) else None
+    if not isinstance(beam, Beam) or part.at is None:
+        return part
+    ends, place = beam.ends(), concrete(part.at[0])
+    if place is None or not -1e-9 <= place / ends[-1] <= 1 + 1e-9:
+        raise ValueError(
+            f'a marker on the beam "{part.body}" lies at x = {part.at[0]} m; it must be a number '
+            f"from 0 to its length {ends[-1]:g} m."
+        )
+    index = int(np.searchsorted(ends[1:-1], place))
+    if not index:
+        return part
+    at = (part.at[0] - ends[index], *part.at[1:])
+    return with_fields(part, body=piece_name(part.body, index), at=at)
