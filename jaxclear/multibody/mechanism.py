@@ -364,7 +364,7 @@ class Mechanism(AbstractQuantified):
         connections = exchanged(self.connections, self.bodies, name, joint)
         start = dict(self.given)
         start["guess"], start["speeds"] = told_for_start(
-            self.topology, connections, self.bodies, name, start
+            self.topology, connections, self.bodies, name, start, parts_of_beams(self.loads)
         )
         loads = self.loads
         if drive_of(self.connections[name].joint) is None and drive_of(connections[name].joint):
@@ -407,7 +407,8 @@ class Mechanism(AbstractQuantified):
             ValueError: for None and a name that does not exist.
         """
         if load is None:
-            check_name("load", name, self.loads, " in this mechanism")
+            removable = [n for n in self.loads if n not in parts_of_beams(self.loads)]
+            check_name("load", name, removable, " in this mechanism")
             return self.with_loads({n: own for n, own in self.loads.items() if n != name})
         return self.with_loads(self.loads | {name: load})
 
