@@ -76,7 +76,8 @@ class Wearing(AbstractQuantified):
             follows the radius as worn at the contact, not as made.
         updates: largest number of updates of the surface in a run, a count, >= 1; None: no bound.
             With a bound a depth may be wrong by more than the estimate.
-        coarseness: number of cells side by side that are one [1], 1 or 2: companion runs take 2.
+        coarseness: number of cells side by side that are one [1], >= 1 and <= 2; companion runs
+            take 2.
 
     Raises:
         ValueError: for fewer than 4 cells around or 1 along.
@@ -153,7 +154,14 @@ class AbstractWearMap(AbstractQuantified):
         return mean_along(around)
 
     def deepest(self, depth: Float[Array, "around along"]) -> Array:
-        """Depth [m] of the deepest place, where cells have these depths [m] in the mean."""
+        """Depth of the deepest place, from the mean depths of the cells.
+
+        Args:
+            depth: mean worn depth of each cell [m], an array (around, along).
+
+        Returns:
+            the depth [m].
+        """
         return jnp.max(depth)
 
     @abstractmethod

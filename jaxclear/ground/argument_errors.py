@@ -207,6 +207,20 @@ def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
     return f"{name} needs {listed(missing)}; {takes}."
 
 
+def imported_names(namespace: dict[str, Any], *further: str) -> list[str]:
+    """What a package offers: the classes and functions of jaxclear that its `__init__` imports, and
+    `further` names."""
+    return sorted(
+        name
+        for name, value in namespace.items()
+        if (
+            getattr(value, "__module__", "").startswith("jaxclear.")
+            and value not in (imported_names, nothing_else)
+        )
+        or name in further
+    )
+
+
 def nothing_else(
     module: str, offered: list[str]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:

@@ -88,12 +88,12 @@ class PositionExperiment(AbstractExperiment):
         scene = self.scene.of(mechanism)
         return both(scene, self.position, self.starts, self.way, self.both_ways, self.others)
 
-    def positions(self, setting: Setting) -> Positions:
+    def _positions(self, setting: Setting) -> Positions:
         """The mechanism of one setting at all positions; pure."""
         return self._at(setting(self.mechanism))
 
     def evaluate(self, setting, *, discrete_derivatives=False):
-        found = self.positions(setting)
+        found = self._positions(setting)
         ok = jnp.all(found.found)
         if found.other is not None:
             ok &= jnp.all(found.other.found)
@@ -107,7 +107,7 @@ class PositionExperiment(AbstractExperiment):
 
     def detail(self, setting, index, chunk) -> Positions:
         """The mechanism of one sample at all positions."""
-        return sample_of_chunk(self.positions, setting, index, chunk)
+        return sample_of_chunk(self._positions, setting, index, chunk)
 
     def describe(self):
         many = len(self.position)

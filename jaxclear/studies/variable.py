@@ -106,24 +106,24 @@ class Variable(AbstractMechanismVariable):
     def leaves(self, mechanism):
         return jax.tree.leaves(self.where(mechanism))
 
-    def nominal_in(self, mechanism):
-        return self.leaves(mechanism)[0]
+    def nominal_in(self, subject):
+        return self.leaves(subject)[0]
 
-    def unit_in(self, mechanism):
-        first = self.leaves(mechanism)[0]
-        return next((unit for _, leaf, _, unit in own_numbers(mechanism) if leaf is first), "1")
+    def unit_in(self, subject):
+        first = self.leaves(subject)[0]
+        return next((unit for _, leaf, _, unit in own_numbers(subject) if leaf is first), "1")
 
-    def put(self, name, mechanism, value):
+    def put(self, name, subject, value):
         # Leaves that vary together move by the same amount.
-        old = self.leaves(mechanism)
+        old = self.leaves(subject)
         new = [leaf + (value - old[0]) for leaf in old]
-        return eqx.tree_at(self.leaves, mechanism, new)
+        return eqx.tree_at(self.leaves, subject, new)
 
-    def followed(self, mechanism, value):
+    def followed(self, subject, value):
         for where, found in self.derived:
             leaves = lambda own: jax.tree.leaves(where(own))
-            mechanism = eqx.tree_at(leaves, mechanism, [jnp.asarray(found(mechanism), float)])
-        return mechanism
+            subject = eqx.tree_at(leaves, subject, [jnp.asarray(found(subject), float)])
+        return subject
 
     def check(self, name, mechanism):
         _check_place(name, self.where, mechanism)
@@ -132,10 +132,10 @@ class Variable(AbstractMechanismVariable):
             if any(leaf is one for one in own) and not is_traced((leaf, self.distribution)):
                 _warn_of_lost(name, self.distribution, leaf, (path, metadata, unit))
 
-    def told(self, name, mechanism):
-        leaves = jax.tree_util.tree_leaves_with_path(mechanism)
+    def told(self, name, subject):
+        leaves = jax.tree_util.tree_leaves_with_path(subject)
         known = {id(leaf): jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves}
-        places = ", ".join(known[id(leaf)] for leaf in self.leaves(mechanism))
+        places = ", ".join(known[id(leaf)] for leaf in self.leaves(subject))
         derived = {f'what "{name}" derives': self.derived} if self.derived else {}
         return {f'what "{name}" points at': places} | derived
 
@@ -249,17 +249,17 @@ class Condition(AbstractMechanismVariable):
     def leaves(self, mechanism):
         return []
 
-    def nominal_in(self, mechanism):
+    def nominal_in(self, subject):
         return self.nominal
 
-    def unit_in(self, mechanism):
+    def unit_in(self, subject):
         return self.unit
 
-    def put(self, name, mechanism, value):
-        return mechanism
+    def put(self, name, subject, value):
+        return subject
 
-    def followed(self, mechanism, value):
-        return self.acts(mechanism, value)
+    def followed(self, subject, value):
+        return self.acts(subject, value)
 
     def check(self, name, mechanism):
         found = self.acts(mechanism, self.nominal)
@@ -270,7 +270,7 @@ class Condition(AbstractMechanismVariable):
                 "change numbers only, as with equinox.tree_at."
             )
 
-    def told(self, name, mechanism):
+    def told(self, name, subject):
         return {f'what "{name}" does': self.acts, f'nominal of "{name}"': self.nominal}
 
 

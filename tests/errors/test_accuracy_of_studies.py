@@ -54,7 +54,7 @@ def test_numbers_are_in_units_and_by_name(exact):
 
 def test_a_study_tells_why_its_steps_are_as_they_are(asked):
     """And all of its samples take them."""
-    assert asked.remark() == asked.why_integrator
+    assert asked.description.remark == asked.why_integrator
     assert len(asked.why_integrator.split()) <= 25
     step = float(asked.integrator.step)
     assert f"ImplicitStep(step={step:.9g}, rebound=1)" in asked.why_integrator
@@ -94,6 +94,7 @@ def test_a_guess_that_takes_many_steps_is_replaced_by_a_choice(monkeypatch):
 
 def test_a_study_is_held_to_what_was_asked(asked):
     """Replicas of its samples are beside a share of the root mean square."""
-    assert asked.promised("force", 500.0) == 5.0
+    assert asked.description.responses["force"].promised(500.0) == 5.0
     units = problem(accuracy={"force": 5.0})
-    assert units.promised("force", 500.0) == 5.0 and units.promised("wear", 1.0) is None
+    known = units.description.responses
+    assert known["force"].promised(500.0) == 5.0 and known["wear"].promised(1.0) is None

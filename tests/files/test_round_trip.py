@@ -384,7 +384,7 @@ def test_a_scene_over_positions_asks_the_same_after_it_was_written(ending, tmp_p
     one, other = scene.problem(), again.problem()
     assert isinstance(one.experiment, PositionExperiment)
     assert in_texts(other) == in_texts(one)
-    stood = one.positions(one.nominal())
+    stood = one.detail(one.nominal())
     np.testing.assert_array_equal(again.stand().body("coupler").com, stood.body("coupler").com)
 
 

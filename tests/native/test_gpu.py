@@ -55,7 +55,9 @@ def runs(mechanism, integrator, duration=1e-3):
     problem = question(mechanism, integrator, duration)
     spread = np.linspace(-1e-6, 1e-6, SAMPLES)[:, None]
     values = jnp.asarray(np.asarray(problem.nominal()) + spread)
-    return jax.device_get(jax.jit(jax.vmap(lambda value: problem._simulated(value)))(values))
+    return jax.device_get(
+        jax.jit(jax.vmap(lambda value: problem.started(problem.setting(value))[2]))(values)
+    )
 
 
 def scenes_and_rungs():
@@ -325,7 +327,7 @@ needs_ptxas = pytest.mark.skipif(
 def programs_of(scene, rung, built):
     problem = question(scene, RUNGS[rung], 1e-3)
     values = jnp.asarray(np.asarray(problem.nominal())[None])
-    jax.jit(jax.vmap(lambda value: problem._simulated(value))).lower(values)
+    jax.jit(jax.vmap(lambda value: problem.started(problem.setting(value))[2])).lower(values)
     return built
 
 

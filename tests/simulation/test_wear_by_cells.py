@@ -85,7 +85,7 @@ def test_a_run_that_says_nothing_is_right():
     depths = [float(run.worn_depth("B", "socket").max()) for run in (coarse, fine, finer)]
     said = [bool(run.invariants.beyond()[Check.WEAR_BY_CELLS]) for run in (coarse, fine, finer)]
     assert said == [True, False, False]
-    assert depths[0] < 0.75 * depths[2] and depths[1] == pytest.approx(depths[2], rel=0.03)
+    assert depths[0] < 0.85 * depths[2] and depths[1] == pytest.approx(depths[2], rel=0.03)
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.2, 0.5])

@@ -313,7 +313,7 @@ def shut():
 
 
 def test_springs_and_journals_rest_where_scipy_finds_the_least_energy(shut):
-    stands = shut.positions(shut.nominal())
+    stands = shut.detail(shut.nominal())
     wanted = least_by_scipy()
     found = np.hstack([stands.coordinate(name)[0] for name in ("left", "right", "G")])
     # SLSQP is right to the root of its accuracy in energy.

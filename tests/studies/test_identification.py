@@ -127,14 +127,14 @@ def test_a_number_chooses_the_law():
     joint = B(found.mechanism)
     for number, name in enumerate(found.names[laws.DISSIPATION]):
         variable = found.variables[laws.DISSIPATION]
-        chosen = B(variable.put(found.mechanism, float(number))).contact
+        chosen = B(variable.put("law", found.mechanism, float(number))).contact
         law = getattr(LOSS, name)(restitution=chosen.restitution)
         assert float(chosen.dissipation.relative_damping(0.1, 0.2)) == pytest.approx(
             float(law.relative_damping(0.1, 0.2)), rel=1e-12
         )
     for number, name in enumerate(found.names[laws.FRICTION]):
         variable = found.variables[laws.FRICTION]
-        chosen = B(variable.put(found.mechanism, float(number))).friction
+        chosen = B(variable.put("law", found.mechanism, float(number))).friction
         law = getattr(jc.friction, name)(mu_kinetic=0.03)
         assert float(chosen.coefficient(1.0)) == pytest.approx(float(law.coefficient(1.0)))
     # Where an unknown stood it still stands.

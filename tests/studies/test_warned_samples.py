@@ -238,7 +238,7 @@ def test_shapley_effects_surface_and_what_corrects_it(problem, share):
 @pytest.mark.slow
 def test_the_worst_case_tells_whose_run_warns(problem):
     found = jc.worst_case(problem, samples=32)
-    drift = lambda values: problem.rerun(np.asarray(values), 0, 1).warnings
+    drift = lambda values: problem.detail(np.asarray(values)).warnings
     for end, one in (("least", found.least), ("largest", found.largest)):
         said = f'The run of the {end} "slider" warns (loop drift).'
         assert (said in found.warnings) == bool(drift(one["slider"].values))

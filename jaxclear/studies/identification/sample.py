@@ -8,13 +8,16 @@ numbers of the instruments, needs no run.
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import listed
 from jaxclear.integrators import NonColliding, Outcome
 from jaxclear.results.signal import Signal, by_turns, full_turns
+from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.identification.laws import Ensemble
 from jaxclear.studies.identification.measurement import Measurement
 from jaxclear.studies.problem import Problem
@@ -134,6 +137,13 @@ def check_window(problem: Problem, record: Measurement) -> None:
         )
 
 
+@eqx.filter_jit
+def _signals_of_chunk(problem: Problem, values: Array) -> SampleResult:
+    """Outcomes of a chunk of samples, whose responses are signals: a store keeps them as they
+    are."""
+    return jax.vmap(problem.evaluate)(values)
+
+
 def sampled(
     problem: Problem,
     record: Measurement,
@@ -149,7 +159,12 @@ def sampled(
     values = drawing.span(0, runs)
     chunk = chunk_size(asked, runs)
     found = evaluate_all(
-        asked, jnp.asarray(values), chunk=chunk, progress_bar=progress_bar, label="identify"
+        asked,
+        jnp.asarray(values),
+        chunk=chunk,
+        progress_bar=progress_bar,
+        label="identify",
+        function=_signals_of_chunk,
     )
     signals = {name: np.asarray(found.responses[_response(name)]) for name in record.sensors}
     good = np.asarray(found.outcome) == Outcome.REACHED
