@@ -268,7 +268,10 @@ def with_pieces(
             (loads, elasticity),
         ):
             for n, own in new.items():
-                if jax.tree.structure(parts.setdefault(n, own)) != jax.tree.structure(own):
+                built: tuple[Any, Any] = jax.tree.structure(
+                    (parts.setdefault(n, own), own)
+                ).children()
+                if built[0] != built[1]:
                     raise ValueError(
                         f'"{n}" is a part of the beam "{name}", which makes it itself: leave it '
                         "as it is or out, or give yours another name."

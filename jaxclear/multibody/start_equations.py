@@ -222,7 +222,7 @@ def speed_blocks(asked: Ask, q: Array, v: Array, time: Any) -> list[Block]:
     blocks = [_closure_block(asked, motions, n, c, LOOP, True) for n, c in _loops(asked)]
     fast = asked.mechanism.given["speeds"]
     still = _straight(asked, "speeds")
-    later = []
+    later: list[Block] = []
     for name, values in (fast | still).items():
         where = given.source(asked.mechanism, asked.system, name)
         found = given.speed_equations(asked.system, motions, own_q, own_v, where, values)
