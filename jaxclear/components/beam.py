@@ -118,9 +118,9 @@ class Beam(AbstractQuantified):
         """
         found, element = [], self.length / self.segments
         for i in range(self.segments):
-            kinds = self._kinds[:: -1 if i % 2 else 1]
-            for j, kind in enumerate(kinds):
-                place = element * (i + 0.5 + APART * (j - (len(kinds) - 1) / 2))
+            side = -1 if i % 2 else 1
+            for j, kind in list(enumerate(self._kinds, -(len(self._kinds) // 2)))[::side]:
+                place = element * (i + 0.5 + APART * side * j)
                 found.append(Hinge(f"{name} {HINGES[kind][0]} {i + 1}", kind, place))
         return tuple(found)
 
@@ -268,10 +268,9 @@ def with_pieces(
             (loads, elasticity),
         ):
             for n, own in new.items():
-                built: tuple[Any, Any] = jax.tree.structure(
-                    (parts.setdefault(n, own), own)
-                ).children()
-                if built[0] != built[1]:
+                both: tuple = parts.setdefault(n, own), own
+                structures: list[Any] = [jax.tree.structure(x) for x in both]
+                if structures[0] != structures[1]:
                     raise ValueError(
                         f'"{n}" is a part of the beam "{name}", which makes it itself: leave it '
                         "as it is or out, or give yours another name."
