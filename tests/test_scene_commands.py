@@ -214,7 +214,7 @@ def checked_page(path):
 def test_a_run_of_a_scene_is_kept_and_reported(here, capsys):
     main(["run", "scene.yaml", "--out", "first", "--duration", "0.01", "--quiet"])
     printed = capsys.readouterr().out
-    assert "The run reached its end." in printed and "normal force" in printed
+    assert "The run reached its end." in printed and "mean normal" in printed
     again = jc.simulate(
         pendulum().mechanism, 0.01, save=41, integrator=jc.integrator.FixedStep(2e-5)
     )

@@ -6,36 +6,23 @@ ended. `FrictionContact` (a step through rigid contact) is solved by `ProjectedG
 linear problems to z w = kappa and so has smooth derivatives.
 """
 
-from jaxclear.complementarity.friction_contact import FrictionContact
-from jaxclear.complementarity.interior_point import InteriorPoint
-from jaxclear.complementarity.joint_friction import BoxedGaussSeidel, JointFriction
-from jaxclear.complementarity.problem import (
-    LCP,
-    AbstractLinearProblem,
-    AbstractProblem,
-    AbstractSolver,
-    HorizontalLCP,
-    Outcome,
-    Solution,
-    natural_residual,
+from jaxclear.complementarity.friction_contact import FrictionContact as FrictionContact
+from jaxclear.complementarity.interior_point import InteriorPoint as InteriorPoint
+from jaxclear.complementarity.joint_friction import BoxedGaussSeidel as BoxedGaussSeidel
+from jaxclear.complementarity.joint_friction import JointFriction as JointFriction
+from jaxclear.complementarity.problem import LCP as LCP
+from jaxclear.complementarity.problem import AbstractLinearProblem as AbstractLinearProblem
+from jaxclear.complementarity.problem import AbstractProblem as AbstractProblem
+from jaxclear.complementarity.problem import AbstractSolver as AbstractSolver
+from jaxclear.complementarity.problem import HorizontalLCP as HorizontalLCP
+from jaxclear.complementarity.problem import Outcome as Outcome
+from jaxclear.complementarity.problem import Solution as Solution
+from jaxclear.complementarity.problem import natural_residual as natural_residual
+from jaxclear.complementarity.projected_gauss_seidel import Iterate as Iterate
+from jaxclear.complementarity.projected_gauss_seidel import (
+    ProjectedGaussSeidel as ProjectedGaussSeidel,
 )
-from jaxclear.complementarity.projected_gauss_seidel import Iterate, ProjectedGaussSeidel
-from jaxclear.ground.argument_errors import nothing_else
+from jaxclear.ground.argument_errors import imported_names, nothing_else
 
-__all__ = [
-    "LCP",
-    "AbstractLinearProblem",
-    "AbstractProblem",
-    "AbstractSolver",
-    "BoxedGaussSeidel",
-    "FrictionContact",
-    "HorizontalLCP",
-    "InteriorPoint",
-    "Iterate",
-    "JointFriction",
-    "Outcome",
-    "ProjectedGaussSeidel",
-    "Solution",
-    "natural_residual",
-]
+__all__ = imported_names(globals())
 __getattr__, __dir__ = nothing_else("jaxclear.complementarity", __all__)

@@ -40,12 +40,6 @@ REMOVED = {
         "derive from jaxclear.AbstractExperiment, and write jaxclear.Problem.of(experiment, "
         "variables)"
     ),
-    "jaxclear.conformal": "write jaxclear.contact",
-    "jaxclear.LifeEnd": "give any function of a life as a response",
-    "jaxclear.distribution.Beta": "write FromScipy(scipy.stats.beta(a, b, low, high - low))",
-} | {
-    f"jaxclear.cost.{name}": "give the cost as a function of (nominal, tolerance)"
-    for name in ("Exponential", "ReciprocalExponential", "ReciprocalPower", "ReciprocalSquared")
 }
 # Names that have changed, by the old ones; these work for one version and warn.
 RENAMED = {
@@ -205,6 +199,20 @@ def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
     needed = [p.name for p in parameters.values() if p.default is p.empty and p.kind in KEYWORDS]
     missing = [one for one in needed if one not in {*ordered[: len(args)], *kwargs}]
     return f"{name} needs {listed(missing)}; {takes}."
+
+
+def imported_names(namespace: dict[str, Any], *further: str) -> list[str]:
+    """What a package offers: the classes and functions of jaxclear that its `__init__` imports, and
+    `further` names."""
+    return sorted(
+        name
+        for name, value in namespace.items()
+        if (
+            getattr(value, "__module__", "").startswith("jaxclear.")
+            and value not in (imported_names, nothing_else)
+        )
+        or name in further
+    )
 
 
 def nothing_else(

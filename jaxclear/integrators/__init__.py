@@ -7,28 +7,19 @@ contacts. `MuntheKaas` is a solver for `Adaptive` that keeps rotations on their 
 your own derives from `AbstractIntegrator`.
 """
 
-from jaxclear.ground.argument_errors import nothing_else
-from jaxclear.integrators.adaptive import Adaptive
-from jaxclear.integrators.base import AbstractIntegrator, Advance, Interval
-from jaxclear.integrators.checks import Outcome
-from jaxclear.integrators.fixed_step import FixedStep
-from jaxclear.integrators.implicit_step import ImplicitStep
-from jaxclear.integrators.moreau_jean import MoreauJean
-from jaxclear.integrators.munthe_kaas import AbstractGroup, GroupTerm, MuntheKaas
-from jaxclear.integrators.non_colliding import NonColliding
+from jaxclear.ground.argument_errors import imported_names, nothing_else
+from jaxclear.integrators.adaptive import Adaptive as Adaptive
+from jaxclear.integrators.base import AbstractIntegrator as AbstractIntegrator
+from jaxclear.integrators.base import Advance as Advance
+from jaxclear.integrators.base import Interval as Interval
+from jaxclear.integrators.checks import Outcome as Outcome
+from jaxclear.integrators.fixed_step import FixedStep as FixedStep
+from jaxclear.integrators.implicit_step import ImplicitStep as ImplicitStep
+from jaxclear.integrators.moreau_jean import MoreauJean as MoreauJean
+from jaxclear.integrators.munthe_kaas import AbstractGroup as AbstractGroup
+from jaxclear.integrators.munthe_kaas import GroupTerm as GroupTerm
+from jaxclear.integrators.munthe_kaas import MuntheKaas as MuntheKaas
+from jaxclear.integrators.non_colliding import NonColliding as NonColliding
 
-__all__ = [
-    "AbstractGroup",
-    "AbstractIntegrator",
-    "Adaptive",
-    "Advance",
-    "FixedStep",
-    "GroupTerm",
-    "ImplicitStep",
-    "Interval",
-    "MoreauJean",
-    "MuntheKaas",
-    "NonColliding",
-    "Outcome",
-]
+__all__ = imported_names(globals())
 __getattr__, __dir__ = nothing_else("jaxclear.integrator", __all__)

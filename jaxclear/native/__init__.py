@@ -68,43 +68,29 @@ To add a rule: write the function in the file of its subject, decorate it with `
 give it a case in tests/native/test_rules.py.
 """
 
-from jaxclear.native.derivative_rules import by_columns, forwards_only
-from jaxclear.native.loop import has_kernels
-from jaxclear.native.program import size_of
-from jaxclear.native.rows import (
-    compiled_sooner,
-    in_one,
-    one_by_one,
-    one_row,
-    over_rows,
-    through_rows,
-)
-from jaxclear.native.stopping import stop, stoppable, stops
-from jaxclear.native.verdicts import NoKernel, calls_lapack, explain, only_kernels, verdict
-from jaxclear.native.while_loops import Kept, once, scan, while_loop, with_fast_loops
+from jaxclear.ground.argument_errors import imported_names
+from jaxclear.native.derivative_rules import by_columns as by_columns
+from jaxclear.native.derivative_rules import forwards_only as forwards_only
+from jaxclear.native.loop import has_kernels as has_kernels
+from jaxclear.native.program import size_of as size_of
+from jaxclear.native.rows import compiled_sooner as compiled_sooner
+from jaxclear.native.rows import in_one as in_one
+from jaxclear.native.rows import one_by_one as one_by_one
+from jaxclear.native.rows import one_row as one_row
+from jaxclear.native.rows import over_rows as over_rows
+from jaxclear.native.rows import through_rows as through_rows
+from jaxclear.native.stopping import stop as stop
+from jaxclear.native.stopping import stoppable as stoppable
+from jaxclear.native.stopping import stops as stops
+from jaxclear.native.verdicts import NoKernel as NoKernel
+from jaxclear.native.verdicts import calls_lapack as calls_lapack
+from jaxclear.native.verdicts import explain as explain
+from jaxclear.native.verdicts import only_kernels as only_kernels
+from jaxclear.native.verdicts import verdict as verdict
+from jaxclear.native.while_loops import Kept as Kept
+from jaxclear.native.while_loops import once as once
+from jaxclear.native.while_loops import scan as scan
+from jaxclear.native.while_loops import while_loop as while_loop
+from jaxclear.native.while_loops import with_fast_loops as with_fast_loops
 
-__all__ = [
-    "Kept",
-    "NoKernel",
-    "by_columns",
-    "calls_lapack",
-    "compiled_sooner",
-    "explain",
-    "forwards_only",
-    "has_kernels",
-    "in_one",
-    "once",
-    "one_by_one",
-    "one_row",
-    "only_kernels",
-    "over_rows",
-    "scan",
-    "size_of",
-    "stop",
-    "stoppable",
-    "stops",
-    "through_rows",
-    "verdict",
-    "while_loop",
-    "with_fast_loops",
-]
+__all__ = imported_names(globals())

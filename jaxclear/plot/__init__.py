@@ -3,77 +3,45 @@ neither shows nor saves it; given axes as `ax`, it draws in them and returns the
 a page of a run that moves.
 """
 
-from jaxclear.ground.argument_errors import nothing_else
-from jaxclear.plot.animation import animate
-from jaxclear.plot.identification import identification, remaining_life
-from jaxclear.plot.life import design, design_front, settled, wear_life, wear_lives
-from jaxclear.plot.motion import (
-    angular_velocity,
-    displacement,
-    end_centres,
-    hysteresis,
-    journal_ends,
-    journal_orbit,
-    modes,
-    pointing_budget,
-)
-from jaxclear.plot.overview import overview, positions, result
-from jaxclear.plot.signal import bifurcation, phase_portrait, poincare_section, spectrum
-from jaxclear.plot.studies import (
-    corrected,
-    error_budget,
-    monte_carlo,
-    multi_fidelity,
-    reliability,
-    screening,
-    sensitivity,
-    shapley_effects,
-    sobol_indices,
-    surface,
-    sweep,
-    work_precision,
-    worst_case,
-)
-from jaxclear.plot.wear import wear_surface, wear_unrolled
+from jaxclear.ground.argument_errors import imported_names, nothing_else
+from jaxclear.plot.animation import animate as animate
+from jaxclear.plot.identification import identification as identification
+from jaxclear.plot.identification import remaining_life as remaining_life
+from jaxclear.plot.life import design as design
+from jaxclear.plot.life import design_front as design_front
+from jaxclear.plot.life import settled as settled
+from jaxclear.plot.life import wear_life as wear_life
+from jaxclear.plot.life import wear_lives as wear_lives
+from jaxclear.plot.motion import angular_velocity as angular_velocity
+from jaxclear.plot.motion import displacement as displacement
+from jaxclear.plot.motion import end_centres as end_centres
+from jaxclear.plot.motion import hysteresis as hysteresis
+from jaxclear.plot.motion import journal_ends as journal_ends
+from jaxclear.plot.motion import journal_orbit as journal_orbit
+from jaxclear.plot.motion import modes as modes
+from jaxclear.plot.motion import pointing_budget as pointing_budget
+from jaxclear.plot.overview import overview as overview
+from jaxclear.plot.overview import positions as positions
+from jaxclear.plot.overview import result as result
+from jaxclear.plot.signal import bifurcation as bifurcation
+from jaxclear.plot.signal import phase_portrait as phase_portrait
+from jaxclear.plot.signal import poincare_section as poincare_section
+from jaxclear.plot.signal import spectrum as spectrum
+from jaxclear.plot.studies import corrected as corrected
+from jaxclear.plot.studies import error_budget as error_budget
+from jaxclear.plot.studies import monte_carlo as monte_carlo
+from jaxclear.plot.studies import multi_fidelity as multi_fidelity
+from jaxclear.plot.studies import reliability as reliability
+from jaxclear.plot.studies import screening as screening
+from jaxclear.plot.studies import sensitivity as sensitivity
+from jaxclear.plot.studies import shapley_effects as shapley_effects
+from jaxclear.plot.studies import sobol_indices as sobol_indices
+from jaxclear.plot.studies import surface as surface
+from jaxclear.plot.studies import sweep as sweep
+from jaxclear.plot.studies import work_precision as work_precision
+from jaxclear.plot.studies import worst_case as worst_case
+from jaxclear.plot.wear import wear_surface as wear_surface
+from jaxclear.plot.wear import wear_unrolled as wear_unrolled
 
-__all__ = [
-    "angular_velocity",
-    "animate",
-    "bifurcation",
-    "corrected",
-    "design",
-    "design_front",
-    "displacement",
-    "end_centres",
-    "error_budget",
-    "hysteresis",
-    "identification",
-    "journal_ends",
-    "journal_orbit",
-    "modes",
-    "monte_carlo",
-    "multi_fidelity",
-    "overview",
-    "phase_portrait",
-    "poincare_section",
-    "pointing_budget",
-    "positions",
-    "reliability",
-    "remaining_life",
-    "result",
-    "screening",
-    "sensitivity",
-    "settled",
-    "shapley_effects",
-    "sobol_indices",
-    "spectrum",
-    "surface",
-    "sweep",
-    "wear_life",
-    "wear_lives",
-    "wear_surface",
-    "wear_unrolled",
-    "work_precision",
-    "worst_case",
-]
+__all__ = imported_names(globals())
 __getattr__, __dir__ = nothing_else("jaxclear.plot", __all__)

@@ -80,6 +80,6 @@ def test_a_body_that_only_joins_others_is_seen_by_its_joints():
     )
     run = jc.simulate(rig, 0.01, save=2, integrator=jc.integrator.FixedStep(1e-2))
     solids = parts(run, {}, 1.0)
-    assert 0 < np.ptp(solids["between"].whole.points, axis=0).max() < 0.2
+    assert 0 < np.ptp(solids["between"].triangles.points, axis=0).max() < 0.2
     assert not len(solids["between"].solid.points)
     assert len(solids["arm"].solid.points)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from tests.rigs.worn_scar import crescent, depth_of, lost, scar
+from tests.rigs.worn_scar import TURN, crescent, depth_of, lost, scar
 
 CLEARANCE, CYCLES = 0.05e-3, 1e4
 
@@ -56,6 +56,19 @@ def test_a_tight_bushing_costs_no_more_cycles_than_a_wide_one(clearance):
     mine, theirs = (each.worn()["B"]["bearing"] for each in (life, exact))
     off = np.sqrt(np.mean((mine - theirs) ** 2) / np.mean(theirs**2))
     assert off < life.error + 1e-3
+
+
+@pytest.mark.parametrize("cells", [16, 288])
+def test_a_life_whose_scar_is_hardly_wider_than_a_cell_says_so_as_a_run_does(cells):
+    """At its end the scar is 22 degrees wide, a cell of sixteen 22.5. In a new wall, of which a run
+    of one turn tells, every scar is narrow."""
+    asked = scar(CLEARANCE, cells)
+    cycles = crescent(1e-6, CLEARANCE) / lost(CLEARANCE)
+    life = jc.wear_life(asked, cycles=cycles, accuracy=0.2)
+    how = {"save": 25, "integrator": asked.integrator, "verify": False}
+    run = jc.simulate(asked.mechanism, TURN, **how)
+    warned = [any("hardly wider than a cell" in one for one in own.warnings) for own in (life, run)]
+    assert warned == [cells == 16, True]
 
 
 @pytest.mark.slow

@@ -86,7 +86,8 @@ def test_lives_longer_than_they_are_followed_count_on_their_side_and_have_no_mea
     longer = exact > nominal
     assert 2 <= longer.sum() <= 6 and not len(found.failed)
     np.testing.assert_array_equal(np.isposinf(found.responses["life"]), longer)
-    np.testing.assert_allclose(found.responses["life"][~longer], exact[~longer], rtol=1e-4)
+    # Cells differ by 1e-4 of a turn's depth, and the deepest place between them is what counts.
+    np.testing.assert_allclose(found.responses["life"][~longer], exact[~longer], rtol=2e-4)
     assert np.all(found.responses["sure"] <= found.responses["life"])
     assert np.isfinite(found.mean("worn").value)
     within = found.share_within({"life": (0.9 * nominal, None)})

@@ -6,27 +6,16 @@ and `discrete`; `tabulated` has all of scipy's and those of samples. A new one
 is a subclass of `AbstractDistribution` with `quantile` and `deviation`.
 """
 
-from jaxclear.ground.argument_errors import nothing_else
-from jaxclear.studies.distribution.base import AbstractDistribution
-from jaxclear.studies.distribution.closed_forms import (
-    Lognormal,
-    Normal,
-    Triangular,
-    TruncatedNormal,
-    Uniform,
-)
-from jaxclear.studies.distribution.discrete import Discrete
-from jaxclear.studies.distribution.tabulated import Empirical, FromScipy
+from jaxclear.ground.argument_errors import imported_names, nothing_else
+from jaxclear.studies.distribution.base import AbstractDistribution as AbstractDistribution
+from jaxclear.studies.distribution.closed_forms import Lognormal as Lognormal
+from jaxclear.studies.distribution.closed_forms import Normal as Normal
+from jaxclear.studies.distribution.closed_forms import Triangular as Triangular
+from jaxclear.studies.distribution.closed_forms import TruncatedNormal as TruncatedNormal
+from jaxclear.studies.distribution.closed_forms import Uniform as Uniform
+from jaxclear.studies.distribution.discrete import Discrete as Discrete
+from jaxclear.studies.distribution.tabulated import Empirical as Empirical
+from jaxclear.studies.distribution.tabulated import FromScipy as FromScipy
 
-__all__ = [
-    "AbstractDistribution",
-    "Discrete",
-    "Empirical",
-    "FromScipy",
-    "Lognormal",
-    "Normal",
-    "Triangular",
-    "TruncatedNormal",
-    "Uniform",
-]
+__all__ = imported_names(globals())
 __getattr__, __dir__ = nothing_else("jaxclear.distribution", __all__)
