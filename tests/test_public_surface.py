@@ -109,7 +109,9 @@ def test_public_module_says_what_it_offers(place):
 # themselves.
 INNER = {
     "AbstractLaw",
+    "AbstractLikeIdeal",
     "AbstractSurface",
+    "AbstractThreshold",
     "AreaMap",
     "AsNeeded",
     "CylinderMap",

@@ -229,15 +229,15 @@ class JointFriction(AbstractStateLoad):
         if self.transition_speed is not None:
             force = -torque * smooth_sign(jnp.asarray(speed, float), self.transition_speed)
             return CoordinateEffect((force,), (), 0, -force * speed, 0)
-        own = holding(states[0], speed, self._yields, self._settles)
-        friction = torque * own.share
+        share, rate = holding(states[0], speed, self._yields, self._settles)
+        friction = torque * share
         if callable(self.torque):
             # What the bristle stores changes with what presses it: all counts as lost.
-            return CoordinateEffect((-friction,), (own.rate,), 0, friction * speed, 0)
+            return CoordinateEffect((-friction,), (rate,), 0, friction * speed, 0)
         elastic = jnp.clip(states[0] / self._yields, -1.0, 1.0)
         stored = 0.5 * torque * self._yields * elastic * elastic
-        wound = jnp.where(jnp.abs(elastic) < 1, torque * elastic * own.rate, 0.0)
-        return CoordinateEffect((-friction,), (own.rate,), stored, friction * speed - wound, 0)
+        wound = jnp.where(jnp.abs(elastic) < 1, torque * elastic * rate, 0.0)
+        return CoordinateEffect((-friction,), (rate,), stored, friction * speed - wound, 0)
 
     def reads_position(self):
         return False

@@ -25,7 +25,7 @@ from jaxclear.formulations.contact_rows import TimeStep, contact_points, split
 from jaxclear.formulations.impact_speed import ContactMotion, remembered
 from jaxclear.formulations.joint_friction import friction_losses, rubbing
 from jaxclear.formulations.laws_over_step import PastSlip
-from jaxclear.formulations.midpoint_step import ImplicitSettings, WarmStart
+from jaxclear.formulations.midpoint_step import WarmStart
 from jaxclear.formulations.model import Instant, Model, State
 from jaxclear.formulations.permanent_reactions import REACTION, Reaction, slips_of, touching
 from jaxclear.ground import sparse as sp
@@ -446,8 +446,8 @@ class CompliantContact(AbstractFormulation):
         motion = list(smooth), list(contact), list(depths)
         held = split(past, directions), tuple(met_before)
         last = WarmStart(*motion, *held, surplus=list(surplus))
-        settings = ImplicitSettings(bias, newton_iterations)
-        after, now = midpoint_step.step(model, time_step, model.entries(state), last, settings)
+        entries, how = model.entries(state), (bias, newton_iterations)
+        after, now = midpoint_step.step(model, time_step, entries, last, *how)
         met = [x for contact in now.slips for slip in contact for x in slip]
         met += [x for own in now.reactions for part in own for x in part]
         handed_on = [*now.smooth, *now.contact, *now.depths, *met, *now.surplus, *now.forces]

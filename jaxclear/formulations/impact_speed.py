@@ -190,23 +190,14 @@ def summit(path: tuple) -> Array:
     return jnp.clip(falling, 0.0, 1.0)
 
 
-class Flight(NamedTuple):
-    """A contact over an implicit step: its indentation [m] at the start and in the middle to which
-    the start's speeds lead, and there the rate [m/s] of the start's speeds and what half a step
-    without contact adds to it."""
-
-    depth: Scalar
-    middle: Scalar
-    approach: Scalar
-    gain: Scalar
-
-
-def taken_in_flight(speed: Scalar, flight: Flight, length: Scalar) -> Scalar:
+def taken_in_flight(speed: Scalar, flight: tuple, length: Scalar) -> Scalar:
     """Impact speed [m/s] for an implicit step of `length` [s]: as it was in contact; of a contact
     that is apart, the speed with which it would touch within the step unhindered.
 
     From the rate in the middle with the acceleration along the normal: that of the speeds, and that
-    by which the path in between is curved.
+    by which the path in between is curved. `flight`: the contact's indentation [m] at the start and
+    in the middle to which the start's speeds lead, and there the rate [m/s] of the start's speeds
+    and what half a step without contact adds to it.
     """
     depth, middle, approach, gain = flight
     mean = approach + gain

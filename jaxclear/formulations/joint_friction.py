@@ -152,19 +152,13 @@ def own_rows(loads: LoadsInStep, friction: Any) -> list:
     return [friction[first + k] for k in range(len(loads.rows))]
 
 
-class Moved(NamedTuple):
-    """Coordinates moved, in terms of speeds, and the energy [J] that this took out."""
-
-    way: list
-    lost: Any
-
-
 def moved_to_stops(
     loads: LoadsInStep, end: LoadsInStep, response: FrictionResponse, forces: list, h: Any
-) -> Moved:
+) -> tuple[list, Any]:
     """Where coordinates at the `end` of a step of length h [s] are moved, in the metric of the
     masses, so that those that rigid stops have pressed with these `forces` [N m, N] touch them; of
-    one with a stiffness as far beyond as that gives way under what presses all the time."""
+    one with a stiffness as far beyond as that gives way under what presses all the time:
+    the way in terms of speeds, and the energy [J] that this took out."""
     first = len(response.units) - len(loads.rows)
     units, rows = response.units[first:], loads.rows[: len(loads.stops)]
     free = response.without.accelerations
@@ -185,7 +179,7 @@ def moved_to_stops(
     each = list(zip([h * found[k] for k in range(len(rows))], units, strict=False))
     way = [sp.total(x * unit.accelerations[j] for x, unit in each) for j in range(len(free))]
     lost = sp.total(x * along(row, free) for (x, _), row in zip(each, rows, strict=True))
-    return Moved(way, lost)
+    return way, lost
 
 
 def regularised_friction(held, speeds, response: FrictionResponse) -> JointFriction:

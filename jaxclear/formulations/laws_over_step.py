@@ -151,15 +151,6 @@ class Averaging(NamedTuple):
         return 0.5 * (1 + self.bias) * self.length
 
 
-class Tangent(NamedTuple):
-    """A contact's laws about given rates: force along each row, and how it falls with that row's
-    rate [N s/m].
-    """
-
-    forces: tuple
-    dampings: tuple
-
-
 def mean_force(
     laws: ContactLaws, memory: PointState, averaging: Averaging, depth: Any, rate: Any
 ) -> Any:
@@ -200,9 +191,11 @@ def tangent(
     rates: tuple,
     last: tuple,
     braking: Braking | None,
-) -> Tangent:
+) -> tuple[tuple, tuple]:
     """The laws of a contact about mean rates of its rows over a step from the indentation `depth`
     on; `last`: the forces that go with these rates.
+
+    (Force along each row, and how it falls with that row's rate [N s/m].)
 
     The normal force is linear in its own row (Newton); what friction is, its law says.
     """
@@ -226,7 +219,7 @@ def tangent(
             averaging.bias,
         )
         forces, dampings = forces + rubbing, dampings + resisting
-    return Tangent(tuple(forces), tuple(dampings))
+    return tuple(forces), tuple(dampings)
 
 
 def bristles_after(

@@ -26,7 +26,7 @@ from jaxclear.formulations.contacts_over_step import (
     passive_rates_over,
 )
 from jaxclear.formulations.delassus import ContactSolution, LinearLaws, implicit_contact
-from jaxclear.formulations.impact_speed import Flight, taken_in_flight
+from jaxclear.formulations.impact_speed import taken_in_flight
 from jaxclear.formulations.laws_over_step import Averaging, PastSlip
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import Reaction
@@ -69,14 +69,6 @@ def read_by(row: JacobianRow, *vectors: Sequence[Any]) -> RowRead:
     return RowRead(tuple(row.values()), tuple(tuple(own[j] for j in row) for own in vectors))
 
 
-class ImplicitSettings(NamedTuple):
-    """How a step is made: bias of the mean forces towards the step's end, Newton iterations on the
-    contact laws."""
-
-    bias: Any
-    newton_iterations: int
-
-
 class WarmStart(NamedTuple):
     """What a step hands on to the next: free accelerations without contact, what contact adds, the
     last indentations, of each sliding direction of each contact friction and slip, the reactions of
@@ -94,11 +86,13 @@ class WarmStart(NamedTuple):
 
 
 def step(
-    model: Model, time_step: TimeStep, entries: list, last: WarmStart, settings: ImplicitSettings
+    model: Model, time_step: TimeStep, entries: list, last: WarmStart, bias: Any, iterations: int
 ) -> tuple[list, WarmStart]:
-    """Entries of the state after the step, and what it hands on; `last` is what it was handed."""
+    """Entries of the state after the step, and what it hands on; `last` is what it was handed,
+    `bias` that of the mean forces towards the step's end, `iterations` those of Newton's method on
+    the contact laws."""
     h = time_step.length
-    averaging = Averaging(h, settings.bias)
+    averaging = Averaging(h, bias)
     accelerations = sp.each(lambda a, b: a + b, last.smooth, last.contact)
     middle = contact_rows.middle_of_step(model, time_step, entries, accelerations)
     shafts, free_motion = shafts_over_step(model, middle.free_motion, middle.v, h)
@@ -108,9 +102,9 @@ def step(
     equations = implicit_contact(middle.free_motion, further)
     contacts = _contacts_at_start(model, averaging, middle, equations.free, entries, last)
     whole = Step(model, time_step, averaging, middle, contacts, equations, joints, shafts)
-    solution = _iterate(whole, last.contact, settings.newton_iterations)
+    solution = _iterate(whole, last.contact, iterations)
     free, caused = equations.free, solution.accelerations
-    halfway = lambda x, k, c: x + 0.5 * h * (k + (1 + settings.bias) * c)
+    halfway = lambda x, k, c: x + 0.5 * h * (k + (1 + bias) * c)
     mean = sp.each(halfway, middle.v, free, caused)
     q = middle.end(model, mean, h)
     v = sp.each(lambda x, k, c: x + h * (k + c), middle.v, free, caused)
@@ -131,7 +125,7 @@ def step(
     ]
     faster = [h * along(contact.point.rows[0], last.surplus) for contact in contacts]
     pressed = forces_at_start(model.system, contacts, faster)
-    faster = surplus(settings.bias, free, caused) if contacts else []
+    faster = surplus(bias, free, caused) if contacts else []
     return after, WarmStart(free, caused, depths, past, reactions, pressed, faster)
 
 
@@ -166,7 +160,7 @@ def _contacts_at_start(
         approach = sp.add(rate, normal.along(0))
         if memory.impact_speed is not None:
             gain = half * normal.along(1)
-            flight = Flight(depth, indentation, approach, gain)
+            flight = depth, indentation, approach, gain
             speed = taken_in_flight(memory.impact_speed, flight, averaging.length)
             memory = memory._replace(impact_speed=speed)
         mass = 1.0 / (normal.lightness(2) + LEAST_LIGHTNESS)
@@ -291,8 +285,8 @@ def _linear_laws(whole: Step, rates: list, forces: list) -> LinearLaws:
     )
     calls = [(laws, memory, whole.averaging, *rest) for laws, memory, *rest in parts]
     found = [tangent for joint in map_grouped(tangents, calls) for tangent in joint]
-    forces = [force for tangent in found for force in tangent.forces]
-    dampings = [damping for tangent in found for damping in tangent.dampings]
+    forces = [force for pushes, _ in found for force in pushes]
+    dampings = [damping for _, falls in found for damping in falls]
     about = list(rates[: len(forces)])
     for joint, own in zip(whole.joints, whole.per_joint(rates), strict=True):
         dampings += [damping(joint, own)] * len(own) if own else []

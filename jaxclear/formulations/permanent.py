@@ -250,14 +250,15 @@ class PermanentContact(AbstractFormulation):
             given = loads.by_load(system, own)
             gained += [h * force for force in given.values()]
             at_end = coordinates_at(model, time_step.end, [*end, *after], followed)
-            moved = moved_to_stops(loads, loads_in_step(system, at_end), response, own, h)
-            end = displace(system, end, moved.way, 1.0)
+            reached = loads_in_step(system, at_end)
+            way, taken = moved_to_stops(loads, reached, response, own, h)
+            end = displace(system, end, way, 1.0)
         if layout.energies:
             rates = _powers(model, forces, found, friction, sliding, given)
             gained += [h * rate for rate in rates]
         if loads.rows and layout.energies:
             change = [x - m for x, m in zip(mean, middle, strict=True)]
-            lost = moved.lost + h * loads.lost(own, change)
+            lost = taken + h * loads.lost(own, change)
             gained[layout.energies.index("damping_loss") - len(layout.energies)] += lost
         end = [*end, *after]
         end += [x + g for x, g in zip(entries[len(end) :], gained, strict=True)]

@@ -277,22 +277,15 @@ def _with_springs(contacts: list, delassus: DelassusOperator, impact: Percussion
     return found
 
 
-class Given(NamedTuple):
-    """What loads give whose force a step finds: forces [N m, N] by load, and the power [W] that
-    they take."""
-
-    forces: dict[str, Any]
-    lost: Any
-
-
 def _given(
     system: Any, loads: LoadsInStep, impact: Percussions, rubbed: Rubbed, change: list, h: Any
-) -> Given:
-    """What loads give in a step of length h [s] whose mean speeds differ so from the predicted
+) -> tuple[dict[str, Any], Any]:
+    """Forces [N m, N] by load, and the power [W] that they take, of loads whose force is found by a
+    step of length h [s] whose mean speeds differ so from the predicted
     ones."""
     stops = impact.by_contact[len(impact.by_contact) - len(loads.stops) :]
     forces = [*(sp.mul(1 / h, own[0]) for own in stops), *rubbed.loads]
-    return Given(loads.by_load(system, forces), loads.lost(forces, change))
+    return loads.by_load(system, forces), loads.lost(forces, change)
 
 
 def check_friction(mechanism: Mechanism, integrator: str) -> None:
@@ -320,7 +313,7 @@ def _passive(
     mean: list,
     end: Projected,
     rubbed: RubbedOver | None,
-    given: Given | None,
+    given: tuple[dict[str, Any], Any] | None,
 ) -> list:
     """Changes of what only follows the motion: angles, worn volumes, impulses, energies."""
     system, layout, h = model.system, model.layout, time_step.length
@@ -328,7 +321,7 @@ def _passive(
     by_contact = impact.by_contact[: len(free_motion.contacts)]
     impulses = [part for own in by_contact for part in own]
     impulses += [] if rubbed is None else [h * force for force in rubbed.forces]
-    impulses += [] if given is None else [h * force for force in given.forces.values()]
+    impulses += [] if given is None else [h * force for force in given[0].values()]
     if not layout.wear and not layout.energies:
         rates = followed_rates(system, layout, free_motion.forces)
         return [*(sp.mul(h, rate) for rate in rates), *impulses]
@@ -347,7 +340,7 @@ def _passive(
         if rubbed is not None:
             acting = with_friction(system, acting, rubbed.friction)
         if given is not None:
-            acting = with_loads(system, acting, given.forces)
+            acting = with_loads(system, acting, given[0])
     total = _add_rates(delassus.free, impact.changes, h)
     multipliers = tuple(_add_rates(delassus.multipliers, impact.multipliers, h))
     solution = link_accelerations(system, total, multipliers)
@@ -359,7 +352,7 @@ def _passive(
         rates[place] = sp.sub(rates[place], end.energy)
     if given is not None and layout.energies:
         place = worn + layout.energies.index("damping_loss")
-        rates[place] = sp.add(rates[place], sp.mul(h, given.lost))
+        rates[place] = sp.add(rates[place], sp.mul(h, given[1]))
     return [*rates[:worn], *impulses, *rates[worn:]]
 
 

@@ -40,12 +40,6 @@ REMOVED = {
         "derive from jaxclear.AbstractExperiment, and write jaxclear.Problem.of(experiment, "
         "variables)"
     ),
-    "jaxclear.conformal": "write jaxclear.contact",
-    "jaxclear.LifeEnd": "give any function of a life as a response",
-    "jaxclear.distribution.Beta": "write FromScipy(scipy.stats.beta(a, b, low, high - low))",
-} | {
-    f"jaxclear.cost.{name}": "give the cost as a function of (nominal, tolerance)"
-    for name in ("Exponential", "ReciprocalExponential", "ReciprocalPower", "ReciprocalSquared")
 }
 # Names that have changed, by the old ones; these work for one version and warn.
 RENAMED = {

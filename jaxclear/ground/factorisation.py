@@ -213,18 +213,10 @@ MANY_COLUMNS = 36
 VANISHED = 1e-13
 
 
-class KnownRank(NamedTuple):
-    """Orthogonal columns Q, the columns of R above its diagonal, and the inverses of its
-    diagonal; all zero where the matrix has lost rank."""
-
-    columns: list[Float[Array, " m"]]
-    above: list[list[Any]]
-    inverses: list[Any]
-
-
-def factor_of_rank(matrix: Rows, rank: int) -> KnownRank:
+def factor_of_rank(matrix: Rows, rank: int) -> tuple[list, list, list]:
     """Factors of a symmetric semidefinite matrix, given as rows of sparse scalars, with so many
-    independent rows; 0 at least."""
+    independent rows; 0 at least: orthogonal columns Q (m,), the columns of R above its diagonal,
+    and the inverses of its diagonal; all zero where the matrix has lost rank."""
     m = len(matrix)
     ahead = OFF_THE_TIES ** np.arange(m, 0, -1)
 
@@ -252,10 +244,10 @@ def factor_of_rank(matrix: Rows, rank: int) -> KnownRank:
     matrices = to_array(matrix), jnp.ones(m), jnp.zeros(()), jnp.zeros((rank, m))
     begin = *matrices, jnp.zeros((rank, rank)), jnp.zeros(rank), jnp.zeros((), int)
     *_, columns, above, inverses, _ = jax.lax.scan(add, begin, length=rank)[0]
-    return KnownRank(list(columns), [list(above[j][:j]) for j in range(rank)], list(inverses))
+    return list(columns), [list(above[j][:j]) for j in range(rank)], list(inverses)
 
 
-def solve_least(factors: KnownRank, right: tuple) -> tuple:
+def solve_least(factors: tuple, right: tuple) -> tuple:
     """The least x that comes nearest to S x = right."""
     columns, above, inverses = factors
     b = sp.stack(right)

@@ -416,8 +416,8 @@ def through_touches(
         (h, end, now), (longer, gone, left) = pushed(plain, here, ways)
         gone = at_fixed_time(motion, begun, acting, end, (gone, shift))
         times = clock_way[0], longer if moves(clock_way) else None
-        apart = taken_apart(motion, begun, end, (way[0], times, state))
-        gone = jnp.where(apart.changed, apart.way, gone)
+        changed, apart = taken_apart(motion, begun, end, (way[0], times, state))
+        gone = jnp.where(changed, apart, gone)
         stop = clock_way[0] if times[1] is None else moved(clock_way[0]) + moved(longer)
         ways = way[0], (clock_way[0], state), (stop, gone), met_way
         higher = _higher(motion, begun, (end, met, arrays[2]), ways)
@@ -498,16 +498,9 @@ def _remembering(formulation: CompliantContact, rest: Any, motion: Any) -> Calla
     return both
 
 
-class Apart(NamedTuple):
-    """A step taken apart, where a contact has `changed`: the derivative of the state at its
-    end."""
-
-    changed: Any
-    way: Any
-
-
-def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple) -> Apart:
-    """A step in which a contact closes or parts, at whose end the state is about `end`.
+def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple) -> tuple[Any, Any]:
+    """A step in which a contact closes or parts, at whose end the state is about `end`: whether one
+    has changed, and the derivative of the state at the end.
     `ways`: derivatives of arrays, of (time, length), and of the state."""
     way, (time_way, longer), state = ways
     time, h = begun.time, begun.length
@@ -545,7 +538,7 @@ def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple) -> Apart:
     if longer is not None:
         moves = moved(time_way) + moved(longer)
         state = state + moves * motion.rates(begun.arrays, after, time + h, end)
-    return Apart(any_changed, state)
+    return any_changed, state
 
 
 def passed_within(motion: Any, begun: Now, ways: tuple, at: Any, y: Any, acts: tuple) -> tuple:

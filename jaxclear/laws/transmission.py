@@ -22,13 +22,6 @@ class Pull(NamedTuple):
     dissipated: Any
 
 
-class Ratchet(NamedTuple):
-    """What a freewheel does: its `pull`, and the `rate` of its twist."""
-
-    pull: Pull
-    rate: Any
-
-
 def bounded(spring: Any, damper: Any) -> Any:
     """The force of a damper beside a spring that pushes one way, no larger than the spring's: the
     sum begins at 0 where the spring does, and never pulls.
@@ -49,8 +42,9 @@ def one_sided(stretch: Any, rate: Any, stiffness: Any, damping: Any) -> Pull:
     return Pull(spring + damper, stored, damper * rate)
 
 
-def freewheel(twist: Any, rate: Any, stiffness: Any, damping: Any) -> Ratchet:
-    r"""A spring and a damper between one end and another that may slip backwards alone.
+def freewheel(twist: Any, rate: Any, stiffness: Any, damping: Any) -> tuple[Pull, Any]:
+    r"""A spring and a damper between one end and another that may slip backwards alone:
+    its pull, and the rate of its twist.
 
     With the twist :math:`\theta` of the spring, :math:`F = k\theta + d\dot\theta \ge 0`, the end
     slips at :math:`\dot s - \dot\theta \le 0`, and only where F = 0: :math:`\dot\theta =
@@ -63,7 +57,7 @@ def freewheel(twist: Any, rate: Any, stiffness: Any, damping: Any) -> Ratchet:
     wound = jnp.maximum(rate, -stiffness / damping * twist)
     force = stiffness * twist + damping * wound
     stored = 0.5 * stiffness * twist * twist
-    return Ratchet(Pull(force, stored, damping * wound * wound), wound)
+    return Pull(force, stored, damping * wound * wound), wound
 
 
 class Helix(NamedTuple):
@@ -93,25 +87,18 @@ def helix(lead: Any, diameter: Any, flank_angle: Any) -> Helix:
     return Helix(slope * cosine, 0.5 * diameter * cosine, 1 / (cosine * jnp.cos(flank_angle)))
 
 
-class Holding(NamedTuple):
-    """The `share` of the largest friction that acts, from -1 to 1 along the slip, and the `rate` of
-    the deflection."""
-
-    share: Any
-    rate: Any
-
-
-def holding(deflection: Any, slip: Any, yields: Any, settling: Any) -> Holding:
+def holding(deflection: Any, slip: Any, yields: Any, settling: Any) -> tuple[Any, Any]:
     """Friction that holds: a spring up to the deflection at which it `yields`, and no more beyond,
     damped for a time `settling` [s] while it holds. It does not creep, and sliding fast it is no
-    stiffer than at rest.
+    stiffer than at rest. (The share of the largest friction that acts, from -1 to 1 along the slip,
+    and the rate of the deflection.)
 
     Source: Prandtl 1928, Z. angew. Math. Mech. 8, 85, doi:10.1002/zamm.19280080202 (an elastic,
     perfectly plastic element).
     """
     beyond = (jnp.abs(deflection) >= yields) & (deflection * slip > 0)
     rate = jnp.where(beyond, 0.0, slip)
-    return Holding(jnp.clip((deflection + settling * rate) / yields, -1.0, 1.0), rate)
+    return jnp.clip((deflection + settling * rate) / yields, -1.0, 1.0), rate
 
 
 def loss(force: Any, share: Any, efficiency: Any, backwards: Any) -> Any:

@@ -200,18 +200,19 @@ def _friction_of_coupling(
     deflection = jnp.zeros(()) if known is None else known[-1]
     if end is not None:
         reading = read_coordinate(system, motions, end.coordinate, followed)
-        held = holding(deflection, reading.speed, end.loses.presliding, end.loses.settling_time)
-        friction = -end.loses.loss(torque * end.slope, held.share)
-        return reading.direction, friction, reading.speed, held.rate
+        loses = end.loses
+        share, rate = holding(deflection, reading.speed, loses.presliding, loses.settling_time)
+        friction = -loses.loss(torque * end.slope, share)
+        return reading.direction, friction, reading.speed, rate
     assert thread is not None
     _, pose, relative = kinematics.relative_motion(own.closure, motions)
     helix = thread.helix
     slip = sp.add(sp.mul(helix.axial, relative.velocity[2]), sp.mul(helix.lever, relative.spin[2]))
     slip = jnp.asarray(slip, float)
-    held = holding(deflection, slip, thread.presliding, thread.settling_time)
-    friction = -thread.coefficient * helix.normal * jnp.abs(torque) * held.share
+    share, rate = holding(deflection, slip, thread.presliding, thread.settling_time)
+    friction = -thread.coefficient * helix.normal * jnp.abs(torque) * share
     along = Wrench(sp.scale(helix.axial, AXIS), sp.scale(helix.lever, AXIS))
-    return Direction((OnClosure(own.closure, pose, along),)), friction, slip, held.rate
+    return Direction((OnClosure(own.closure, pose, along),)), friction, slip, rate
 
 
 def pressing_of(

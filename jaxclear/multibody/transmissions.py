@@ -71,27 +71,20 @@ def twist_of(system: System, motions: tuple[Motion, ...], own: Transmission) -> 
     wobble = _wobble(motions, own)
     if wobble is None:
         return CouplingTwist(value, fast)
-    return CouplingTwist(value + wobble.value, fast + wobble.slope * wobble.speed)
+    more, slope, speed = wobble
+    return CouplingTwist(value + more, fast + slope * speed)
 
 
-class Wobble(NamedTuple):
-    """What a transmission error adds to a twist [rad], its derivative by the coordinate on which it
-    hangs [1], and the speed of this [rad/s]."""
-
-    value: Any
-    slope: Any
-    speed: Any
-
-
-def _wobble(motions: tuple[Motion, ...], own: Transmission) -> Wobble | None:
-    """The transmission error of a coupling with a motor; None of one without."""
+def _wobble(motions: tuple[Motion, ...], own: Transmission) -> tuple[Any, Any, Any] | None:
+    """What the transmission error of a coupling with a motor adds to a twist [rad], its derivative
+    by the coordinate on which it hangs [1], and the speed of this [rad/s]; None of one without."""
     error, reading = own.coupling.transmission_error, own.closure.reading
     if error is None or not isinstance(reading, CoordinateSum):
         return None
     moving = motions[reading.terms[0].link]
     value, slope = value_and_slope(error, moving.coordinates[0])
     share = 1 / own.coupling.ratio
-    return Wobble(share * value, share * slope, moving.speeds[0])
+    return share * value, share * slope, moving.speeds[0]
 
 
 def twist_direction(motions: tuple[Motion, ...], own: Transmission) -> Direction:
@@ -102,7 +95,7 @@ def twist_direction(motions: tuple[Motion, ...], own: Transmission) -> Direction
         if wobble is None:
             return found
         first = closure.reading.terms[0].link
-        return Direction((*found.places, OnLink(first, own.scale * wobble.slope)))
+        return Direction((*found.places, OnLink(first, own.scale * wobble[1])))
     pose = kinematics.relative_motion(closure, motions)[1]
     (slope,) = pose_rows.gradients(closure.reading, pose)[1]
     return Direction((OnClosure(closure, pose, Wrench(*slope.wrench(pose))),))
@@ -217,27 +210,21 @@ def _with_end(own: Compliance, twist: CouplingTwist, places: tuple, flanks: tupl
     return Pressing(*told, tuple(depths), tuple(rates), tuple(acting))
 
 
-class OverWay(NamedTuple):
-    """What is touched over a way: the mean depth where it is, times the `share` of the way."""
-
-    depth: Any
-    share: Any
-
-
-def _over_way(depth: Any, way: Any) -> OverWay:
-    """From a depth so far on, negative where nothing is touched."""
+def _over_way(depth: Any, way: Any) -> tuple[Any, Any]:
+    """From a depth so far on, negative where nothing is touched: the mean depth where something is,
+    times the share of the way, and that share."""
     first, last = positive_part(depth), positive_part(depth + way)
     share = jnp.where(way == 0, jnp.where(depth > 0, 1.0, 0.0), safe_divide(last - first, way))
-    return OverWay(0.5 * (first + last) * share, share)
+    return 0.5 * (first + last) * share, share
 
 
 def _mean_of_strands(own: Compliance, twist: CouplingTwist, length: Any) -> Any:
     """The same of a belt."""
     torques = []
     for sign in (1.0, -1.0):
-        taut = _over_way(own.slack + sign * twist.value, sign * length * twist.rate)
-        elastic = 0.5 * own.stiffness * taut.depth
-        viscous = 0.0 if own.damping is None else 0.5 * own.damping * taut.share * sign * twist.rate
+        depth, share = _over_way(own.slack + sign * twist.value, sign * length * twist.rate)
+        elastic = 0.5 * own.stiffness * depth
+        viscous = 0.0 if own.damping is None else 0.5 * own.damping * share * sign * twist.rate
         torques.append(elastic + bounded(elastic, viscous))
     return torques[0] - torques[1]
 
@@ -264,9 +251,9 @@ def mean_torque(own: Compliance, twist: CouplingTwist, end: Any, length: Any) ->
             # A shaft that has let go is met where its end is.
             gap = sign * end - half
             depth = jnp.where(gap >= 0, depth, gap)
-        touched = _over_way(depth, way)
-        elastic = stiffness * touched.depth
-        viscous = 0.0 if damping is None else damping * touched.share * sign * twist.rate
+        touched, share = _over_way(depth, way)
+        elastic = stiffness * touched
+        viscous = 0.0 if damping is None else damping * share * sign * twist.rate
         torques.append(positive_part(play.law.torque(elastic, viscous)))
     return torques[0] - torques[1]
 

@@ -68,6 +68,7 @@ To add a rule: write the function in the file of its subject, decorate it with `
 give it a case in tests/native/test_rules.py.
 """
 
+from jaxclear.ground.argument_errors import imported_names
 from jaxclear.native.derivative_rules import by_columns as by_columns
 from jaxclear.native.derivative_rules import forwards_only as forwards_only
 from jaxclear.native.loop import has_kernels as has_kernels
@@ -91,3 +92,5 @@ from jaxclear.native.while_loops import once as once
 from jaxclear.native.while_loops import scan as scan
 from jaxclear.native.while_loops import while_loop as while_loop
 from jaxclear.native.while_loops import with_fast_loops as with_fast_loops
+
+__all__ = imported_names(globals())

@@ -9,29 +9,23 @@ import sys
 import time
 from collections.abc import Iterator
 from operator import is_not
-from typing import Any, NamedTuple
+from typing import Any
 
 PACKAGE = __name__.partition(".")[0]
 # Its files were read after this [s since 1970].
 BEGUN = time.time() - 5.0
 
 
-class _Seen(NamedTuple):
-    """The names of a module or class, and the things that they stood for when it was first seen:
-    kept, so that nothing else comes to stand at their places in memory."""
-
-    names: Any
-    things: list[Any]
-
-
-_SEEN: dict[Any, _Seen] = {}
+# By module or class its names, and the things that they stood for when it was first seen: kept, so
+# that nothing else comes to stand at their places in memory.
+_SEEN: dict[Any, tuple[Any, list[Any]]] = {}
 
 
 def remember() -> None:
     """What there is of this package by now counts as what its files say."""
     for space in _spaces():
         if space not in _SEEN:
-            _SEEN[space] = _Seen(vars(space), list(vars(space).values()))
+            _SEEN[space] = vars(space), list(vars(space).values())
 
 
 def is_as_written() -> bool:

@@ -74,13 +74,13 @@ def check(program: Program, found_by: Turn, wanted_by: Turn, beside: str = "JAX"
     draw may disagree where two tell and agree, and a fault shows in others too. States of either
     sign may be none that the loop was written for: there one draw that agrees outweighs the others.
     """
-    looks: list[Look] = []
+    looks: list[tuple[Judgement, bool]] = []
     for draw in DRAWS:
         looks.append(compared(program, found_by, wanted_by, draw))
-        if sum(not look.usual.agrees for look in looks) > 1:
+        if sum(not usual.agrees for usual, _ in looks) > 1:
             break
-        agreed = sum(look.usual == Judgement(True, True) for look in looks)
-        if agreed >= 2 and any(look.anywhere for look in looks):
+        agreed = sum(usual == Judgement(True, True) for usual, _ in looks)
+        if agreed >= 2 and any(anywhere for _, anywhere in looks):
             return
     raise Unsupported(f"a loop whose kernel does not agree with {beside}")
 
@@ -93,14 +93,9 @@ class Judgement(NamedTuple):
     tells: bool
 
 
-class Look(NamedTuple):
-    """A draw: what its first sample says, and whether the kernel agrees on all others."""
-
-    usual: Judgement
-    anywhere: bool
-
-
-def compared(program: Program, found_by: Turn, wanted_by: Turn, draw: int) -> Look:
+def compared(
+    program: Program, found_by: Turn, wanted_by: Turn, draw: int
+) -> tuple[Judgement, bool]:
     """The kernel on a draw's random numbers, beside the other evaluation."""
     constants, state = avals_of(program)
     samples = [_within_tables(program, own) for own in random_values(constants, state, draw)]
@@ -115,7 +110,7 @@ def compared(program: Program, found_by: Turn, wanted_by: Turn, draw: int) -> Lo
     asked[: len(long)] |= ~long
     parts = [(a[:1, asked], a[1:, asked]) for a in (found, wanted, changed, first)]
     usual, others = (judged(*part) for part in zip(*parts, strict=True))
-    return Look(usual, others.agrees)
+    return usual, others.agrees
 
 
 def turn_by_jax(program: Program, samples: list) -> np.ndarray:

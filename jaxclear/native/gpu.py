@@ -109,7 +109,7 @@ def _loaded(text: str, program: Program, ptx: str | None = None) -> GpuKernel:
         name, driver = _name(number), gpu_driver.driver()
         loaded = driver.load(_ptx(text, program) if ptx is None else ptx, name)
         arrays = gpu_threads.arrays_of(program)
-        places = gpu_call.Places(driver.address("cuStreamGetCtx"), driver.address("cuLaunchKernel"))
+        places = driver.address("cuStreamGetCtx"), driver.address("cuLaunchKernel")
         counts = 1 + len(arrays.read), 1 + len(arrays.written)
         engine = object_code.compiled(gpu_call.handler_text(name, loaded, *counts, places))
         dispatch.enter(number, engine.get_function_address(name))

@@ -9,7 +9,6 @@ the samples are the last size of the first one.
 
 import functools
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from jaxclear.native import dispatch
 from jaxclear.native.gpu_driver import Loaded
@@ -41,19 +40,12 @@ def known_to_xla() -> None:
     dispatch.register("CUDA", dispatch.known_to_xla())
 
 
-class Places(NamedTuple):
-    """Where two functions of the driver are in this process: what tells the context of a stream,
-    and what launches a kernel."""
-
-    context_of: int
-    launch: int
-
-
 def handler_text(
-    name: str, loaded: Sequence[Loaded], read: int, written: int, places: Places
+    name: str, loaded: Sequence[Loaded], read: int, written: int, places: tuple[int, int]
 ) -> str:
     """LLVM code of the function that XLA enters for a kernel, loaded on these devices, of so many
-    arrays in and out."""
+    arrays in and out. `places`: where two functions of the driver are in this process, what tells
+    the context of a stream, and what launches a kernel."""
     functions = ["  %function.0 = add i64 0, 0"]
     for k, each in enumerate(loaded):
         functions += [
@@ -83,11 +75,11 @@ def handler_text(
         error=dispatch.ERROR,
         sizes=dispatch.ARRAYS,
         count=1 + len(order),
-        context_of=places.context_of,
+        context_of=places[0],
         functions="\n".join(functions),
         devices=len(loaded),
         parameters="\n".join(parameters),
         before=BLOCK - 1,
         block=BLOCK,
-        launch=places.launch,
+        launch=places[1],
     )

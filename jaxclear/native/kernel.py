@@ -15,7 +15,7 @@ import math
 import threading
 import weakref
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -178,15 +178,8 @@ _BUILDING = threading.RLock()
 _KERNELS: "weakref.WeakValueDictionary[int, Kernel]" = weakref.WeakValueDictionary()
 
 
-class _Assembled(NamedTuple):
-    """The whole text of a kernel, and the name and number that it decides."""
-
-    name: str
-    number: int
-    text: str
-
-
-def _assembled(program: Program, lanes: int, checked: bool = False) -> _Assembled:
+def _assembled(program: Program, lanes: int, checked: bool = False) -> tuple[str, int, str]:
+    """The name and the number of a kernel, which its whole text decides, and this."""
     text = text_of(program, lanes, checked)
     constants, state = avals_of(program)
     kept = list(zip([*constants, *state], in_memory(program), strict=True))
@@ -206,7 +199,7 @@ def _assembled(program: Program, lanes: int, checked: bool = False) -> _Assemble
     )
     flag = f"@{stopping.SYMBOL} = external global i64\n"
     whole = flag + text.replace("@NAME", f"@{name}") + frame
-    return _Assembled(name, max(int(mark[:16], 16) >> 1, 1), whole)
+    return (name, max(int(mark[:16], 16) >> 1, 1), whole)
 
 
 def build(program: Program, lanes: int) -> Kernel:

@@ -159,7 +159,8 @@ def _shapes(*avals, program, rank):
 def _batch(values, dims, *, program, rank):
     bundle = bundled(program, values, dims, rank)
     if bundle is not None:
-        return loop_p.bind(*bundle.values, program=bundle.program, rank=rank), bundle.axes
+        wide, arranged, axes = bundle
+        return loop_p.bind(*arranged, program=wide, rank=rank), axes
     # The new axis stands behind those before it: what a function asks for within itself, such as
     # runs in other steps, takes more or fewer turns, and lanes wait for each other.
     size = samples_in(values, dims)

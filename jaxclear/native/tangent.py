@@ -7,7 +7,7 @@ side in one body, which goes through the motion itself once for all of them.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -158,19 +158,12 @@ def motion_in(program: Program) -> list[int]:
     return [*range(state), *range(behind, behind + row)]
 
 
-class Bundle(NamedTuple):
-    """Several tangents of one motion: the loop that takes them side by side, its `values`, and the
-    axis of the tangents in each of its results (None: it is the same for all)."""
-
-    program: Program
-    values: list[Any]
-    axes: list[int | None]
-
-
 def bundled(
     program: Program, values: Sequence[Any], dims: Sequence[int | None], rank: int
-) -> Bundle | None:
-    """Several tangents at once, where they are all that differs (None: other numbers do too)."""
+) -> tuple[Program, list[Any], list[int | None]] | None:
+    """Several tangents at once, where they are all that differs (None: other numbers do too): the
+    loop that takes them side by side, its values, and the axis of the tangents in each of its
+    results (None: it is the same for all)."""
     c, b = program.condition_constants, program.body_constants
     batched = [d is not None for d in dims]
     differing = {i for i, d in enumerate(batched[c:]) if d}
@@ -193,7 +186,7 @@ def bundled(
     arranged_values = [arranged(*each) for each in zip(values, dims, batched, strict=True)]
     # A table has its rows in front of what stands in them.
     axes = [rank + (i >= state) if moves else None for i, moves in enumerate(moving)]
-    return Bundle(widened(narrow, count), arranged_values, axes)
+    return widened(narrow, count), arranged_values, axes
 
 
 def side_by_side(narrow: Narrow, samples: int) -> int:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from jaxclear.components.wear_map import AbstractWearMap
 from jaxclear.formulations.base import AbstractFormulation
@@ -139,15 +139,15 @@ def judged(trajectory: Trajectory, model: Model, begun: Worn) -> Trajectory:
     it."""
     history = trajectory.history
     looks, ends = look(history, model), jnp.asarray(history.time)[1:]
-    seen = _of_saved_states(looks)
-    of_run = dict(seen.of_run) | wear_by_cells(model, begun, trajectory.worn)
+    figures, of_run, verdict = _of_saved_states(looks)
+    of_run |= wear_by_cells(model, begun, trajectory.worn)
     if trajectory.extremes is not None:
         depths = trajectory.extremes.indentation[: model.layout.joint_contacts]
         of_run[Check.INDENTATION] = depths / _radii(model.system) if depths.size else depths
-    checks = _together(model, history.formulation, of_run, seen.figures, ends[looks.intervals])
-    if seen.verdict is None:
+    checks = _together(model, history.formulation, of_run, figures, ends[looks.intervals])
+    if verdict is None:
         return dataclasses.replace(trajectory, invariants=checks)
-    bad = (seen.verdict != Outcome.REACHED) & (ends[looks.intervals] <= trajectory.ended)
+    bad = (verdict != Outcome.REACHED) & (ends[looks.intervals] <= trajectory.ended)
     worst, stops = jnp.argmax(bad), jnp.any(bad)
     first = jnp.asarray(looks.intervals)[worst]
     # As of every run that ended early, the last state is kept up to its planned end.
@@ -156,7 +156,7 @@ def judged(trajectory: Trajectory, model: Model, begun: Worn) -> Trajectory:
     return dataclasses.replace(
         trajectory,
         history=dataclasses.replace(history, states=states),
-        outcome=jnp.where(stops, seen.verdict[worst], trajectory.outcome),
+        outcome=jnp.where(stops, verdict[worst], trajectory.outcome),
         ended=jnp.where(stops, ends[first], trajectory.ended),
         invariants=checks,
     )
@@ -239,17 +239,9 @@ def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[s
     }
 
 
-class Seen(NamedTuple):
-    """What the looks tell: figures by look, figures of the run as a whole, the `Outcome` that each
-    look calls for (None: none ever ends a run)."""
-
-    figures: Figures
-    of_run: Figures
-    verdict: Int[Array, " looks"] | None
-
-
-def _of_saved_states(looks: Looks) -> Seen:
-    """What a run's looks at its saved states tell."""
+def _of_saved_states(looks: Looks) -> tuple[Figures, Figures, Array | None]:
+    """What a run's looks at its saved states tell: figures by look, figures of the run as a whole,
+    the `Outcome` that each look calls for (None: none ever ends a run)."""
     model, system = looks.model, looks.model.system
     means = looks.history.formulation.forces_are_means
     said = looks.of(_judging(looks))
@@ -273,7 +265,7 @@ def _of_saved_states(looks: Looks) -> Seen:
         of_run[Check.INDETERMINATE_FORCE] = indeterminate_forces(said["shared"])
     if Check.JOURNAL_REACH in told:
         of_run[Check.JOURNAL_REACH] = jnp.max(told[Check.JOURNAL_REACH], axis=0, initial=0.0)
-    return Seen(figures, of_run, verdict)
+    return figures, of_run, verdict
 
 
 def _judging(looks: Looks) -> Callable[[Instant], dict[str, Any]]:

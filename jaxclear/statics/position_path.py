@@ -61,15 +61,6 @@ FURTHEST, FURTHEST_ACROSS = 0.3, 0.06
 PLACES = ("x", "y", "z", "x.z", "y.z")
 
 
-class Assembled(NamedTuple):
-    """Where a search begins, whether the mechanism is assembled there, and the rows of its loops
-    there by what counts as much as a radian."""
-
-    spot: Spot
-    sound: Any
-    rows: Any
-
-
 class Sought(NamedTuple):
     """A mechanism whose positions are sought, how, and where it stands at each of them."""
 
@@ -146,7 +137,7 @@ def _by_loops(mechanism: Mechanism, held: tuple[str, ...], first: np.ndarray) ->
     except Undetermined:
         # Leaning journals let rows speak that say nothing in the plane.
         return None, None
-    return (scene, way) if rank_of(np.asarray(_assembled(here, way).rows)) == free else (None, None)
+    return (scene, way) if rank_of(np.asarray(_assembled(here, way)[2])) == free else (None, None)
 
 
 def _with_rows(scene: Posed, here: Posed, free: int) -> tuple[Any, Any]:
@@ -202,13 +193,13 @@ def _slopes(scene: Posed, q: Array, way: Way) -> tuple[Array, Array]:
     return rows / units[:, None], every / units[:, None]
 
 
-def _assembled(scene: Posed, way: Way) -> Assembled:
+def _assembled(scene: Posed, way: Way) -> tuple[Spot, Any, Any]:
     found = nearest(scene.mechanism)
     spot = Spot(found.start.coordinates, way.middle(), jnp.zeros(()), jnp.zeros(()))
     system = prepare(scene.mechanism)
     none = jnp.zeros((0, system.topology.speed_count))
     rows = jnp.concatenate([none, *found.start.jacobians.values()])
-    return Assembled(spot, found.sound, rows * speed_scales(system, longest_arm(system)))
+    return spot, found.sound, rows * speed_scales(system, longest_arm(system))
 
 
 def _led(scene: Posed, start: Any, before: np.ndarray, now: np.ndarray, way: Any) -> Any:
@@ -275,8 +266,7 @@ def spots_along(scene: Posed, position: np.ndarray, way: Any, start: Any = None)
 def _begun(scene: Posed, way: Way) -> tuple[Spot, Any]:
     """Where the search begins, and whether the mechanism is assembled there."""
     if scene.rows is None:
-        found = _assembled(scene, way)
-        return found.spot, found.sound
+        return _assembled(scene, way)[:2]
     start = ready(scene.mechanism)[1]
     return Spot(start.coordinates, way.middle(), jnp.zeros(()), jnp.zeros(())), True
 

@@ -16,7 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxclear.components.body import Connection, Marker
 from jaxclear.components.clearance import AbstractClearance
@@ -267,16 +267,6 @@ POINTS = 8
 CLOSING = 4
 
 
-class Ground(NamedTuple):
-    """Potential [J] at coordinates, its gradient and Hessian in the scaled speeds, and the rows
-    that hold the loops there."""
-
-    value: Array
-    slope: Float[Array, " v"]
-    bend: Float[Array, "v v"]
-    rows: Float[Array, "rows v"]
-
-
 def resting(mechanism: Mechanism, pressed: dict[str, Pressed], worn: dict) -> Array | None:
     """Coordinates at which the journals rest under these reactions; None where none were found.
     `worn`: readings of worn surfaces, by joint."""
@@ -291,8 +281,10 @@ def resting(mechanism: Mechanism, pressed: dict[str, Pressed], worn: dict) -> Ar
     q, held_back = start.coordinates, largest * arm**2 / float(narrowest_gap(asked.system))
     now = at(q)
     for _ in range(MOST_STEPS):
-        free = _free(np.asarray(now.rows))
-        slope, bend = free.T @ np.asarray(now.slope), free.T @ np.asarray(now.bend) @ free
+        value, *derivatives, rows = now
+        free = _free(np.asarray(rows))
+        slope, bend = (free.T @ np.asarray(own) for own in derivatives)
+        bend = bend @ free
         if np.abs(slope).max(initial=0.0) < LEFT * largest * arm:
             return q
         sizes, ways = np.linalg.eigh(bend)
@@ -300,7 +292,7 @@ def resting(mechanism: Mechanism, pressed: dict[str, Pressed], worn: dict) -> Ar
         step = -free @ (ways @ ((ways.T @ slope) / (np.abs(sizes) + held_back)))
         there = moved(q, jnp.asarray(step))
         then = at(there)
-        if float(then.value) < float(now.value):
+        if float(then[0]) < float(value):
             q, now, held_back = there, then, LESS * held_back
         else:
             held_back *= MORE
@@ -317,14 +309,16 @@ def _free(rows: np.ndarray) -> np.ndarray:
 
 
 @compiled_quickly
-def _ground(mechanism: Mechanism, q: Array, pressed: dict[str, Pressed], worn: dict) -> Ground:
+def _ground(mechanism: Mechanism, q: Array, pressed: dict[str, Pressed], worn: dict) -> tuple:
+    """Potential [J] at coordinates, its gradient and Hessian in the scaled speeds, and the rows
+    (rows, v) that hold the loops there."""
     asked = ask(mechanism, False)
     scales = speed_scales(asked)
     energy = lambda step: _potential(asked, retract(asked.system, q, scales * step), pressed, worn)
     none = jnp.zeros(asked.system.topology.speed_count)
     value, slope = jax.value_and_grad(energy)(none)
     rows = stacked(asked, blocks_of(asked, q, 0.0, (LOOP, GIVEN)))[0] * scales
-    return Ground(value, slope, jax.hessian(energy)(none), rows)
+    return value, slope, jax.hessian(energy)(none), rows
 
 
 @compiled_quickly

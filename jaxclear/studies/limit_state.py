@@ -57,7 +57,22 @@ class AbstractLimitState(AbstractQuantified):
         return jnp.stack([own.margin(responses) for own in self.limits()])
 
 
-class Above(AbstractLimitState):
+class AbstractThreshold(AbstractLimitState):
+    """A limit on one response."""
+
+    response: eqx.AbstractVar[str]
+
+    def __check_init__(self):
+        expect(self.response, str, "response of a limit", "the name of a response")
+
+    def limits(self):
+        return (self,)
+
+    def cut_sets(self):
+        return (frozenset({0}),)
+
+
+class Above(AbstractThreshold):
     """Failure where a response is above a threshold.
 
     Args:
@@ -66,10 +81,7 @@ class Above(AbstractLimitState):
     """
 
     response: str = eqx.field(static=True)
-    threshold: Scalar = quantity(unit=UNIT, meaning="largest value that does not fail")
-
-    def __check_init__(self):
-        expect(self.response, str, "response of a limit", "the name of a response")
+    threshold: Scalar = quantity(unit=UNIT)
 
     def margin(self, responses):
         """Threshold minus response.
@@ -82,17 +94,11 @@ class Above(AbstractLimitState):
         """
         return self.threshold - responses[self.response]
 
-    def limits(self):
-        return (self,)
-
-    def cut_sets(self):
-        return (frozenset({0}),)
-
     def words(self):
         return f"{self.response} above {as_written(self.threshold)}"
 
 
-class Below(AbstractLimitState):
+class Below(AbstractThreshold):
     """Failure where a response is below a threshold.
 
     Args:
@@ -101,10 +107,7 @@ class Below(AbstractLimitState):
     """
 
     response: str = eqx.field(static=True)
-    threshold: Scalar = quantity(unit=UNIT, meaning="smallest value that does not fail")
-
-    def __check_init__(self):
-        expect(self.response, str, "response of a limit", "the name of a response")
+    threshold: Scalar = quantity(unit=UNIT)
 
     def margin(self, responses):
         """Response minus threshold.
@@ -116,12 +119,6 @@ class Below(AbstractLimitState):
             The margin in the response's unit.
         """
         return responses[self.response] - self.threshold
-
-    def limits(self):
-        return (self,)
-
-    def cut_sets(self):
-        return (frozenset({0}),)
 
     def words(self):
         return f"{self.response} below {as_written(self.threshold)}"

@@ -64,25 +64,11 @@ class AbstractSensor(AbstractSignal):
             the record.
     """
 
-    noise: Drawn = quantity(
-        0.0, "(its unit)", "standard deviation of white noise", at_least=0, kw_only=True
-    )
-    bandwidth: Drawn | None = quantity(
-        None,
-        "Hz",
-        "cut-off frequency of its first-order low-pass (None: passes all)",
-        above=0,
-        kw_only=True,
-    )
-    gain: Drawn = quantity(1.0, "1", "what it shows beside what there is", kw_only=True)
-    delay: Drawn = quantity(0.0, "s", "time by which it lags", at_least=0, kw_only=True)
-    sampling: Drawn | None = quantity(
-        None,
-        "Hz",
-        "its own sampling rate, held in between (None: the record's)",
-        above=0,
-        kw_only=True,
-    )
+    noise: Drawn = quantity(0.0, "(its unit)", at_least=0, kw_only=True)
+    bandwidth: Drawn | None = quantity(None, "Hz", above=0, kw_only=True)
+    gain: Drawn = quantity(1.0, "1", kw_only=True)
+    delay: Drawn = quantity(0.0, "s", at_least=0, kw_only=True)
+    sampling: Drawn | None = quantity(None, "Hz", above=0, kw_only=True)
 
     @abstractmethod
     def unit_in(self, mechanism: Any) -> str:
@@ -293,10 +279,8 @@ class Encoder(AbstractSensor):
     """
 
     joint: str = eqx.field(static=True)
-    index: int = count(0, "number of the coordinate", at_least=0)
-    resolution: Scalar | None = quantity(
-        None, "(its unit)", "steps in which it counts (None: none)", above=0, kw_only=True
-    )
+    index: int = count(0, at_least=0)
+    resolution: Scalar | None = quantity(None, "(its unit)", above=0, kw_only=True)
 
     def unit_in(self, mechanism):
         return coordinate_unit(mechanism, self.joint, self.index)

@@ -52,10 +52,10 @@ class ImaginedGpu:
     def load(self, ptx, name):
         engine = object_code.compiled(_to_the_bit(f"@{SYMBOL} = external global i64\n{ptx}"))
         program, checked = self.texts[ptx.replace(f"@{name}", "@NAME")]
-        own = kernels._assembled(program, 1, checked)
-        beside = object_code.compiled(_to_the_bit(own.text))
+        own, _, text = kernels._assembled(program, 1, checked)
+        beside = object_code.compiled(_to_the_bit(text))
         thread = engine.get_function_address(name)
-        samples = beside.get_function_address(f"{own.name}.samples")
+        samples = beside.get_function_address(f"{own}.samples")
         self._kernels.append((engine, beside, thread, samples, gpu_threads.arrays_of(program)))
         return [gpu_driver.Loaded(CONTEXT, len(self._kernels), 255, 0)]
 

@@ -297,7 +297,7 @@ def called(samples=100, context=7, code=0):
     interface = words(0, 0, 0, 0, 0, 0, address(error_of), 0, 0, 0, address(stream_of))
     frame = (WORDS * 24)()
     frame[2], frame[3], frame[9], frame[14] = at(interface), 5, at(arguments), at(results)
-    places = gpu_call.Places(address(context_of), address(launch))
+    places = address(context_of), address(launch)
     loaded = [gpu_driver.Loaded(6, 41, 0, 0), gpu_driver.Loaded(7, 42, 0, 0)]
     engine = object_code.compiled(gpu_call.handler_text("handler", loaded, 1, 2, places))
     handler = ctypes.CFUNCTYPE(ctypes.c_uint64, ctypes.c_void_p)

@@ -23,8 +23,8 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxclear.components.joint import AbstractJoint, AbstractVectorJoint
-from jaxclear.components.joint.base import AbstractRubbingJoint, CarryingEnd
+from jaxclear.components.joint import AbstractJoint
+from jaxclear.components.joint.base import AbstractLikeIdeal, AbstractRubbingJoint, CarryingEnd
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
@@ -293,18 +293,13 @@ SITUATIONS = (
 IDLE = 1e-9
 
 
-class AbstractPermanentJoint(AbstractRubbingJoint, AbstractVectorJoint):
+class AbstractPermanentJoint(AbstractRubbingJoint, AbstractLikeIdeal):
     """An ideal joint of one coordinate with the gap of a clearance joint that always touches.
 
     It moves as `ideal` does.
     """
 
     gap: eqx.AbstractVar[AbstractClearance]
-
-    @property
-    @abstractmethod
-    def ideal(self) -> AbstractJoint:
-        """The joint as which it moves."""
 
     def maps(self) -> dict:
         """Wear map and law of each surface that wears, as of the joint with clearance."""
@@ -323,21 +318,6 @@ class AbstractPermanentJoint(AbstractRubbingJoint, AbstractVectorJoint):
 
     def indentation(self, contact, force):
         return self.gap.contact_laws()[contact].indentation_under(force)
-
-    def motion(self, q):
-        return self.ideal.motion(q)
-
-    def columns(self, q):
-        return self.ideal.columns(q)
-
-    def bias(self, q, v):
-        return self.ideal.bias(q, v)
-
-    def coordinates_at(self, pose):
-        return self.ideal.coordinates_at(pose)
-
-    def speeds_at(self, pose, velocity, spin):
-        return self.ideal.speeds_at(pose, velocity, spin)
 
 
 def situation(ends: tuple[CarryingEnd, ...]) -> Any:

@@ -203,6 +203,30 @@ class AbstractVectorJoint(AbstractJoint):
         return complete(self, given)
 
 
+class AbstractLikeIdeal(AbstractVectorJoint):
+    """A joint of one coordinate that moves as its `ideal` does."""
+
+    @property
+    @abstractmethod
+    def ideal(self) -> AbstractJoint:
+        """The joint as which it moves."""
+
+    def motion(self, q):
+        return self.ideal.motion(q)
+
+    def columns(self, q):
+        return self.ideal.columns(q)
+
+    def bias(self, q, v):
+        return self.ideal.bias(q, v)
+
+    def coordinates_at(self, pose):
+        return self.ideal.coordinates_at(pose)
+
+    def speeds_at(self, pose, velocity, spin):
+        return self.ideal.speeds_at(pose, velocity, spin)
+
+
 class AbstractDrivenJoint(AbstractVectorJoint):
     """A joint with one coordinate, which a drive may prescribe."""
 

@@ -20,6 +20,7 @@ from jaxclear.components.drive import AbstractDrive
 from jaxclear.components.joint.base import (
     AbstractDrivenJoint,
     AbstractGroupJoint,
+    AbstractLikeIdeal,
     AbstractRubbingJoint,
     CarriedContact,
     CarryingEnd,
@@ -37,7 +38,7 @@ from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.friction import AbstractFrictionLaw
 
 
-class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
+class PlainBearing(AbstractRubbingJoint, AbstractLikeIdeal, AbstractDrivenJoint):
     r"""A plain bearing: turns about z as `Revolute` does, and rubs with a friction torque of radius
     times friction.
 
@@ -61,6 +62,7 @@ class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
         ValueError: for wear without a length, or with `worn_radius`.
     """
 
+    ideal: ClassVar = Revolute()
     home: ClassVar = Revolute.home
     units: ClassVar = Revolute.units
     rows: ClassVar = Revolute.rows
@@ -112,23 +114,8 @@ class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
     def wear_place(self, surface, offset, axes, contact, indentation):
         return (0.0,)
 
-    def motion(self, q):
-        return Revolute().motion(q)
 
-    def columns(self, q):
-        return Revolute().columns(q)
-
-    def bias(self, q, v):
-        return None
-
-    def coordinates_at(self, pose):
-        return Revolute().coordinates_at(pose)
-
-    def speeds_at(self, pose, velocity, spin):
-        return Revolute().speeds_at(pose, velocity, spin)
-
-
-class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
+class Slideway(AbstractRubbingJoint, AbstractLikeIdeal, AbstractDrivenJoint):
     r"""A slideway: slides along z as `Prismatic` does, and rubs with :math:`\mu` times what it
     carries across.
 
@@ -151,6 +138,7 @@ class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
         ValueError: for wear without length and width, or with `worn_radius`.
     """
 
+    ideal: ClassVar = Prismatic()
     home: ClassVar = Prismatic.home
     units: ClassVar = Prismatic.units
     rows: ClassVar = Prismatic.rows
@@ -203,21 +191,6 @@ class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
 
     def wear_place(self, surface, offset, axes, contact, indentation):
         return (0.0,)
-
-    def motion(self, q):
-        return Prismatic().motion(q)
-
-    def columns(self, q):
-        return Prismatic().columns(q)
-
-    def bias(self, q, v):
-        return None
-
-    def coordinates_at(self, pose):
-        return Prismatic().coordinates_at(pose)
-
-    def speeds_at(self, pose, velocity, spin):
-        return Prismatic().speeds_at(pose, velocity, spin)
 
 
 def _clamped(load: Any, ratio: Any, place: sp.Vec) -> CarryingEnd:

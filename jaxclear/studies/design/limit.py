@@ -263,11 +263,9 @@ class MeanAndDeviation(AbstractOneSidedLimit):
     """
 
     response: str = eqx.field(static=True)
-    at_most: Scalar | None = quantity(None, OWN, "largest mean plus deviations", kw_only=True)
-    at_least: Scalar | None = quantity(None, OWN, "smallest mean less deviations", kw_only=True)
-    deviations: Scalar = quantity(
-        3.0, "1", "standard deviations beyond the mean", at_least=0, kw_only=True
-    )
+    at_most: Scalar | None = quantity(None, OWN, kw_only=True)
+    at_least: Scalar | None = quantity(None, OWN, kw_only=True)
+    deviations: Scalar = quantity(3.0, "1", at_least=0, kw_only=True)
 
     def __check_init__(self):
         _check_one_side(self, "MeanAndDeviation")
@@ -305,11 +303,9 @@ class Quantile(AbstractOneSidedLimit):
     """
 
     response: str = eqx.field(static=True)
-    at_most: Scalar | None = quantity(None, OWN, "largest quantile", kw_only=True)
-    at_least: Scalar | None = quantity(None, OWN, "smallest quantile", kw_only=True)
-    share: Scalar = quantity(
-        unit="1", meaning="share on the good side", above=0.5, below=1, kw_only=True
-    )
+    at_most: Scalar | None = quantity(None, OWN, kw_only=True)
+    at_least: Scalar | None = quantity(None, OWN, kw_only=True)
+    share: Scalar = quantity(unit="1", above=0.5, below=1, kw_only=True)
 
     def __check_init__(self):
         _check_one_side(self, "Quantile")
@@ -345,11 +341,9 @@ class Probability(AbstractLimit):
     """
 
     response: str = eqx.field(static=True)
-    above: Scalar | None = quantity(None, OWN, "too large from here on", kw_only=True)
-    below: Scalar | None = quantity(None, OWN, "too small up to here", kw_only=True)
-    at_most: Scalar = quantity(
-        unit="1", meaning="largest share outside", above=0, below=0.5, kw_only=True
-    )
+    above: Scalar | None = quantity(None, OWN, kw_only=True)
+    below: Scalar | None = quantity(None, OWN, kw_only=True)
+    at_most: Scalar = quantity(unit="1", above=0, below=0.5, kw_only=True)
 
     def __check_init__(self):
         if self.above is None and self.below is None:
@@ -431,8 +425,8 @@ class WorstCase(AbstractOneSidedLimit):
     """
 
     response: str = eqx.field(static=True)
-    at_most: Scalar | None = quantity(None, OWN, "largest value", kw_only=True)
-    at_least: Scalar | None = quantity(None, OWN, "smallest value", kw_only=True)
+    at_most: Scalar | None = quantity(None, OWN, kw_only=True)
+    at_least: Scalar | None = quantity(None, OWN, kw_only=True)
 
     def __check_init__(self):
         _check_one_side(self, "WorstCase")

@@ -67,14 +67,12 @@ class DesignSettings(AbstractQuantified):
         ValueError: if a number is out of range or there is no such method.
     """
 
-    allowed_excess: Scalar = quantity(
-        5e-3, "1", "miss of a limit that is let pass", above=0, below=1
-    )
-    samples: int = count(2048, "points of a population", at_least=64)
-    check: int = count(128, "runs of a verification", at_least=16)
+    allowed_excess: Scalar = quantity(5e-3, "1", above=0, below=1)
+    samples: int = count(2048, at_least=64)
+    check: int = count(128, at_least=16)
     runs: int | None = eqx.field(static=True, default=None)
-    rounds: int = count(6, "verifications at the most")
-    seed: int = count(0, "seed of all random numbers", at_least=0)
+    rounds: int = count(6)
+    seed: int = count(0, at_least=0)
     method: str = eqx.field(static=True, default="auto")
     surface: bool | None = eqx.field(static=True, default=None)
 

@@ -15,7 +15,7 @@ class Normal(AbstractDistribution):
         standard_deviation: standard deviation, a number in the varied number's unit, > 0.
     """
 
-    standard_deviation: Scalar = quantity(unit=UNIT, meaning="standard deviation", above=0)
+    standard_deviation: Scalar = quantity(unit=UNIT, above=0)
 
     def quantile(self, share):
         return self.standard_deviation * ndtri(share)
@@ -37,7 +37,7 @@ class Uniform(AbstractDistribution):
         half_width: largest deviation, a number in the varied number's unit, > 0.
     """
 
-    half_width: Scalar = quantity(unit=UNIT, meaning="largest deviation", above=0)
+    half_width: Scalar = quantity(unit=UNIT, above=0)
 
     def quantile(self, share):
         return self.half_width * (2.0 * share - 1.0)
@@ -64,10 +64,8 @@ class TruncatedNormal(AbstractDistribution):
         bound: largest accepted deviation, a number in the varied number's unit, > 0.
     """
 
-    standard_deviation: Scalar = quantity(
-        unit=UNIT, meaning="standard deviation before inspection", above=0
-    )
-    bound: Scalar = quantity(unit=UNIT, meaning="largest accepted deviation", above=0, kw_only=True)
+    standard_deviation: Scalar = quantity(unit=UNIT, above=0)
+    bound: Scalar = quantity(unit=UNIT, above=0, kw_only=True)
 
     def quantile(self, share):
         low = ndtr(-self.bound / self.standard_deviation)
@@ -102,12 +100,8 @@ class Lognormal(AbstractDistribution):
         spread: standard deviation s of the logarithm [1], > 0.
     """
 
-    median: Scalar = quantity(
-        unit=UNIT, meaning="median of the number whose logarithm is normal", above=0
-    )
-    spread: Scalar = quantity(
-        unit="1", meaning="s, standard deviation of the logarithm", above=0, kw_only=True
-    )
+    median: Scalar = quantity(unit=UNIT, above=0)
+    spread: Scalar = quantity(unit="1", above=0, kw_only=True)
 
     def quantile(self, share):
         return self.of_score(ndtri(share))
@@ -136,9 +130,9 @@ class Triangular(AbstractDistribution):
         ValueError: if they are not in this order.
     """
 
-    low: Scalar = quantity(unit=UNIT, meaning="smallest deviation", kw_only=True)
-    high: Scalar = quantity(unit=UNIT, meaning="largest deviation", kw_only=True)
-    mode: Scalar = quantity(0.0, UNIT, "most likely deviation", kw_only=True)
+    low: Scalar = quantity(unit=UNIT, kw_only=True)
+    high: Scalar = quantity(unit=UNIT, kw_only=True)
+    mode: Scalar = quantity(0.0, UNIT, kw_only=True)
 
     def __check_init__(self):
         if not self.low < self.high or not self.low <= self.mode <= self.high:

@@ -20,13 +20,6 @@ from jaxclear.studies.identification.signal_fit import CredibleInterval, SignalF
 from jaxclear.studies.problem import Problem
 
 
-class Compared(NamedTuple):
-    """A model of the machine as it ran in one record, and that record."""
-
-    forward: Forward
-    record: Record
-
-
 class BySignal(NamedTuple):
     """What records tell. `fits`: of each model each record; `kept`: the models that remain, and
     sentences against the others; `unknowns` and `answers`: intervals that hold those of all kept
@@ -51,18 +44,18 @@ class BySignal(NamedTuple):
 
 
 def by_signal(
-    models: Mapping[str, Sequence[Compared]],
+    models: Mapping[str, Sequence[tuple[Forward, Record]]],
     *,
     starts: int = 8,
     windows: int = 1,
     draws: int = 512,
     seed: int = 0,
 ) -> BySignal:
-    """What records of a machine tell of the unknowns of its `models`, {name: one for each record};
-    the rest as in `fit_signal`."""
+    """What records of a machine tell of the unknowns of its `models`, {name: one for each record,
+    beside it}; the rest as in `fit_signal`."""
     how = {"starts": starts, "windows": windows, "draws": draws, "seed": seed}
     fits = {
-        name: tuple(fit_signal(own.forward, own.record, **how) for own in every)
+        name: tuple(fit_signal(model, record, **how) for model, record in every)
         for name, every in models.items()
     }
     kept = kept_models(fits)
@@ -70,7 +63,7 @@ def by_signal(
     answers: dict[str, dict[str, CredibleInterval]] = {}
     between: dict[str, dict[str, NextRecord]] = {}
     for name in kept.models:
-        own, problem = fits[name], models[name][0].forward.problem
+        own, problem = fits[name], models[name][0][0].problem
         told = [{**fit.unknowns, **fit.answers} for fit in own]
         found = {key: interval_of([each[key] for each in told]) for key in told[0]}
         unknowns[name] = {key: _within(problem, key, found[key]) for key in own[0].unknowns}

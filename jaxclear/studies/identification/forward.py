@@ -65,14 +65,6 @@ class Forward(eqx.Module):
         return jnp.concatenate([shown.signals[name] for name in self.names])
 
 
-class Answered(NamedTuple):
-    """For each of many sets of values: the signals (samples, n), and the responses (samples,) by
-    name."""
-
-    rows: np.ndarray
-    responses: dict[str, np.ndarray]
-
-
 class _Rows(eqx.Module):
     """What a chunk of samples gives, as a function of a problem."""
 
@@ -88,12 +80,12 @@ class _Rows(eqx.Module):
         return jax.vmap(one)(values)
 
 
-def answered(forward: Forward, values: np.ndarray) -> Answered:
+def answered(forward: Forward, values: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """What a problem gives for many sets of values (samples, variables), in chunks that fit memory,
-    on all cores."""
+    on all cores: the signals (samples, n), and the responses (samples,) by name."""
     found: Any = evaluate_all(forward.problem, values, function=_Rows(forward))
     rows, responses = found
-    return Answered(np.asarray(rows), {name: np.asarray(own) for name, own in responses.items()})
+    return np.asarray(rows), {name: np.asarray(own) for name, own in responses.items()}
 
 
 def check_signals(forward: Forward, record: Record) -> None:

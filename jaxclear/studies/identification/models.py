@@ -15,7 +15,6 @@ from jaxtyping import Array
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.wording import described, listed
 from jaxclear.studies.function_problem import Dimension, FunctionExperiment
-from jaxclear.studies.identification.by_signal import Compared
 from jaxclear.studies.identification.forward import Forward, Record, Shown
 from jaxclear.studies.identification.laws import Ensemble
 from jaxclear.studies.identification.measurement import Measurement
@@ -99,7 +98,7 @@ def _made(name: str, given: Any, record: Measurement) -> Problem:
     return found
 
 
-def compared(problem: Problem, record: Measurement) -> Compared:
+def compared(problem: Problem, record: Measurement) -> tuple[Forward, Record]:
     """A problem as a function that gives a record's signals. Raises `ValueError` with a sentence
     where it cannot."""
     for name, sensor in record.sensors.items():
@@ -116,7 +115,7 @@ def compared(problem: Problem, record: Measurement) -> Compared:
             )
     noise = {name: float(own.noise) or None for name, own in record.sensors.items()}
     row = Record(record.signals, noise)
-    return Compared(_forward(problem, record), row)
+    return _forward(problem, record), row
 
 
 def _forward(problem: Problem, record: Measurement) -> Forward:

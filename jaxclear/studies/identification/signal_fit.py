@@ -18,7 +18,6 @@ import scipy
 from jax.scipy.special import ndtr
 
 from jaxclear.studies.identification.forward import (
-    Answered,
     Forward,
     Record,
     answered,
@@ -261,8 +260,8 @@ def _sampled(
     measured, nearest = record.row, found[0].residual
 
     def target(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        own: Answered = answered(forward, np.asarray(inputs.values(jnp.asarray(normal))))
-        left = own.rows - measured
+        rows, own = answered(forward, np.asarray(inputs.values(jnp.asarray(normal))))
+        left = rows - measured
         density = -0.5 * np.sum(normal**2, axis=1)
         for name, part in zip(record.names, record.parts, strict=True):
             square, noise = np.sum(left[:, part] ** 2, axis=1), record.noise.get(name)
@@ -273,8 +272,8 @@ def _sampled(
                 density = density - 0.5 * (part.stop - part.start) / worth * np.log(square / least)
             else:
                 density = density - 0.5 * square / (noise**2 * worth)
-        names[:] = own.responses
-        told = np.array(list(own.responses.values())).reshape(len(names), len(left)).T
+        names[:] = own
+        told = np.array(list(own.values())).reshape(len(names), len(left)).T
         return np.where(np.isfinite(density), density, -np.inf), told
 
     scale = _scale(record, misfits)

@@ -225,8 +225,8 @@ def _with_other_regions(
         known = np.where(np.isnan(margins), -1.0, margins)
         failing.append(normal[system_margin(known, search.limit.cut_sets()) < 0])
 
-    found = repetitions(search, 1, PILOT, np.random.default_rng([seed, 8]), see)
-    fails, most = np.concatenate(failing), most_runs * variation**2 * found.shares[0]
+    (share,), *_ = repetitions(search, 1, PILOT, np.random.default_rng([seed, 8]), see)
+    fails, most = np.concatenate(failing), most_runs * variation**2 * share
     centres, betas = list(proposal.centres[1:]), list(proposal.betas)
     while len(fails) and most > 0 and len(centres) < MOST_REGIONS:
         fails = fails[proposal.weights(fails) > most]

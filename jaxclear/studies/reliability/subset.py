@@ -13,7 +13,6 @@ doi:10.1016/j.probengmech.2015.06.006 (adaptive conditional sampling).
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -56,9 +55,8 @@ def subset(model: RunModel, variation: float, most_runs: int, seed: int) -> Prob
         new = MORE if len(values) else FIRST
         start, rng = model.runs, np.random.default_rng([seed, 5, level, len(values)])
         own = repetitions(model, new, level, rng)
-        values = np.concatenate([values, own.shares])
-        unknown = np.concatenate([unknown, own.unknown])
-        reached = np.concatenate([reached, own.reached])
+        told = zip((values, unknown, reached), own, strict=True)
+        values, unknown, reached = (np.concatenate(pair) for pair in told)
         cost += model.runs - start
         mean = values.mean()
         single = _single(values, reached, level)
@@ -103,24 +101,16 @@ def _single(values: np.ndarray, reached: np.ndarray, level: int) -> float:
     return float(max(values.std(ddof=1) / mean, np.sqrt(max(least, 0.0))))
 
 
-class Simulations(NamedTuple):
-    """What independent simulations say, (repetitions,) each [1]: the `shares` that fail, how much
-    of them are runs that did not reach their end (`unknown`), and the rarest parts that a
-    simulation `reached`."""
-
-    shares: np.ndarray
-    unknown: np.ndarray
-    reached: np.ndarray
-
-
 def repetitions(
     model: RunModel | SurfaceModel,
     number: int,
     count: int,
     rng,
     see: Callable[[np.ndarray, np.ndarray], None] = lambda normal, margins: None,
-) -> Simulations:
-    """So many independent simulations with `count` samples a level. `see` is shown all samples
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What so many independent simulations with `count` samples a level say, (repetitions,) each
+    [1]: the shares that fail, how much of them are runs that did not reach their end, and the
+    rarest parts that a simulation reached. `see` is shown all samples
     (samples, variables) with their margins (samples, limits)."""
     variables, cuts = len(model.problem.names), model.limit.cut_sets()
     normal = rng.normal(size=(number, count, variables))
@@ -162,7 +152,7 @@ def repetitions(
             np.take_along_axis(margins[open_], seeds, axis=1),
         )
         normal[open_], margins[open_] = _conditioned(worst, *chains, level[open_], rng)
-    return Simulations(found, unknown, share)
+    return found, unknown, share
 
 
 def _level(margins: np.ndarray, kept: int) -> float:
@@ -240,10 +230,10 @@ class Reach:
     def _searched(self) -> str:
         nearest = _Nearest(self.model)
         rng, before = np.random.default_rng([self.seed, 7]), self.model.runs
-        found = repetitions(self.model, 1, PILOT, rng, nearest.see)
-        if found.shares[0] > 0.0 or found.reached[0] > FAR or nearest.normal is None:
+        (share,), _, (rare,) = repetitions(self.model, 1, PILOT, rng, nearest.see)
+        if share > 0.0 or rare > FAR or nearest.normal is None:
             return ""
-        runs, rare = self.model.runs - before, found.reached[0]
+        runs = self.model.runs - before
         return self._told(nearest.normal, f"{runs} runs down to parts as rare as {rare:.0e}")
 
     def _told(self, normal: np.ndarray, far: str) -> str:

@@ -219,10 +219,9 @@ def _of_surface(surface: ResponseSurface) -> SobolIndices:
         coefficients = np.asarray(surface.coefficients[name])
         found = []
         for expansion in (spread, held):
-            told = expansion.variances(coefficients)
-            open_, explained = open_share(surface, name, told.variance)
-            shares = np.array([told.first, told.total])
-            found.append(shares * (explained / told.variance if told.variance > 0 else 0.0))
+            _, variance, *shares = expansion.variances(coefficients)
+            open_, explained = open_share(surface, name, variance)
+            found.append(np.array(shares) * (explained / variance if variance > 0 else 0.0))
         half = open_ + np.abs(found[0] - found[1])
         for kind, shares, halves in zip(indices, found[0], half, strict=True):
             for variable, share, own_half in zip(problem.names, shares, halves, strict=True):

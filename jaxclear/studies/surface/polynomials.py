@@ -112,16 +112,6 @@ def products(
     return jnp.prod(found[table, jnp.arange(len(values))], axis=1)
 
 
-class Variances(NamedTuple):
-    """Of a surface: `mean`, `variance`, and which parts of it a variable has alone (`first`) or
-    with others (`total`), (variables,); the response's unit or its square."""
-
-    mean: float
-    variance: float
-    first: np.ndarray
-    total: np.ndarray
-
-
 class Expansion(NamedTuple):
     """How coefficients (terms,) of products of polynomials, of `powers` (terms, variables), become
     those of products that are orthonormal: by `change` (terms, terms). `outside` (variables,) is
@@ -159,15 +149,12 @@ class Expansion(NamedTuple):
             change *= lower[np.ix_(powers[:, i], powers[:, i])]
         return cls(powers, change.T, weights @ (inside != values))
 
-    def variances(self, coefficients: np.ndarray) -> Variances:
-        """Of the surface with these coefficients (terms,)."""
+    def variances(self, coefficients: np.ndarray) -> tuple[float, float, Any, Any]:
+        """Of the surface with these coefficients (terms,): mean, variance, and which parts of it a
+        variable has alone or with others, (variables,); the response's unit or its square."""
         own = self.change @ coefficients
         squares, there = own**2, self.powers > 0
         constant = ~there.any(axis=1)
         alone = there & (there.sum(axis=1) == 1)[:, None]
-        return Variances(
-            float(own[constant].sum()),
-            float(squares[~constant].sum()),
-            squares @ alone,
-            squares @ there,
-        )
+        mean, variance = own[constant].sum(), squares[~constant].sum()
+        return float(mean), float(variance), squares @ alone, squares @ there
