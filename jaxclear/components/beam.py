@@ -118,9 +118,9 @@ class Beam(AbstractQuantified):
         """
         found, element = [], self.length / self.segments
         for i in range(self.segments):
-            kinds = self._kinds[:: -1 if i % 2 else 1]
-            for j, kind in enumerate(kinds):
-                place = element * (i + 0.5 + APART * (j - (len(kinds) - 1) / 2))
+            side = -1 if i % 2 else 1
+            for j, kind in list(enumerate(self._kinds, -(len(self._kinds) // 2)))[::side]:
+                place = element * (i + 0.5 + APART * side * j)
                 found.append(Hinge(f"{name} {HINGES[kind][0]} {i + 1}", kind, place))
         return tuple(found)
 
@@ -141,6 +141,15 @@ class Beam(AbstractQuantified):
         across = (about_y * size + slender, about_z * size + slender)
         inertia = ((about_y + about_z) * size, *across) if self.space else across[1]
         return Body(mass * size, inertia, (0.5 * size, 0.0))
+
+    def pieces(self, name: str) -> dict[str, "Piece"]:
+        """All pieces but the first.
+
+        Args:
+            name: name of the beam.
+        """
+        places = self.ends()[:-1]
+        return {piece_name(name, i): Piece(name, i, at) for i, at in enumerate(places) if i}
 
     # What is asked of it as of the body that its first piece is.
     mass = property(lambda self: self.piece(0).mass)
@@ -165,10 +174,11 @@ class Beam(AbstractQuantified):
 
 class Piece(AbstractQuantified):
     """A further rigid piece of a beam: what stands in a mechanism's bodies, without numbers of its
-    own."""
+    own; `place` [m]: where it begins on the beam."""
 
     beam: str = eqx.field(static=True)
     index: int = eqx.field(static=True)
+    place: float = eqx.field(static=True)
 
 
 class Elasticity(AbstractStateLoad):
@@ -220,40 +230,66 @@ def with_pieces(
     bodies: dict[str, Any], connections: dict[str, Any], loads: dict[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """Bodies, connections and loads of a mechanism in which beams are pieces, hinges and their
-    elasticity, and markers lie on pieces; those that are already stay."""
+    elasticity, and markers lie on pieces; those that are already stay. What is left of a beam in
+    whose place another body or beam has come goes, and its markers lie on that."""
     beams = {n: own for n, own in bodies.items() if isinstance(own, Beam)}
-    fresh = {n: own for n, own in beams.items() if f"{n} elasticity" not in loads}
+    pieces = {n: own for name, beam in beams.items() for n, own in beam.pieces(name).items()}
+    stale = {n: own for n, own in bodies.items() if isinstance(own, Piece) and own != pieces.get(n)}
+    if not beams and not stale:
+        return bodies, connections, loads
+
+    def moved(part):
+        return jax.tree.map(
+            lambda x: on_piece(beams, on_beam(stale, x)),
+            part,
+            is_leaf=lambda x: isinstance(x, Marker),
+        )
+
+    bodies = {n: own for n, own in bodies.items() if n not in stale}
+    connections = {n: moved(own) for n, own in connections.items() if not _joins(stale, own)}
+    gone = {own.beam for own in stale.values()}
+    loads = {
+        n: moved(own)
+        for n, own in loads.items()
+        if not (isinstance(own, Elasticity) and own.name in gone)
+    }
     for name, beam in beams.items():
-        load = loads.get(f"{name} elasticity")
-        if load is not None and load.hinges != beam.hinges(name):
-            raise ValueError(
-                f'the beam "{name}" has another length or other hinges than the one in whose place '
-                "it is put; build the mechanism anew."
-            )
-    moved = [
-        {
-            n: jax.tree.map(
-                lambda x: on_piece(beams, x), own, is_leaf=lambda x: isinstance(x, Marker)
-            )
-            for n, own in part.items()
-        }
-        for part in ((connections, loads) if beams else ())
-    ]
-    if not fresh:
-        return bodies, *(moved or (connections, loads))
-    bodies, connections, loads = dict(bodies), *moved
-    for name, beam in fresh.items():
         hinges, ends = beam.hinges(name), beam.ends()
+        joints = {}
         for i, hinge in enumerate(hinges):
-            after, (_, joint, axis) = piece_name(name, i + 1), HINGES[hinge.kind]
-            for new, taken in ((after, bodies), (hinge.joint, connections)):
-                if new in taken:
-                    raise ValueError(f'"{new}" is a part of the beam "{name}"; name it otherwise.')
-            bodies[after] = Piece(name, i + 1)
+            _, joint, axis = HINGES[hinge.kind]
             parent = Marker(piece_name(name, i), (ends[i + 1] - ends[i], 0.0), axis)
-            connections[hinge.joint] = Connection(joint, parent, Marker(after, axis=axis))
-        loads[f"{name} elasticity"] = Elasticity(name, hinges)
+            child = Marker(piece_name(name, i + 1), axis=axis)
+            joints[hinge.joint] = Connection(joint, parent, child)
+        elasticity = {f"{name} elasticity": Elasticity(name, hinges)}
+        for parts, new in (
+            (bodies, beam.pieces(name)),
+            (connections, joints),
+            (loads, elasticity),
+        ):
+            for n, own in new.items():
+                both: tuple = parts.setdefault(n, own), own
+                structures: list[Any] = [jax.tree.structure(x) for x in both]
+                if structures[0] != structures[1]:
+                    raise ValueError(
+                        f'"{n}" is a part of the beam "{name}", which makes it itself: leave it '
+                        "as it is or out, or give yours another name."
+                    )
     return bodies, connections, loads
+
+
+def _joins(pieces: Mapping[str, Piece], connection: Any) -> bool:
+    """Whether a connection is a hinge before one of these pieces."""
+    piece = pieces.get(connection.child.body) if isinstance(connection, Connection) else None
+    return piece is not None and connection.parent.body == piece_name(piece.beam, piece.index - 1)
+
+
+def on_beam(pieces: Mapping[str, Piece], part: Any) -> Any:
+    """A marker on one of these pieces as one on its beam; anything else as it is."""
+    piece = pieces.get(part.body) if isinstance(part, Marker) else None
+    if piece is None or part.at is None:
+        return part
+    return with_fields(part, body=piece.beam, at=(part.at[0] + piece.place, *part.at[1:]))
 
 
 def on_piece(bodies: Mapping[str, Any], part: Any) -> Any:

@@ -75,11 +75,12 @@ def assemble_arrays(
     time: Any = 0.0,
     rough: tuple[Array, Array] | None = None,
     worn: dict | None = None,
+    straight: bool = True,
 ) -> Start:
     """The consistent start nearest to what is guessed, in the mode to which a search from `rough`
-    coordinates and speeds leads, by default the mechanism's guess; of surfaces `worn` so deep [m];
-    pure, so it maps and differentiates."""
-    asked = ask(mechanism, concentric, worn)
+    coordinates and speeds leads, by default the mechanism's guess; of surfaces `worn` so deep [m],
+    beams `straight` as far as can be; pure, so it maps and differentiates."""
+    asked = ask(mechanism, concentric, worn)._replace(straight=straight)
     given = guess(mechanism, asked.system) if rough is None else rough
     return _solved(asked, *given, time, rough is None, in_one)
 
@@ -162,7 +163,7 @@ def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: An
     """
     bare = ungiven(mechanism)
     asked = ask(bare, False)
-    found = assemble_arrays(bare, False, time, (coordinates, speeds))
+    found = assemble_arrays(bare, False, time, (coordinates, speeds), straight=False)
     left = stacked(asked, position_blocks(asked, coordinates, time))[1]
     kept = jnp.max(jnp.abs(left), initial=0.0) <= start_check.HELD * asked.arm
     q, v = (

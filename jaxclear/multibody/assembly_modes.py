@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxclear.components.beam import parts_of_beams
 from jaxclear.ground import factorisation
 from jaxclear.ground.wording import listed
 from jaxclear.multibody import start_check
@@ -318,7 +319,7 @@ def beginnings(mechanism: Mechanism, tree: Coordinates, count: int) -> Iterator[
     for k in range(count):
         led = k % 2 == 0
         heeded = [name for name in mechanism.guess if random.random() < 0.5]
-        kept = {*mechanism.start, *(heeded if led else ())}
+        kept = {*mechanism.start, *(heeded if led else ()), *parts_of_beams(mechanism.loads)}
         q = tree.seed.copy()
         for branch, joint in zip(tree.branches, tree.joints, strict=True):
             own = np.array(

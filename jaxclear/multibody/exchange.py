@@ -86,12 +86,13 @@ def told_for_start(
     bodies: dict[str, Body],
     name: str,
     given: Mapping[str, Mapping[str, Any]],
+    first: tuple[str, ...],
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """(guess, speeds) with the coordinate of the exchanged joint where it stood, so that the start
     stays as it was. Raises `ValueError` where a body in space is held by a joint that only acts in
     a plane."""
     guess, speeds = dict(given["guess"]), dict(given["speeds"])
-    joint, after = connections[name].joint, grow(bodies, connections)
+    joint, after = connections[name].joint, grow(bodies, connections, first=first)
     if before.branch_of(name) is None or not isinstance(joint, AbstractClearance):
         return guess, speeds
     afloat = {b.body for b in after.branches if b.connection is None}

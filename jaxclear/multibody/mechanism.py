@@ -123,7 +123,13 @@ AS_NEEDED = "as the integrator needs it: by Projection where its steps open them
 
 def in_words(mechanism: Any) -> str:
     """What it has in the first line; bodies, connections, loads, start and speeds, a line each."""
-    parts = ((p, getattr(mechanism, p)) for p in ("bodies", "connections", "loads", "couplings"))
+    hidden = parts_of_beams(mechanism.loads)
+
+    def shown(part):
+        parts = dict.items(getattr(mechanism, part))
+        return {n: x for n, x in parts if not isinstance(x, Piece) and n not in hidden}
+
+    parts = ((part, shown(part)) for part in ("bodies", "connections", "loads", "couplings"))
     counts = [_counted(part, names) for part, names in parts if names]
     lines = [f"Mechanism: {', '.join(counts)}"]
     for part, entry in (
@@ -135,10 +141,7 @@ def in_words(mechanism: Any) -> str:
         ("guess", lambda name, values: _coordinates(mechanism, name, values, "")),
         ("speeds", lambda name, values: _coordinates(mechanism, name, values, "/s")),
     ):
-        given = getattr(mechanism, part)
-        hidden = parts_of_beams(mechanism.loads)
-        given = {n: x for n, x in dict.items(given) if not isinstance(x, Piece) and n not in hidden}
-        if given:
+        if given := shown(part):
             width = max(map(len, given))
             lines += [part, *(f"  {n:<{width}}  {entry(n, x)}".rstrip() for n, x in given.items())]
     if mechanism.topology.loops and mechanism.stabilisation is not None:
@@ -364,7 +367,7 @@ class Mechanism(AbstractQuantified):
         connections = exchanged(self.connections, self.bodies, name, joint)
         start = dict(self.given)
         start["guess"], start["speeds"] = told_for_start(
-            self.topology, connections, self.bodies, name, start
+            self.topology, connections, self.bodies, name, start, parts_of_beams(self.loads)
         )
         loads = self.loads
         if drive_of(self.connections[name].joint) is None and drive_of(connections[name].joint):
@@ -407,7 +410,8 @@ class Mechanism(AbstractQuantified):
             ValueError: for None and a name that does not exist.
         """
         if load is None:
-            check_name("load", name, self.loads, " in this mechanism")
+            removable = [n for n in self.loads if n not in parts_of_beams(self.loads)]
+            check_name("load", name, removable, " in this mechanism")
             return self.with_loads({n: own for n, own in self.loads.items() if n != name})
         return self.with_loads(self.loads | {name: load})
 

@@ -1,7 +1,7 @@
 """The equations that a start satisfies, in the order in which they count: loops are closed, what is
-given is held in the order given, journals lie in the middle of their bearings. What these leave
-free is as near to all that is guessed as it can be, in radians and shares of the longest arm
-together.
+given is held in the order given, journals lie in the middle of their bearings, beams are straight
+and do not bend as far as the others let them. What these leave free is as near to all that is
+guessed as it can be, in radians and shares of the longest arm together.
 """
 
 import functools
@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.components.beam import parts_of_beams
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_many
@@ -28,7 +29,7 @@ from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, motor_ends, prepare
 from jaxclear.multibody.tree import Motion
 
-LOOP, GIVEN, JOURNAL, GUESS = "loop", "given", "journal", "guess"
+LOOP, GIVEN, JOURNAL, GUESS, STRAIGHT = "loop", "given", "journal", "guess", "straight"
 
 
 @with_text_repr
@@ -74,13 +75,15 @@ def _largest(parts: dict[str, Array]) -> float:
 
 class Ask(NamedTuple):
     """What is asked of a start: the mechanism, ready and as given, whether journals are to be
-    concentric, the longest arm [m], and the depths of surfaces that are worn as it starts [m]."""
+    concentric, the longest arm [m], the depths of surfaces that are worn as it starts [m], and
+    whether beams are to be straight."""
 
     mechanism: Mechanism
     system: System
     concentric: bool
     arm: Any
     worn: dict[str, dict[str, Array]]
+    straight: bool = True
 
 
 class Block(NamedTuple):
@@ -178,6 +181,7 @@ def held_blocks(asked: Ask, place: Place) -> list[Block]:
         *(_closure_block(asked, motions, n, c, LOOP, False) for n, c in _loops(asked)),
         *_coordinate_blocks(asked, place, GIVEN),
         *_journal_blocks(asked, motions, False),
+        *_coordinate_blocks(asked, place, STRAIGHT),
     ]
 
 
@@ -186,10 +190,21 @@ def guess_blocks(asked: Ask, place: Place) -> list[Block]:
     return _coordinate_blocks(asked, place, GUESS)
 
 
+def _straight(asked: Ask, *parts: str) -> dict[str, tuple]:
+    """What hinges of beams are at of which nothing is given in these parts."""
+    hinges = parts_of_beams(asked.mechanism.loads) if asked.straight else ()
+    given_of = {name for part in parts for name in getattr(asked.mechanism, part)}
+    carried = {branch.name for branch in asked.system.topology.branches}
+    return {name: (0.0,) for name in hinges if name in carried - given_of}
+
+
 def _coordinate_blocks(asked: Ask, place: Place, kind: str) -> list[Block]:
-    """Coordinates that are given, or guessed."""
-    blocks, part = [], "start" if kind == GIVEN else "guess"
-    told_of = asked.mechanism.given[part].items()
+    """Coordinates that are given, guessed, or straight."""
+    blocks: list[Block] = []
+    if kind == STRAIGHT:
+        told_of: Any = _straight(asked, "start", "guess").items()
+    else:
+        told_of = asked.mechanism.given["start" if kind == GIVEN else "guess"].items()
     sources = [given.source(asked.mechanism, asked.system, name) for name, _ in told_of]
     values_of = [values for _, values in told_of]
     equations = given.coordinate_equations(
@@ -205,12 +220,16 @@ def speed_blocks(asked: Ask, q: Array, v: Array, time: Any) -> list[Block]:
     """What is left to change in the speeds, in order."""
     own_q, own_v, motions = motions_at(asked, q, v, time)
     blocks = [_closure_block(asked, motions, n, c, LOOP, True) for n, c in _loops(asked)]
-    for name, values in asked.mechanism.given["speeds"].items():
+    fast = asked.mechanism.given["speeds"]
+    still = _straight(asked, "speeds")
+    later: list[Block] = []
+    for name, values in (fast | still).items():
         where = given.source(asked.mechanism, asked.system, name)
         found = given.speed_equations(asked.system, motions, own_q, own_v, where, values)
         told = (True,) * len(values)
-        blocks.append(_given_block(asked, GIVEN, name, where, found, told))
-    return blocks + _journal_blocks(asked, motions, True)
+        kind, there = (GIVEN, blocks) if name in fast else (STRAIGHT, later)
+        there.append(_given_block(asked, kind, name, where, found, told))
+    return blocks + _journal_blocks(asked, motions, True) + later
 
 
 def outside_tree(mechanism: Mechanism) -> bool:
@@ -259,7 +278,7 @@ def leaves_free(asked: Ask, blocks: list[Block]) -> bool:
     """Whether equations are fewer than the free speeds; of loops only those count that are known to
     be independent."""
     topology = asked.system.topology
-    counts = dict.fromkeys((LOOP, GIVEN, JOURNAL), 0)
+    counts = dict.fromkeys((LOOP, GIVEN, JOURNAL, STRAIGHT), 0)
     for block in blocks:
         counts[block.kind] += len(block.left)
     if topology.redundancy is not None:

@@ -11,7 +11,8 @@ from typing import Any
 import equinox as eqx
 import jax
 
-from jaxclear.components.body import GROUND, Marker
+from jaxclear.components.beam import beam_of
+from jaxclear.components.body import GROUND, Body, Marker
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_name, check_number, expect
@@ -23,8 +24,9 @@ def apply_thermal_expansion(mechanism: Mechanism, rise: Any, expansion: Any) -> 
     """Change the dimensions of a mechanism by thermal expansion.
 
     Places of markers and centres of mass grow with their body; a bearing with the body of the
-    connection's parent, its journal, ball or slider with that of the child. Masses, inertias and
-    stiffnesses stay. Pure, so that the rise may be a `jaxclear.Condition`.
+    connection's parent, its journal, ball or slider with that of the child. Masses, inertias,
+    stiffnesses and centres of mass of a beam's segments stay. Pure, so that the rise may be a
+    `jaxclear.Condition`.
 
     Args:
         mechanism: the mechanism as drawn.
@@ -43,7 +45,7 @@ def apply_thermal_expansion(mechanism: Mechanism, rise: Any, expansion: Any) -> 
     """
     expect(mechanism, Mechanism, "what expands", "a jaxclear.Mechanism")
     check_number("rise of apply_thermal_expansion", rise, "K")
-    known = [GROUND, *mechanism.bodies]
+    known = [GROUND, *(n for n in mechanism.bodies if beam_of(mechanism.bodies, n) == n)]
     if isinstance(expansion, Mapping):
         for name, value in expansion.items():
             check_name("body", name, known, " in this mechanism")
@@ -52,7 +54,9 @@ def apply_thermal_expansion(mechanism: Mechanism, rise: Any, expansion: Any) -> 
     else:
         check_number("expansion of apply_thermal_expansion", expansion, "1/K")
         own = dict.fromkeys(known, expansion)
-    growth = {name: 1 + own.get(name, 0.0) * rise for name in known}
+    growth = {
+        name: 1 + own.get(beam_of(mechanism.bodies, name), 0.0) * rise for name in mechanism.bodies
+    } | {GROUND: 1 + own.get(GROUND, 0.0) * rise}
 
     def grown_marker(thing):
         if not isinstance(thing, Marker) or thing.at is None:
@@ -61,8 +65,8 @@ def apply_thermal_expansion(mechanism: Mechanism, rise: Any, expansion: Any) -> 
         return eqx.tree_at(lambda m: m.at, thing, tuple(factor * x for x in thing.at))
 
     warm = jax.tree.map(grown_marker, mechanism, is_leaf=lambda x: isinstance(x, Marker))
-    for name, body in mechanism.bodies.items():
-        if body.com is not None:
+    for name, body in dict.items(mechanism.bodies):
+        if isinstance(body, Body) and body.com is not None:
             com = tuple(growth[name] * x for x in body.com)
             warm = eqx.tree_at(_place("bodies", name, "com"), warm, com)
     for name in mechanism.topology.clearances:

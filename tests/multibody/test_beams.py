@@ -178,7 +178,7 @@ def test_a_rod_that_bends_stands_in_the_place_of_a_rigid_one():
     assert rig.topology.loops == ()
     assert [rig.connections[n].parent.body for n in ("B", "rod bend 2")] == ["rod 5", "rod 2"]
     printed = str(rig)
-    assert "rod bend" not in printed
+    assert "rod bend" not in printed and "3 bodies, 4 connections, 1 load\n" in printed
     run = jc.simulate(rig, 5e-3, save=26, integrator=jc.integrator.ImplicitStep(2e-5), verify=False)
     away = float(jc.response.LargestDeflection("rod")(run))
     assert 1e-6 < away < 2e-3
@@ -194,6 +194,50 @@ def test_a_rod_that_bends_stands_in_the_place_of_a_rigid_one():
     assert again.bodies["rod 2"].mass == rig.bodies["rod 2"].mass
 
 
+def test_parts_are_exchanged_around_a_beam_and_it_itself():
+    rig = clamped(beam(4), (0.0, 1.0))
+    assert set(rig.with_loads({}).loads) == {"rod elasticity"}
+    finer = rig.with_body("rod", beam(5))
+    assert (len(finer.bodies), finer.loads["tip"].marker.body) == (6, "rod 6")
+    assert len(finer.connections) == 1 + 5
+    assert finer.loads["tip"].marker.at[0] == pytest.approx(0.1, rel=1e-14)
+    rigid = finer.with_body("rod", jc.Body(1.0, 1.0))
+    assert (list(rigid.bodies), list(rigid.connections)) == (["rod"], ["wall"])
+    assert list(rigid.loads) == ["tip"]
+    assert rigid.loads["tip"].marker.body == "rod"
+    assert rigid.loads["tip"].marker.at[0] == pytest.approx(LENGTH, rel=1e-15)
+    # Every length along the beam grows with it, by its name.
+    warm = jc.apply_thermal_expansion(rig, 100.0, {"rod": 1e-5})
+    along = [float(warm.connections[f"rod bend {i + 1}"].parent.at[0]) for i in range(4)]
+    assert sum(along) + warm.loads["tip"].marker.at[0] == pytest.approx(1.001 * LENGTH, rel=1e-12)
+
+
+@pytest.mark.parametrize("loose", [False, True])
+def test_beams_start_straight_where_loops_let_them(loose):
+    base = jc.scenes.slider_crank("planar", 2e-4, crank_speed=150.0)
+    turned, crank, rod = 1.0, 0.05, 0.12
+    given = {"O": jc.joint.Revolute(drive=jc.drive.ConstantSpeed(150.0, start=turned))}
+    if not loose:
+        given["B"] = jc.joint.Revolute()
+    connections = {
+        n: jc.Connection(given.get(n, own.joint), own.parent, own.child)
+        for n, own in base.connections.items()
+    }
+    bends = jc.Beam(rod, jc.section.Circle(6e-3), STEEL, DENSITY, 4)
+    rig = jc.Mechanism(base.bodies | {"rod": bends}, connections, guess={"G": 0.17})
+    start = jc.assemble(rig)
+    branches = {b.name: b for b in rig.topology.branches}
+    for i in range(4):
+        hinge = branches[f"rod bend {i + 1}"]
+        assert abs(start.coordinates[hinge.coordinates]) < 1e-15
+        assert abs(start.speeds[hinge.speeds]) < 1e-12
+    # The slider-crank with a rigid rod, whose slider stands apart and not on the crank's line.
+    slope = np.arcsin(crank * np.sin(turned) / rod)
+    if "A" in branches:
+        angle = start.coordinates[branches["A"].coordinates][0]
+        assert angle == pytest.approx(-turned - slope, abs=1e-12)
+
+
 def test_what_a_beam_is_refused_for():
     with pytest.raises(ValueError, match="length = -1.0; it must be a number above 0"):
         jc.Beam(-1.0, jc.section.Circle(0.1), STEEL, DENSITY)
@@ -205,8 +249,18 @@ def test_what_a_beam_is_refused_for():
         clamped(beam(), (0.0, 1.0)).with_load(
             "pull", jc.load.Force(jc.Marker("rod", (2.0, 0.0)), (0.0, 1.0))
         )
-    with pytest.raises(ValueError, match="has another length or other hinges"):
-        clamped(beam(4), (0.0, 1.0)).with_body("rod", beam(5))
+    rig = clamped(beam(4), (0.0, 1.0))
+    for build in (
+        lambda: rig.with_joint("rod bend 1", jc.joint.Fixed()),
+        lambda: rig.with_body("rod 2", jc.Body(1.0, 1.0)),
+        lambda: rig.with_load("rod elasticity", jc.load.Gravity()),
+        # What is read of a piece is a body.
+        lambda: jc.Mechanism({**dict(rig.bodies.items())}, rig.connections, rig.loads),
+    ):
+        with pytest.raises(ValueError, match='a part of the beam "rod", which makes it itself'):
+            build()
+    with pytest.raises(ValueError, match='no load "rod elasticity"'):
+        rig.with_load("rod elasticity", None)
     thin = jc.Beam(1.0, jc.section.Properties(100.0, 1.0), segments=2, damping=1.5)
     run = at_rest(clamped(thin, (0.0, 1.0)))
     with pytest.raises(ValueError, match="without an outer fibre"):
