@@ -554,10 +554,13 @@ class CylinderMap(AbstractSurface):
         """Worn depth at the direction (x, y) of the row at the lower (-1) or upper (1) end, in
         metres.
         """
-        position = direction_angle(x, y) / self.cell - 0.5
+        around, own = self.cells[0], reading[0 if end < 0 else -1]
+        position = direction_angle(x, y) * (around / (2 * math.pi) / self.coarseness) - 0.5
         nearest = jnp.round(position)
-        side, own = self.side, reading[0 if end < 0 else -1]
-        here = (nearest.astype(int) * side) % self.cells[0] + 2
+        # A turn once at most, as a number: a remainder of whole numbers costs more.
+        column = nearest * jnp.floor(self.coarseness)
+        column = jnp.where(column < 0, column + around, column)
+        here, side = column.astype(int) + 2, self.side
         return spline(position - nearest, *(entry(own, (here + k * side,)) for k in (-1, 0, 1)))
 
 

@@ -130,13 +130,15 @@ def atan2(lanes: int) -> tuple[list[str], set[str]]:
     steep = w.operate("fcmp ogt {type} {0}, {1}", FLOAT, up, along)
     small, large = w.choose(steep, along, up, FLOAT), w.choose(steep, up, along, FLOAT)
     nowhere = w.operate("fcmp oeq {type} {0}, {1}", FLOAT, large, 0.0)
-    ratio = _float(w, "fdiv {type} {0}, {1}", small, w.choose(nowhere, 1.0, large, FLOAT))
-    wide_angle = w.operate("fcmp ogt {type} {0}, {1}", FLOAT, ratio, TURN_RATIO)
+    # One division: (small - large) / (small + large) beyond a ratio.
+    limit = _float(w, "fmul {type} {0}, {1}", TURN_RATIO, large)
+    wide_angle = w.operate("fcmp ogt {type} {0}, {1}", FLOAT, small, limit)
     less, more = (
-        _float(w, "fsub {type} {0}, {1}", ratio, 1.0),
-        _float(w, "fadd {type} {0}, {1}", ratio, 1.0),
+        _float(w, "fsub {type} {0}, {1}", small, large),
+        _float(w, "fadd {type} {0}, {1}", small, large),
     )
-    t = w.choose(wide_angle, _float(w, "fdiv {type} {0}, {1}", less, more), ratio, FLOAT)
+    over, under = w.choose(wide_angle, less, small, FLOAT), w.choose(wide_angle, more, large, FLOAT)
+    t = _float(w, "fdiv {type} {0}, {1}", over, w.choose(nowhere, 1.0, under, FLOAT))
     z = _float(w, "fmul {type} {0}, {0}", t)
     share = _float(w, "fdiv {type} {0}, {1}", _series(w, z, ANGLE_TOP), _series(w, z, ANGLE_BOTTOM))
     arc = w.call("fma", _float(w, "fmul {type} {0}, {1}", z, share), t, t)

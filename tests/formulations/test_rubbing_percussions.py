@@ -173,7 +173,8 @@ def test_derivatives_are_those_of_differences_or_steps_decide_them(name):
     for derivatives in (forwards, backwards):
         assert (
             jc.why_unknown(derivatives)
-            == "In steps of another length it is another, or none: take shorter steps."
+            == "In steps of another length it is another, or none: take shorter steps or a "
+            "tighter rtol."
         )
 
 
