@@ -41,7 +41,7 @@ def test_one_record_predicts_the_energies_of_four_others(one_record):
     best = jnp.asarray(one_record.fits["linear"][0].best)
     off = []
     for record in MEASURED.values():
-        force = np.asarray(damper(record).series(best)["force"])
+        force = np.asarray(damper(record).detail(best)["force"])
         off.append(energy(record.displacement, force) / record.energy - 1)
     # A series with gap, spring and Coulomb's friction, fitted by linear least squares outside.
     np.testing.assert_allclose(off, [-0.009, 0.064, 0.078, 0.007, 0.052], atol=3e-3)
@@ -51,7 +51,7 @@ def test_first_peaks_are_underestimated_by_a_fifth_to_a_third(one_record):
     """Friction remembers that it stuck, the law does not: no fit of it mends the peak."""
     best = jnp.asarray(one_record.fits["linear"][0].best)
     for record in MEASURED.values():
-        force = np.abs(np.asarray(damper(record).series(best)["force"]))
+        force = np.abs(np.asarray(damper(record).detail(best)["force"]))
         assert -0.32 < force.max() / np.abs(record.force).max() - 1 < -0.18
 
 
