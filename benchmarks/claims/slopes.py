@@ -28,8 +28,8 @@ import jaxclear as jc
 from benchmarks.measure import arguments, by_turns, report, seconds_to_compile, sign
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import prepare
-from jaxclear.simulation.derivatives import backwards
-from jaxclear.simulation.derivatives import is_compared
+from jaxclear.simulation.derivatives import backwards, is_compared
+from jaxclear.studies.run_experiment import RunExperiment
 
 STEP, SAVES, DURATION = 2e-5, 21, 0.1
 RUNGS = {
@@ -94,7 +94,7 @@ def with_slopes(asked: jc.Problem, count: int | str, discrete: bool) -> Callable
     gradient for `REVERSE`."""
     value = np.asarray(asked.nominal())
     numbers, rest = eqx.partition(asked, eqx.is_array)
-    started = functools.partial(jc.Problem.started, discrete=discrete)
+    started = functools.partial(RunExperiment.started, discrete=discrete)
 
     def function(numbers, values):
         whole = eqx.combine(numbers, rest)
@@ -105,7 +105,8 @@ def with_slopes(asked: jc.Problem, count: int | str, discrete: bool) -> Callable
         def answer(v):
             if checked:
                 return whole.evaluate(v).responses["response"]
-            _, _, run = backwards(started, whole.integrator, whole, v)
+            given = whole.experiment, whole.setting(v)
+            _, _, run = backwards(whole.integrator)(started, *given)
             return whole.response["response"](run)
 
         if count == 0:

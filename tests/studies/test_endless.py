@@ -98,8 +98,8 @@ def test_a_campaign_tells_what_a_plain_study_tells(lasting, sample, tmp_path):
         with pytest.raises(ValueError, match="it is told up to"):
             found.share_within({"life": (2 * FOLLOWED, None)})
     assert failures(lasting, kept.sample.outcome, kept.sample.responses) == 0
-    shown = campaign_page(tmp_path / "kept").sections[0].shown
-    assert any("there is no variance of it" in str(own) for own in shown)
+    items = campaign_page(tmp_path / "kept").sections[0].items
+    assert any("there is no variance of it" in str(item) for item in items)
 
 
 def test_a_derivative_beyond_what_is_followed_is_refused(lasting, sample):
