@@ -185,8 +185,8 @@ class PeakWornDepth(AbstractResponse):
         return "worn depth"
 
     def __call__(self, run):
-        wear_map = wearing_in(run.mechanism)[self.joint].maps()[self.surface][0]
-        return wear_map.deepest(run.worn_depth(self.joint, self.surface))
+        depth = run.worn_depth(self.joint, self.surface)
+        return wearing_in(run.mechanism)[self.joint].maps()[self.surface][0].deepest(depth)
 
 
 class WornVolume(AbstractResponse):
