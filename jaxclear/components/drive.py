@@ -19,20 +19,9 @@ from jaxclear.components.function_of_time import (
     check_function_of_time,
     opened,
 )
-from jaxclear.ground.argument_errors import nothing_else
+from jaxclear.ground.argument_errors import defined_names, nothing_else
 from jaxclear.ground.numerics import smooth_step
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
-
-__all__ = [
-    "AbstractDrive",
-    "ConstantPosition",
-    "ConstantSpeed",
-    "Harmonic",
-    "Position",
-    "RampUp",
-    "Speed",
-]
-__getattr__, __dir__ = nothing_else("jaxclear.drive", __all__)
 
 
 class AbstractDrive(AbstractQuantified):
@@ -195,3 +184,7 @@ class Speed(AbstractDrive):
 def _as_number(function: Callable) -> Callable[[Scalar], Scalar]:
     """The function of time with its value as an array: one that is constant may return 3.0."""
     return lambda time: jnp.asarray(function(time), float)
+
+
+__all__ = defined_names(globals())
+__getattr__, __dir__ = nothing_else("jaxclear.drive", __all__)

@@ -215,6 +215,13 @@ def imported_names(namespace: dict[str, Any], *further: str) -> list[str]:
     )
 
 
+def defined_names(namespace: dict[str, Any], *further: str) -> list[str]:
+    """What a module offers: the public classes and functions that it defines, and `further`."""
+    here = namespace["__name__"]
+    names = (n for n, value in namespace.items() if getattr(value, "__module__", "") == here)
+    return sorted({*(name for name in names if not name.startswith("_")), *further})
+
+
 def nothing_else(
     module: str, offered: list[str]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:

@@ -12,25 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.argument_errors import nothing_else
-
-__all__ = [
-    "AXES",
-    "FLIP",
-    "REST",
-    "STILL",
-    "Pose",
-    "Twist",
-    "frame_in_plane",
-    "frame_with_axis",
-    "quaternion_from_rotation",
-    "quaternion_rate",
-    "rotation_from_quaternion",
-    "rotation_x",
-    "rotation_y",
-    "rotation_z",
-]
-__getattr__, __dir__ = nothing_else("jaxclear.pose", __all__)
+from jaxclear.ground.argument_errors import defined_names, nothing_else
 
 
 class Pose(NamedTuple):
@@ -258,3 +240,7 @@ def frame_in_plane(axis: tuple) -> sp.Mat:
     length = flat if len(axis) == 2 else jnp.sqrt(flat * flat + z * z)
     third = tuple(0 if sp.is_zero(part) else part / length for part in (x, y, z))
     return sp.transpose((first, sp.cross(third, first) if len(axis) == 3 else (0, 0, 1), third))
+
+
+__all__ = defined_names(globals(), "AXES", "FLIP", "REST", "STILL")
+__getattr__, __dir__ = nothing_else("jaxclear.pose", __all__)

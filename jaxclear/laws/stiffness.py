@@ -12,25 +12,11 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 
-from jaxclear.ground.argument_errors import nothing_else
+from jaxclear.ground.argument_errors import defined_names, nothing_else
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, concrete, quantity
 from jaxclear.laws.material import Material, combined_modulus
-
-__all__ = [
-    "AbstractFit",
-    "ClearanceOf",
-    "CombinedModulus",
-    "Fitted",
-    "HertzStiffness",
-    "InnerRadiusOf",
-    "LengthOf",
-    "OuterRadiusOf",
-    "Shape",
-    "fitted",
-]
-__getattr__, __dir__ = nothing_else("jaxclear.stiffness", __all__)
 
 # Hertz: F = 4/3 E* sqrt(R) delta^(3/2) for two spheres (Johnson 1985, eq. 4.23).
 HERTZ_SPHERE = 4 / 3
@@ -185,3 +171,7 @@ def fitted(law, shape: Shape):
         return jnp.asarray(as_number(node.value(shape))) if isinstance(node, AbstractFit) else node
 
     return jax.tree.map(settle, law, is_leaf=lambda node: isinstance(node, AbstractFit))
+
+
+__all__ = defined_names(globals(), "Fitted")
+__getattr__, __dir__ = nothing_else("jaxclear.stiffness", __all__)

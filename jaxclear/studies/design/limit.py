@@ -215,8 +215,16 @@ __getattr__, __dir__ = nothing_else("jaxclear.limit", __all__)
 class AbstractOneSidedLimit(AbstractLimit):
     """A limit from above or from below on a number in the response's unit."""
 
-    at_most: eqx.AbstractVar[Scalar | None]
-    at_least: eqx.AbstractVar[Scalar | None]
+    response: str = eqx.field(static=True)
+    at_most: Scalar | None = quantity(None, OWN, kw_only=True)
+    at_least: Scalar | None = quantity(None, OWN, kw_only=True)
+
+    def __check_init__(self):
+        if (self.at_most is None) == (self.at_least is None):
+            raise ValueError(
+                f'limit.{type(self).__name__} of "{self.response}" takes at_most or at_least; give '
+                "one of the two."
+            )
 
     def bound(self):
         return self.at_most if self.upper() else self.at_least
@@ -242,13 +250,6 @@ class AbstractOneSidedLimit(AbstractLimit):
         return of_response
 
 
-def _check_one_side(limit: Any, kind: str) -> None:
-    if (limit.at_most is None) == (limit.at_least is None):
-        raise ValueError(
-            f'limit.{kind} of "{limit.response}" takes at_most or at_least; give one of the two.'
-        )
-
-
 class MeanAndDeviation(AbstractOneSidedLimit):
     """Mean plus a number of standard deviations at most, or mean minus as many at least.
 
@@ -262,13 +263,7 @@ class MeanAndDeviation(AbstractOneSidedLimit):
         ValueError: unless one of at_most and at_least is given.
     """
 
-    response: str = eqx.field(static=True)
-    at_most: Scalar | None = quantity(None, OWN, kw_only=True)
-    at_least: Scalar | None = quantity(None, OWN, kw_only=True)
     deviations: Scalar = quantity(3.0, "1", at_least=0, kw_only=True)
-
-    def __check_init__(self):
-        _check_one_side(self, "MeanAndDeviation")
 
     def number(self, sample):
         side = 1.0 if self.upper() else -1.0
@@ -302,13 +297,7 @@ class Quantile(AbstractOneSidedLimit):
         ValueError: unless one of at_most and at_least is given.
     """
 
-    response: str = eqx.field(static=True)
-    at_most: Scalar | None = quantity(None, OWN, kw_only=True)
-    at_least: Scalar | None = quantity(None, OWN, kw_only=True)
     share: Scalar = quantity(unit="1", above=0.5, below=1, kw_only=True)
-
-    def __check_init__(self):
-        _check_one_side(self, "Quantile")
 
     def number(self, sample):
         if self.upper():
@@ -423,13 +412,6 @@ class WorstCase(AbstractOneSidedLimit):
     Raises:
         ValueError: unless one of at_most and at_least is given.
     """
-
-    response: str = eqx.field(static=True)
-    at_most: Scalar | None = quantity(None, OWN, kw_only=True)
-    at_least: Scalar | None = quantity(None, OWN, kw_only=True)
-
-    def __check_init__(self):
-        _check_one_side(self, "WorstCase")
 
     def number(self, sample):
         return sample.ends[1 if self.upper() else 0]
