@@ -47,7 +47,8 @@ class Unknown(AbstractOutcome):
     )
     STEPS_DECIDE = (
         1,
-        "in steps of another length it is another, or none: take shorter steps or a tighter rtol.",
+        "in steps of another length it is another, or none: take shorter steps or a tighter rtol, "
+        "or, where surfaces wear, more saving times, at which they are updated.",
     )
     GROWN = (
         2,

@@ -126,8 +126,8 @@ DELAY = 5e-5
 
 
 class Left(NamedTuple):
-    """What a turn leaves, and what is left of all: states, worn surfaces as gaps saw them, events
-    (None: nobody asks)."""
+    """What a turn leaves, and what is left of all: states, worn surfaces as gaps saw them (not as
+    updated then: forces would be lower than the motion's), events (None: nobody asks)."""
 
     states: State
     read: Worn
