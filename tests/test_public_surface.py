@@ -127,7 +127,7 @@ INNER |= {"RecordedExperiment", "RecordedVariable", "StateGroup"}
 # What functions make problems of.
 INNER |= {"RunExperiment", "PositionExperiment", "FunctionExperiment", "LifeExperiment"}
 # What a beam becomes in a mechanism.
-INNER |= {"Elasticity", "Piece"}
+INNER |= {"_Elasticity", "Piece"}
 # Laws of which a number says which acts, in the sample of an identification; what sensors are.
 INNER |= {"ChosenDissipation", "ChosenFriction", "AbstractSignal"}
 # A load as steps see it that find its force themselves.

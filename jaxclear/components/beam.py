@@ -181,16 +181,16 @@ class Piece(AbstractQuantified):
     place: float = eqx.field(static=True)
 
 
-class Elasticity(AbstractStateLoad):
+class _Elasticity(AbstractStateLoad):
     """The springs and dampers in the hinges of a beam, which reads its numbers of the mechanism."""
 
     name: str = eqx.field(static=True)
     hinges: tuple[Hinge, ...] = eqx.field(static=True)
     springs: dict[str, tuple] | None = None
 
-    def of_bodies(self, bodies: Mapping[str, Any]) -> "Elasticity":
+    def of_bodies(self, bodies: Mapping[str, Any]) -> "_Elasticity":
         """With stiffness and damping of each kind of hinge, by the numbers of its beam."""
-        return Elasticity(self.name, self.hinges, bodies[self.name].springs())
+        return _Elasticity(self.name, self.hinges, bodies[self.name].springs())
 
     def coordinates(self):
         return tuple(hinge.joint for hinge in self.hinges)
@@ -217,7 +217,7 @@ def beam_of(bodies: dict[str, Any], name: str) -> str:
 
 def parts_of_beams(loads: Mapping[str, Any]) -> tuple[str, ...]:
     """The names of hinges of beams and of their elasticity in a mechanism under these loads."""
-    elastic = {name: own for name, own in loads.items() if isinstance(own, Elasticity)}
+    elastic = {name: own for name, own in loads.items() if isinstance(own, _Elasticity)}
     return (*elastic, *(joint for own in elastic.values() for joint in own.coordinates()))
 
 
@@ -251,7 +251,7 @@ def with_pieces(
     loads = {
         n: moved(own)
         for n, own in loads.items()
-        if not (isinstance(own, Elasticity) and own.name in gone)
+        if not (isinstance(own, _Elasticity) and own.name in gone)
     }
     for name, beam in beams.items():
         hinges, ends = beam.hinges(name), beam.ends()
@@ -261,7 +261,7 @@ def with_pieces(
             parent = Marker(piece_name(name, i), (ends[i + 1] - ends[i], 0.0), axis)
             child = Marker(piece_name(name, i + 1), axis=axis)
             joints[hinge.joint] = Connection(joint, parent, child)
-        elasticity = {f"{name} elasticity": Elasticity(name, hinges)}
+        elasticity = {f"{name} elasticity": _Elasticity(name, hinges)}
         for parts, new in (
             (bodies, beam.pieces(name)),
             (connections, joints),
