@@ -213,7 +213,16 @@ __getattr__, __dir__ = nothing_else("jaxclear.limit", __all__)
 
 
 class AbstractOneSidedLimit(AbstractLimit):
-    """A limit from above or from below on a number in the response's unit."""
+    """A limit from above or from below on a number in the response's unit.
+
+    Args:
+        response: name of the response.
+        at_most: largest value, a number in the response's unit; None (default) with `at_least`.
+        at_least: smallest value, a number in the response's unit; None (default) with `at_most`.
+
+    Raises:
+        ValueError: for none or both of `at_most` and `at_least`.
+    """
 
     response: str = eqx.field(static=True)
     at_most: Scalar | None = quantity(None, OWN, kw_only=True)

@@ -70,15 +70,25 @@ class AbstractLifeResponse(AbstractQuantified):
 
     @abstractmethod
     def unit_among(self, units: dict[str, str]) -> str:
-        """Its unit, from those of the quantities of a life."""
+        """Its unit.
+
+        Args:
+            units: mapping from the quantities of a life to their units.
+        """
 
     @abstractmethod
     def decides_length(self) -> bool:
         """Whether it says by itself how long a life is to be."""
 
     def ahead(self, life: WearLife) -> float:
-        """How many cycles more it takes, as the life goes on at its end; 0 where the life tells it
-        already, infinite where it never will."""
+        """How many cycles more it takes, as the life goes on at its end.
+
+        Args:
+            life: the result as far as it has been simulated, a `WearLife`.
+
+        Returns:
+            0 where the life contains the number already, infinite where it never will.
+        """
         return 0.0
 
     def depends_on(self, problem: Problem) -> frozenset[str]:
@@ -94,17 +104,30 @@ class AbstractLifeResponse(AbstractQuantified):
         return frozenset(reached) | (of_cycle.depends_on if of_cycle else frozenset())
 
     def check(self, units: dict[str, str]) -> None:
-        """Raises `ValueError` for a quantity that lives with these units do not tell of."""
+        """Refuse a quantity that a life does not have.
+
+        Args:
+            units: mapping from the quantities of a life to their units.
+
+        Raises:
+            ValueError: for a quantity that is not among them.
+        """
         check_name("quantity", self.name, units, " in this life")
 
 
 class LifeUntil(AbstractLifeResponse):
-    """Cycles until a quantity first reaches a `limit`, in its unit, as `WearLife.until`; infinite
-    where it does not in as long a life as is followed (`LifeProblem`). `sure`: less the error of
-    the life, the lower end of its 95 % interval [cycles]."""
+    """Cycles until a quantity first reaches a limit, as `WearLife.until`; infinite where it does
+    not in as long a life as is followed (`LifeProblem`).
+
+    Args:
+        name: name of the quantity: "depth", "volume", those of one surface, or a response.
+        limit: number that it reaches (in the quantity's unit).
+        sure: whether the error of the life is subtracted: the lower end of its 95 % interval;
+            False by default.
+    """
 
     name: str = eqx.field(static=True)
-    limit: Scalar = quantity(unit="(in the quantity's unit)", meaning="what it reaches")
+    limit: Scalar = quantity(unit="(in the quantity's unit)")
     sure: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self):
