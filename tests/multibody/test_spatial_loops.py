@@ -86,5 +86,5 @@ def test_row_operations_of_any_size_are_kernels(count, caplog):
     wanted = np.linalg.lstsq(matrix, targets)[0]
     np.testing.assert_allclose(whole.change, wanted, atol=1e-11)
     np.testing.assert_allclose(chosen.change, wanted, atol=1e-11)
-    assert whole.met.tolist() == [True] * (count - 1) + [False] and chosen.met.all()
+    assert whole.exact.tolist() == [True] * (count - 1) + [False] and chosen.exact.all()
     assert not [x for x in caplog.messages if "left to XLA" in x]
