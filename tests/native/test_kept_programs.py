@@ -103,7 +103,7 @@ def test_what_is_no_array_comes_back_as_it_was(kept, monkeypatch):
     known = compiled_quickly(scaled)
     TRACED.clear()
     found = known(jnp.arange(3.0), 2, ("a", None))
-    compiled._AT_HAND.kept.clear()
+    compiled._AT_HAND.entries.clear()
     again = known(np.ones(3), 2, ("a", None))
     assert TRACED == [("a", None)]
     assert again["words"] == ("a", None) and again["scaled"].tolist() == [2.0, 2.0, 2.0]
@@ -135,7 +135,7 @@ def test_what_belongs_to_a_user_is_never_found_by_its_name(kept):
     assert told != tree_in_text(jax.tree.structure(jc.scenes.slider_crank(friction=False)))
     # Its program is JAX's to keep.
     assert compiled_quickly(scaled)(jnp.ones(2), 2, "")["scaled"].tolist() == [2.0, 2.0]
-    assert cache_folder.list_files() == [] and compiled._AT_HAND.kept
+    assert cache_folder.list_files() == [] and compiled._AT_HAND.entries
 
 
 def test_settings_make_another_program(monkeypatch):
@@ -272,8 +272,8 @@ def test_programs_of_other_functions_are_let_go(kept, monkeypatch):
     for i in range(5):
         times = compiled_quickly(lambda x, i=i: i * x)
         assert times(jnp.asarray(2.0)) == 2 * i and times(jnp.asarray(3.0)) == 3 * i
-    assert len(latest.kept) == 2
-    assert sum(size for _, size in latest.kept.values()) <= latest.most
+    assert len(latest.entries) == 2
+    assert sum(size for _, size in latest.entries.values()) <= latest.most
 
 
 @pytest.mark.parametrize(("patience", "said"), [(0.0, 1), (60.0, 0)])
