@@ -5,7 +5,7 @@ alike. Source: Wittbrodt, Adamiec-Wojcik & Wojciech 2006, Dynamics of Flexible M
 Rigid Finite Element Method, ch. 2, doi:10.1007/978-3-540-32352-9.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -238,9 +238,11 @@ def with_pieces(
     if not beams and not stale:
         return bodies, connections, loads
 
+    built = [name for name in beams if f"{name} elasticity" in loads]
+
     def moved(part):
         return jax.tree.map(
-            lambda x: on_piece(beams, on_beam(stale, x)),
+            lambda x: on_piece(beams, on_beam(stale, x), built),
             part,
             is_leaf=lambda x: isinstance(x, Marker),
         )
@@ -292,13 +294,15 @@ def on_beam(pieces: Mapping[str, Piece], part: Any) -> Any:
     return with_fields(part, body=piece.beam, at=(part.at[0] + piece.place, *part.at[1:]))
 
 
-def on_piece(bodies: Mapping[str, Any], part: Any) -> Any:
+def on_piece(bodies: Mapping[str, Any], part: Any, built: Sequence[str] = ()) -> Any:
     """A marker on a beam of these bodies as one on the piece where it lies; anything else as it
-    is."""
+    is, and so what is being traced on beams that are `built`: it was put on its piece before."""
     beam = bodies.get(part.body) if isinstance(part, Marker) else None
     if not isinstance(beam, Beam) or part.at is None:
         return part
     ends, place = beam.ends(), concrete(part.at[0])
+    if place is None and part.body in built:
+        return part
     if place is None or not -1e-9 <= place / ends[-1] <= 1 + 1e-9:
         raise ValueError(
             f'a marker on the beam "{part.body}" lies at x = {part.at[0]} m; it must be a number '

@@ -269,6 +269,17 @@ def test_what_a_beam_is_refused_for():
         run.deflection("wall")
 
 
+def test_a_load_that_settles_by_its_inertia_acts_beside_a_beam():
+    # Its numbers follow in a traced mechanism, which is built anew.
+    rod = jc.Beam(0.12, jc.section.Circle(6e-3), STEEL, DENSITY, 2, 0.02)
+    scene = jc.scenes.slider_crank("ideal", crank_speed=20.0)
+    rubs = scene.loads | {"rub": jc.load.JointFriction("G", torque=5.0)}
+    rig = jc.Mechanism(scene.bodies | {"rod": rod}, scene.connections, rubs, **scene.given)
+    how = jc.integrator.ImplicitStep(1e-5)
+    run = jc.simulate(rig, 2e-3, save=3, integrator=how, verify=False)
+    assert abs(run.transmitted("rub")[-1]) == pytest.approx(5.0, rel=1e-2)
+
+
 def test_sections():
     width, height = 0.01, 0.03
     area, about_y, about_z, torsion = jc.section.Rectangle(width, height).areas()
