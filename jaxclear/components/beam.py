@@ -264,15 +264,11 @@ def with_pieces(
             child = Marker(piece_name(name, i + 1), axis=axis)
             joints[hinge.joint] = Connection(joint, parent, child)
         elasticity = {f"{name} elasticity": _Elasticity(name, hinges)}
-        for parts, new in (
-            (bodies, beam.pieces(name)),
-            (connections, joints),
-            (loads, elasticity),
-        ):
+        made = (bodies, beam.pieces(name)), (connections, joints), (loads, elasticity)
+        for parts, new in made:
             for n, own in new.items():
-                both: tuple = parts.setdefault(n, own), own
-                structures: list[Any] = [jax.tree.structure(x) for x in both]
-                if structures[0] != structures[1]:
+                there: Any = jax.tree.structure(parts.setdefault(n, own))
+                if there != jax.tree.structure(own):
                     raise ValueError(
                         f'"{n}" is a part of the beam "{name}", which makes it itself: leave it '
                         "as it is or out, or give yours another name."
