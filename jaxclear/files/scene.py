@@ -176,7 +176,7 @@ class Scene(AbstractQuantified):
         """
         if self.positions is None:
             raise ValueError("this scene states no positions; give it some, or ask for its run.")
-        return positions(self.mechanism, self.positions, both_ways=self.both_ways)
+        return positions(self.mechanism, self.positions, both_directions=self.both_ways)
 
     def problem(self) -> Problem:
         """The problem of the scene, for studies.

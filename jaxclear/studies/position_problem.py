@@ -23,7 +23,7 @@ from jaxclear.results.response import unit_of
 from jaxclear.statics.least_energy import ByEnergy, Rest
 from jaxclear.statics.position_path import both, checked_positions, sought
 from jaxclear.statics.positions import Positions
-from jaxclear.statics.quasi_static import Posed, Spot, Way
+from jaxclear.statics.quasi_static import ByLoops, Posed, Spot
 from jaxclear.studies.experiment import (
     AbstractExperiment,
     Cost,
@@ -52,13 +52,13 @@ class PositionExperiment(AbstractExperiment):
     mechanism: Mechanism
     response: dict[str, Callable]
     position: Float[Array, "positions drives"]
-    held: tuple[str, ...] = eqx.field(static=True)
+    drives: tuple[str, ...] = eqx.field(static=True)
     both_ways: bool = eqx.field(static=True)
     scene: Posed = derived()
     starts: Spot | Rest = derived()
     # The same under reversed loads, where energy says where it rests.
     others: Rest | None = derived()
-    way: Way | ByEnergy = derived()
+    method: ByLoops | ByEnergy = derived()
     response_names: tuple[str, ...] = derived(static=True)
 
     def __init__(
@@ -70,13 +70,13 @@ class PositionExperiment(AbstractExperiment):
     ):
         self.mechanism, self.response, self.both_ways = mechanism, response, both_ways
         self.response_names = tuple(response)
-        self.held, places = checked_positions(positions)
+        self.drives, places = checked_positions(positions)
         self.position = jnp.asarray(places)
-        self.scene, self.way, self.starts = sought(mechanism, self.held, places)
+        self.scene, self.method, self.starts = sought(mechanism, self.drives, places)
         self.others = None
-        if both_ways and isinstance(self.way, ByEnergy):
+        if both_ways and isinstance(self.method, ByEnergy):
             starts: Any = self.starts
-            others = self.way.reversed.each(self.scene, self.position, starts)
+            others = self.method.reversed.each(self.scene, self.position, starts)
             self.others = others if bool(jnp.all(jnp.isfinite(others.change))) else None
         check_answers(response, lambda: self._at(mechanism))
 
@@ -86,7 +86,7 @@ class PositionExperiment(AbstractExperiment):
 
     def _at(self, mechanism: Mechanism) -> Positions:
         scene = self.scene.of(mechanism)
-        return both(scene, self.position, self.starts, self.way, self.both_ways, self.others)
+        return both(scene, self.position, self.starts, self.method, self.both_ways, self.others)
 
     def _positions(self, setting: Setting) -> Positions:
         """The mechanism of one setting at all positions; pure."""
@@ -121,7 +121,7 @@ class PositionExperiment(AbstractExperiment):
                 "the nominal one."
             ),
         }
-        places = f"{many} position{'s' if many > 1 else ''} of {listed(self.held)}"
+        places = f"{many} position{'s' if many > 1 else ''} of {listed(self.drives)}"
         return Description(f"PositionProblem at {places}".rstrip(), known, endings)
 
 
