@@ -110,8 +110,8 @@ def _check_closed(scene: Posed, position: np.ndarray, q: Array, seats: Callable)
         if float(residuals[worst]) > HELD * max(1.0, float(longest_arm(system))):
             raise ValueError(
                 f'{_named(scene, now)} leaves "{worst}" open by {float(residuals[worst]):.3g} m '
-                "(or rad): what is held, joints and couplings contradict each other there. Leave one "
-                "of them out."
+                "(or rad): what is held, joints and couplings contradict each other there. Leave "
+                "one of them out."
             )
 
 
