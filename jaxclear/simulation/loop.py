@@ -373,8 +373,8 @@ def _between_updates(
     def end_of_part(time, length, stop):
         if step is not None:
             length = jnp.maximum(jnp.floor(length / step * (1 + SLIVER)), 1.0) * step
-        # No sliver of a part is left, and time grows.
-        inside = (time + (1 + SLIVER) * length < stop) & (time + length > time)
+        # No part shorter than the shortest is left, and time grows.
+        inside = (time + length + (1 - SLIVER) * limits.shortest <= stop) & (time + length > time)
         return jnp.where(inside, time + length, stop)
 
     def parts(begun, span):
