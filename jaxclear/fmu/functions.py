@@ -102,8 +102,9 @@ class Functions:
     def step(self, leaves: Arrays, numbers: Arrays) -> Arrays:
         """What is handed on at the end of a communication step, from that at its beginning."""
         _, integrator, model, now = self._now(leaves, numbers)
-        span = Span(*numbers[-2:], jnp.zeros(()))
-        return Flat.of(through_interval(Turn(model, integrator, False))(now, span)).leaves
+        start, stop = numbers[-2:]
+        turn, span = Turn(model, integrator, False), Span(start, stop, jnp.zeros(()))
+        return Flat.of(through_interval(turn)(now, span)).leaves
 
     def read(self, leaves: Arrays, numbers: Arrays) -> Arrays:
         """The outputs."""
