@@ -263,7 +263,9 @@ def refuse_steps(tangents: Array, ratios: Array, scale: Array, smallest: Any) ->
     ratios = jnp.expand_dims(ratios, tuple(range(1, others.ndim)))
     off = jnp.max(abs(others - nominal) / abs(ratios - 1), axis=0)
     trusted = (off <= TRUSTED * jnp.maximum(scale, smallest)) | jnp.isnan(nominal)
-    return jnp.where(trusted, nominal, Unknown.STEPS_DECIDE.number)
+    # A nan from other steps carries its reason.
+    reason = jnp.where(jnp.isnan(off), off, Unknown.STEPS_DECIDE.number)
+    return jnp.where(trusted, nominal, reason)
 
 
 def refuse_run(run: Trajectory, tangents: Trajectory, ratios: Array, least: Scalar) -> Trajectory:

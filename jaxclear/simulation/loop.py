@@ -29,15 +29,7 @@ from jaxclear.multibody.damped_stops import loads_to_settle, with_settled_loads
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, readings, rubbing_joints, wear_maps
-from jaxclear.native import (
-    TableLayout,
-    forwards_only,
-    has_kernels,
-    one_row,
-    scan,
-    verdict,
-    while_loop,
-)
+from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, verdict, while_loop
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
 from jaxclear.simulation import progress
@@ -156,6 +148,41 @@ def run(
     past, to a trajectory. `updates`: of worn surfaces so many times as many as usual, where steps
     are not counted."""
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
+    given = mechanism, coordinates, speeds, times, integrator
+    mechanism, turn, first = first_turn(*given, extras, past)
+    model, worn, viewed = turn.model, first.worn, turn.model.seeing(first.read)
+    spans = Span(times[:-1], times[1:], jnp.diff(times) / (times[-1] - times[0]))
+    if _fits_one_kernel(integrator, extras, worn):
+        last, saved = _in_one_kernel(turn, first, spans, updates)
+    else:
+        counted = integrator.steps_between_saves
+        last, saved = _from_save_to_save(turn, first, spans, counted, updates)
+    if _sweeps_outside_kernels(model, integrator, first.warm_start):
+        last, saved = forwards_only(NOT_THROUGH_SWEEPS, (last, saved))
+    states = integrator.known_states(viewed, times, saved.states, last.state, last.warm_start)
+    history = StateHistory(mechanism, formulation, times, states, saved.read, extras.balance)
+    stats, noted = RunStats(*last.steps, verdict(last.outcome)), saved.noted
+    if noted is not None:
+        noted = noted._replace(counts=noted.counts * (times[:-1] <= last.ended)[:, None])
+    peaks = last.peaks
+    contacts = contact_names(model), contacts_that_turn(mechanism, model)
+    extremes = None if peaks is None else Extremes(*peaks, *contacts)
+    ends = history, last.worn, last.outcome, last.ended, stats
+    return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn)
+
+
+def first_turn(
+    mechanism: Mechanism,
+    coordinates: Array,
+    speeds: Array,
+    times: Float[Array, " saves"],
+    integrator: AbstractIntegrator,
+    extras: Extras = Extras(),
+    past: Past = Past(),
+) -> "tuple[Mechanism, Turn, Carry]":
+    """(the mechanism as the steps take it, the turn of its run, and what that is handed first),
+    from consistent coordinates and speeds at the first of the times [s]; arguments as of `run`."""
+    formulation = integrator.formulation
     mechanism = held_as_needed(mechanism, integrator.opens_loops)
     if loads_to_settle(mechanism) and not formulation.forces_are_means:
         system, step = model_of(mechanism, formulation).system, integrator.asked_step()
@@ -174,30 +201,12 @@ def run(
         state = state.at[layout.remembered].set(past.remembered)
     worn = unworn(model.system) if past.worn is None else past.worn
     read = readings(model.system, worn)
-    viewed = model.seeing(read)
-    warm_start = _first_warm_start(viewed, integrator, times[0], state)
-    turn = _Turn(model, integrator, extras.report)
+    seen = model.seeing(read)
+    warm_start = _first_warm_start(seen, integrator, times[0], state)
+    turn = Turn(model, integrator, extras.report)
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
     first = Carry(state, worn, read, warm_start, reached, times[0], (none, none), None)
-    first = first._replace(peaks=turn.initial_peaks(first))
-    spans = Span(times[:-1], times[1:], jnp.diff(times) / (times[-1] - times[0]))
-    if _fits_one_kernel(integrator, extras, worn):
-        last, saved = _in_one_kernel(turn, first, spans, updates)
-    else:
-        counted = integrator.steps_between_saves
-        last, saved = _from_save_to_save(turn, first, spans, counted, updates)
-    if _sweeps_outside_kernels(model, integrator, warm_start):
-        last, saved = forwards_only(NOT_THROUGH_SWEEPS, (last, saved))
-    states = integrator.known_states(viewed, times, saved.states, last.state, last.warm_start)
-    history = StateHistory(mechanism, formulation, times, states, saved.read, extras.balance)
-    stats, noted = RunStats(*last.steps, verdict(last.outcome)), saved.noted
-    if noted is not None:
-        noted = noted._replace(counts=noted.counts * (times[:-1] <= last.ended)[:, None])
-    peaks = last.peaks
-    contacts = contact_names(model), contacts_that_turn(mechanism, model)
-    extremes = None if peaks is None else Extremes(*peaks, *contacts)
-    ends = history, last.worn, last.outcome, last.ended, stats
-    return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn)
+    return mechanism, turn, first._replace(peaks=turn.initial_peaks(first))
 
 
 def sketched(
@@ -285,7 +294,7 @@ def _sweeps_outside_kernels(model: Model, integrator: AbstractIntegrator, warm_s
     return (counted or has_start) and any(joint.friction is not None for joint in joints)
 
 
-class _Turn:
+class Turn:
     """One turn of the loop, from a saving time to the next, as a function of (`Carry`, `Span`)."""
 
     def __init__(self, model: Model, integrator: AbstractIntegrator, report: bool):
@@ -295,8 +304,8 @@ class _Turn:
 
         def advance(arrays, read, ahead, state, warm_start):
             model, integrator = unpacked(arrays, rest)
-            viewed = model.seeing(read)
-            return integrator.advance(viewed, ahead, state, warm_start)
+            seen = model.seeing(read)
+            return integrator.advance(seen, ahead, state, warm_start)
 
         # Traced once, however often a turn stands in the program.
         self.advance = jax.jit(advance)
@@ -305,17 +314,17 @@ class _Turn:
         """Peaks before the first turn; None where the integrator follows none."""
         number = jnp.zeros(())
         ahead = self._ahead(Span(number, number, number), jnp.ones((), bool), None)
-        inputs = self.arrays, first.read, ahead, first.state, first.warm_start
-        shapes = jax.eval_shape(self.advance, *inputs).peaks
-        return jax.tree.map(lambda each: jnp.full(each.shape, -jnp.inf), shapes)
+        given = self.arrays, first.read, ahead, first.state, first.warm_start
+        met = jax.eval_shape(self.advance, *given).peaks
+        return jax.tree.map(lambda each: jnp.full(each.shape, -jnp.inf), met)
 
     def _ahead(self, span: Span, running: Array, peaks: Peaks | None) -> Interval:
         weights, none = error_weights(self.model), jnp.full(self.model.layout.contacts, -jnp.inf)
         if not none.size:
             return Interval(span.start, span.stop, weights, running)
-        before = Peaks(none, none) if peaks is None else peaks
-        before = before._replace(forces=none) if before.forces is None else before
-        return Interval(span.start, span.stop, weights, running, before)
+        known = Peaks(none, none) if peaks is None else peaks
+        known = known._replace(forces=none) if known.forces is None else known
+        return Interval(span.start, span.stop, weights, running, known)
 
     def motion(self, now: Carry, span: Span) -> tuple[Carry, Losses, Events | None]:
         """What is handed on but for worn surfaces, what these lose, and events."""
@@ -324,8 +333,8 @@ class _Turn:
         model, layout = self.model, self.model.layout
         running = (now.outcome == Outcome.REACHED).astype(bool)
         ahead = self._ahead(span, running, now.peaks)
-        start = sampled(model, span.start, now.state)
-        result = self.advance(self.arrays, now.read, ahead, start, now.warm_start)
+        begun = sampled(model, span.start, now.state)
+        result = self.advance(self.arrays, now.read, ahead, begun, now.warm_start)
         moving = result.state[: layout.memory_start]
         sound = jnp.all(jnp.isfinite(result.state)) & jnp.all(abs(moving) < BOUNDLESS)
         reached = closure_coordinates.anchored(model.system, layout, span.stop, result.state)
@@ -333,25 +342,25 @@ class _Turn:
         # What is not held to a tolerance (worn volumes, energies) can be lost while the steps still
         # succeed.
         failed = ~sound & (result.outcome == Outcome.REACHED)
-        ending = jnp.where(failed, Outcome.NOT_FINITE, result.outcome)
-        off_surface = is_off_surface(model.system, layout, result.state)
-        if off_surface is not False:
-            ending = jnp.where(off_surface, Outcome.OFF_THE_WALLS, ending)
+        found = jnp.where(failed, Outcome.NOT_FINITE, result.outcome)
+        gone = is_off_surface(model.system, layout, result.state)
+        if gone is not False:
+            found = jnp.where(gone, Outcome.OFF_THE_WALLS, found)
         if result.peaks is not None:
-            too_deep = (ending == Outcome.REACHED) & is_too_deep(model.system, result.peaks.depths)
-            ending = jnp.where(too_deep, Outcome.SUNK_IN, ending)
-        outcome = jnp.where(running, ending, now.outcome)
+            sunk = (found == Outcome.REACHED) & is_too_deep(model.system, result.peaks.depths)
+            found = jnp.where(sunk, Outcome.SUNK_IN, found)
+        outcome = jnp.where(running, found, now.outcome)
         ended = jnp.where(running & (outcome == Outcome.REACHED), span.stop, now.ended)
         more = lambda before, new: before + jnp.where(running, new, 0)
         steps = jax.tree.map(more, now.steps, (result.accepted, result.rejected))
-        largest = lambda before, new: newest(before, new, running & ~jnp.isnan(before))
+        largest = lambda known, met: newest(known, met, running & ~jnp.isnan(known))
         peaks = jax.tree.map(largest, now.peaks, result.peaks)
         after = Carry(state, now.worn, now.read, result.warm_start, outcome, ended, steps, peaks)
         return after, losses(layout, now.state, state), result.events
 
 
 def _between_updates(
-    turn: "_Turn", limits: UpdateLimits, step: Any, settled: Callable, loop: Callable
+    turn: Turn, limits: UpdateLimits, step: Any, settled: Callable, loop: Callable
 ) -> Callable:
     """A part of a saving interval that is gone through from update to update of worn surfaces, by a
     while `loop`, as (what is handed on, span) -> (that, what is left). `settled` wears surfaces;
@@ -364,8 +373,8 @@ def _between_updates(
     def end_of_part(time, length, stop):
         if step is not None:
             length = jnp.maximum(jnp.floor(length / step * (1 + SLIVER)), 1.0) * step
-        # No sliver of a part is left, and time grows.
-        inside = (time + (1 + SLIVER) * length < stop) & (time + length > time)
+        # No part shorter than the shortest is left, and time grows.
+        inside = (time + length + (1 - SLIVER) * limits.shortest <= stop) & (time + length > time)
         return jnp.where(inside, time + length, stop)
 
     def parts(first, span):
@@ -422,7 +431,7 @@ def _in_parts(part: Callable, entry: Any, span: Span) -> Any:
     return jax.lax.while_loop(lambda now: now[0] < parts, turn, first)[1:]
 
 
-def _between_instants(turn: _Turn, loop: Callable, part: Callable) -> Callable:
+def _between_instants(turn: Turn, loop: Callable, part: Callable) -> Callable:
     """A part of a saving interval that is gone through from instant to instant of what is sampled,
     and of what steps are to end at, by a while `loop`; the part itself where there are none."""
     system, breaks = turn.model.system, turn.breaks
@@ -449,7 +458,18 @@ def _between_instants(turn: _Turn, loop: Callable, part: Callable) -> Callable:
     return parts
 
 
-def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Saved]:
+def through_interval(turn: Turn) -> Callable[[Carry, Span], Carry]:
+    """A saving interval of a run in which nothing wears, as (what is handed on, span) -> that."""
+
+    def part(now, span):
+        now, _, noted = turn.motion(now, span)
+        return now, ((), noted)
+
+    whole = _between_instants(turn, while_loop, part)
+    return lambda now, span: whole(now, span)[0]
+
+
+def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Saved]:
     """(what the last turn hands on, what is left at all saving times). Before a part at whose start
     they are due surfaces are worn by what was lost until then, and after the last."""
     model, count, step = turn.model, len(spans.start), turn.step
@@ -481,7 +501,7 @@ def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tupl
         return carry, ((carry[0].state, carry[0].read), noted)
 
     rows = np.arange(count)
-    tables = [TableLayout(rows + 1, count + 1, (first.state, first.read)), TableLayout(rows, count)]
+    tables = [Kept(rows + 1, count + 1, (first.state, first.read)), Kept(rows, count)]
     done, ((states, read), noted) = scan(one, (first, pending, length), spans, tables, LONG_CARRY)
     if pending is not None:
         last = lambda now, _: ((*settled(*now[:2]), now[2]), ())
@@ -490,7 +510,7 @@ def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tupl
 
 
 def _from_save_to_save(
-    turn: _Turn, first: Carry, spans: Span, counted: int | None, updates: Any
+    turn: Turn, first: Carry, spans: Span, counted: int | None, updates: Any
 ) -> tuple[Carry, Saved]:
     """As `_in_one_kernel`, each turn by itself, behind which XLA wears surfaces; of a `counted`
     number of steps it goes backwards through them."""
