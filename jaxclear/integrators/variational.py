@@ -250,7 +250,7 @@ def _further(motion: Any, remember: Callable, clock: tuple, way: Any, part: Part
     again = (late + length < left) & (length > 0)
     due = jnp.where(landing, part.due, jnp.where(crossed, 1.0, 0.0))
     short = part._replace(
-        limit=jnp.where(again, late + length, jnp.inf), wears=jnp.where(again, due, 0.0)
+        limit=jnp.where(again, late + length, jnp.inf), due=jnp.where(again, due, 0.0)
     )
     found = jax.tree.map(lambda a, b: jnp.where(there, a, b), fine, short)
     done = jnp.where(lost, jnp.nan, found.done)

@@ -29,7 +29,15 @@ from jaxclear.multibody.damped_stops import loads_to_settle, with_settled_loads
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, readings, rubbing_joints, wear_maps
-from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, verdict, while_loop
+from jaxclear.native import (
+    TableLayout,
+    forwards_only,
+    has_kernels,
+    one_row,
+    scan,
+    verdict,
+    while_loop,
+)
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
 from jaxclear.simulation import progress
@@ -501,7 +509,7 @@ def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple
         return carry, ((carry[0].state, carry[0].read), noted)
 
     rows = np.arange(count)
-    tables = [Kept(rows + 1, count + 1, (first.state, first.read)), Kept(rows, count)]
+    tables = [TableLayout(rows + 1, count + 1, (first.state, first.read)), TableLayout(rows, count)]
     done, ((states, read), noted) = scan(one, (first, pending, length), spans, tables, LONG_CARRY)
     if pending is not None:
         last = lambda now, _: ((*settled(*now[:2]), now[2]), ())

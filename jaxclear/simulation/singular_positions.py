@@ -185,7 +185,7 @@ def _carried_on(
 
     lengths = jnp.diff(times, prepend=times[:1])
     rows, follows = jax.lax.scan(follow, q, (times, lengths))[1]
-    sizes = [len(block.residuals) for block in blocks_of(problem, q, times[0])]
+    sizes = [len(block.left) for block in blocks_of(problem, q, times[0])]
     return rows, follows, jnp.asarray(np.repeat(np.arange(len(sizes)), sizes))
 
 
