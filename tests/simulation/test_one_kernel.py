@@ -50,7 +50,7 @@ def told(rung, saves=jc.Saving(7), scene=jc.scenes.slider_crank):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(loop.kernels, "build", watched)
         found = jax.device_get(jax.jit(whole)())
-    return found, [program for program in built if not program.once]
+    return found, [program for program in built if not program.single_turn]
 
 
 @pytest.mark.parametrize(
