@@ -287,8 +287,8 @@ class WearLife(AbstractAnswer):
         by_saves = float(self.by_saves.max())
         if by_saves > self.accuracy:
             text += (
-                " Between the cycles that are simulated surfaces are updated at the saving times of "
-                "a cycle; at a fourth of these a cycle would spread wear otherwise, by up to "
+                " Between simulated cycles surfaces are updated at the saving times of a cycle; at "
+                "a fourth of these a cycle would spread wear otherwise, by up to "
                 f"{100 * by_saves:.2g} % of the depth of cells. Volumes do not depend on them."
             )
         return text
