@@ -135,6 +135,7 @@ __all__ = [
     "design_front",
     "distribution",
     "drive",
+    "export_fmu",
     "fit",
     "flank",
     "formulation",
