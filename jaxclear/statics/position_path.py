@@ -331,7 +331,7 @@ def checked_positions(positions: Any) -> tuple[tuple[str, ...], np.ndarray]:
 
 @answering
 def positions(
-    mechanism: Mechanism, positions: Mapping[str, Any], *, both_directions: bool = False
+    mechanism: Mechanism, positions: Mapping[str, Any], *, reverse_loads: bool = False
 ) -> Positions:
     """A mechanism at rest at positions of its drives, without time.
 
@@ -347,8 +347,8 @@ def positions(
             {} for a mechanism without drives, at rest once. A motor with play or stiffness is held
             by its own name (its coupling's and ".motor"): the joint then rests on the flank on
             which loads press it, twisted by them.
-        both_ways: whether to compute the positions under reversed loads too (`.reversed`), for lost
-            motion; springs and stops stay as they are. False by default.
+        reverse_loads: whether to compute the positions under reversed loads too (`.reversed`), for
+            lost motion; springs and stops stay as they are. False by default.
 
     Returns:
         The `Positions`; their `warnings` name parts that nothing holds.
@@ -358,19 +358,19 @@ def positions(
     """
     check_double_precision()
     expect(mechanism, Mechanism, "what is positioned", "a jaxclear.Mechanism")
-    check_flags("positions", both_ways=both_directions)
+    check_flags("positions", reverse_loads=reverse_loads)
     drives, places = checked_positions(positions)
     scene, method, starts = sought(with_quantities(mechanism), drives, places)
-    return both(scene, jnp.asarray(places), starts, method, both_directions)
+    return both(scene, jnp.asarray(places), starts, method, reverse_loads)
 
 
 def both(
-    scene: Posed, places: Array, starts: Any, method: Any, both_directions: bool, others: Any = None
+    scene: Posed, places: Array, starts: Any, method: Any, reverse_loads: bool, others: Any = None
 ) -> Positions:
     """The positions, with those under reversed loads where these are wanted, from `others` (None:
     the same starts)."""
     result = positions_at(scene, places, starts, method)
-    if not both_directions:
+    if not reverse_loads:
         return result
     other = positions_at(scene, places, starts if others is None else others, method.reversed)
     return eqx.tree_at(lambda p: p.other, result, other, is_leaf=lambda x: x is None)

@@ -138,11 +138,11 @@ class Positions(AbstractShown):
         """The positions under reversed loads.
 
         Raises:
-            ValueError: if they were not computed (`both_ways=True`).
+            ValueError: if they were not computed (`reverse_loads=True`).
         """
         if self.other is None:
             raise ValueError(
-                "positions under reversed loads were not asked for; ask with both_ways=True."
+                "positions under reversed loads were not asked for; ask with reverse_loads=True."
             )
         return self.other
 

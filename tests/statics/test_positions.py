@@ -100,7 +100,7 @@ def least_energy(crank, clearance, gravity):
 
 @pytest.fixture(scope="module")
 def found():
-    return jc.positions(four_bar(), {"O": ANGLES}, both_directions=True)
+    return jc.positions(four_bar(), {"O": ANGLES}, reverse_loads=True)
 
 
 @pytest.mark.slow
@@ -273,7 +273,7 @@ def test_what_a_run_starts_with_holds_no_position():
 
 
 def test_positions_are_shown_in_words():
-    found = jc.positions(four_bar(), {"O": ANGLES}, both_directions=True)
+    found = jc.positions(four_bar(), {"O": ANGLES}, reverse_loads=True)
     assert str(found) == "5 positions, also under reversed loads: O from 0.2 to 5.4 rad."
 
 
