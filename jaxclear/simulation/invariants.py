@@ -29,12 +29,12 @@ from jaxclear.integrators.checks import (
     COLLARS,
     CONTACTS,
     LOOPS,
+    MECHANISM,
     RUBBING,
     SLIDING,
     SURFACES,
     TOUCHING,
     UNHELD,
-    WHOLE,
     Check,
     Checks,
     Outcome,
@@ -235,7 +235,7 @@ def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[s
         UNHELD: unheld(model),
         SLIDING: sliding(model.system),
         TOUCHING: tuple(joint.name for joint in touching(model.system)),
-        WHOLE: ("",),
+        MECHANISM: ("",),
     }
 
 
