@@ -36,7 +36,7 @@ def identification(result: Identified, *, ax: Any = None) -> Any:
     out, with their true values. An identification from signals has unknowns and pairs only.
 
     Args:
-        found: a `Identified`, as `jaxclear.identify` returns it.
+        result: a `Identified`, as `jaxclear.identify` returns it.
         ax: `matplotlib.axes.Axes` to draw in, one for each panel; by default a new figure.
 
     Returns:
@@ -64,7 +64,7 @@ def remaining_life(result: RemainingLife, *, ax: Any = None) -> Any:
     """The unknown at each record, and the lines that the records allow, up to the limit.
 
     Args:
-        found: a `RemainingLife`, as `jaxclear.remaining_life` returns it.
+        result: a `RemainingLife`, as `jaxclear.remaining_life` returns it.
         ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:

@@ -23,7 +23,7 @@ def settled(result: Settled, *, ax: Any = None) -> Any:
     Filled marks are cycles that are taken as the motion.
 
     Args:
-        found: a `Settled`, as `jaxclear.settled` returns it.
+        result: a `Settled`, as `jaxclear.settled` returns it.
         ax: `matplotlib.axes.Axes` to draw in, one for the distance and one for each response; by
             default a new figure.
 
@@ -62,7 +62,7 @@ def wear_lives(result: WearLives, *, ax: Any = None) -> Any:
     """Largest depth and worn volume of every life over its cycles.
 
     Args:
-        found: a `WearLives`, as `jaxclear.wear_lives` returns it.
+        result: a `WearLives`, as `jaxclear.wear_lives` returns it.
         ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
@@ -179,7 +179,7 @@ def design(result: Design, *, ax: Any = None) -> Any:
     The limits are drawn as used shares, by the last verification, with 95 % errors.
 
     Args:
-        found: a `Design`, as `jaxclear.design` returns it.
+        result: a `Design`, as `jaxclear.design` returns it.
         ax: three `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
@@ -259,7 +259,7 @@ def design_front(result: Sequence[Design], limit: int = 0, *, ax: Any = None) ->
     Designs that satisfy their limits are filled, the others hollow.
 
     Args:
-        found: a sequence of `Design`, as `jaxclear.design_front` returns it.
+        result: a sequence of `Design`, as `jaxclear.design_front` returns it.
         limit: number of the limit, from 0 (default) on.
         ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
 

@@ -120,7 +120,7 @@ def positions(result: Positions, *, ax: Any = None) -> Any:
     """Centres of mass (x and y), and journals in their gaps, over positions of the drives.
 
     Args:
-        found: a `Positions`, as `jaxclear.positions` returns it.
+        result: a `Positions`, as `jaxclear.positions` returns it.
         ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
@@ -193,7 +193,7 @@ def result(result: Any, *, ax: Any = None) -> Any:
     """The figure that belongs to a result of jaxclear, a run or the answer of a study.
 
     Args:
-        found: the result.
+        result: the result.
         ax: `matplotlib.axes.Axes` to draw in, as many as the figure's own function takes; by
             default a new figure.
 

@@ -439,7 +439,7 @@ def surface(result: ResponseSurface, *, ax: Any = None) -> Any:
     """Predictions of a response surface over runs that it was fitted without (leave-one-out).
 
     Args:
-        found: a `ResponseSurface`, as `jaxclear.surface` returns it.
+        result: a `ResponseSurface`, as `jaxclear.surface` returns it.
         ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
 
     Returns:

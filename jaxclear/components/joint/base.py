@@ -161,7 +161,7 @@ class AbstractJoint(AbstractQuantified):
         """All coordinates from those given for a start.
 
         Args:
-            given: coordinates that the user gives [the joint's units], a tuple.
+            values: coordinates that the user gives [the joint's units], a tuple.
 
         Returns:
             all coordinates of the joint, a tuple.
@@ -176,7 +176,7 @@ class AbstractJoint(AbstractQuantified):
         start; all do unless overridden.
 
         Args:
-            given: coordinates that the user gives [the joint's units], a tuple.
+            values: coordinates that the user gives [the joint's units], a tuple.
 
         Returns:
             a flag for each speed, a tuple.
