@@ -132,14 +132,14 @@ def array(name: str, entries: Sequence[str]) -> str:
 def tables_of(functions: Sequence[tuple[str, Sequence[np.ndarray]]]) -> list[str]:
     """Long arrays of functions by name, each once."""
     lines: list[str] = []
-    known: dict[bytes, str] = {}
+    values: dict[bytes, str] = {}
     for name, tables in functions:
         places = []
         for table in tables:
             key = np.ascontiguousarray(table).tobytes()
-            if key not in known:
-                known[key] = f"table_{len(known)}"
-                lines.append(array(f"double {known[key]}", [number(x) for x in np.ravel(table)]))
-            places.append(known[key])
+            if key not in values:
+                values[key] = f"table_{len(values)}"
+                lines.append(array(f"double {values[key]}", [number(x) for x in np.ravel(table)]))
+            places.append(values[key])
         lines.append(array(f"double *const {name}_tables", places))
     return lines

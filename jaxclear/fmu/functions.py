@@ -86,18 +86,18 @@ class Functions:
 
     def _begin(self, mechanism: Mechanism, start: Any, time: Any, integrator: Any) -> tuple:
         times = jnp.stack([time, time + self.duration])
-        given = mechanism, start.coordinates, start.speeds, times, integrator
-        mechanism, _, first = first_turn(*given)
+        values = mechanism, start.coordinates, start.speeds, times, integrator
+        mechanism, _, first = first_turn(*values)
         return (mechanism, integrator), first
 
     def start(self, leaves: Arrays, numbers: Arrays) -> Arrays:
         """From the given numbers and a time [s] those of the steps, what the first step is handed,
         and whether the start is sound."""
         mechanism, integrator = self.given.tree(leaves)
-        own = with_redundancy(integrator.formulation.seen(mechanism), self.redundancy)
-        start = assemble_arrays(own, True, numbers[0], self.rough)
-        first = map(Flat.of, self._begin(own, start, numbers[0], integrator))
-        return [*(x for each in first for x in each.leaves), is_sound(own, start)]
+        part = with_redundancy(integrator.formulation.seen(mechanism), self.redundancy)
+        start = assemble_arrays(part, True, numbers[0], self.rough)
+        first = map(Flat.of, self._begin(part, start, numbers[0], integrator))
+        return [*(x for each in first for x in each.leaves), is_sound(part, start)]
 
     def step(self, leaves: Arrays, numbers: Arrays) -> Arrays:
         """What is handed on at the end of a communication step, from that at its beginning."""
@@ -184,16 +184,16 @@ def is_float(leaf: Any) -> bool:
     return jnp.issubdtype(leaf.dtype, jnp.floating)
 
 
-def make_slopes(own: Functions, along: list[int]) -> Slopes:
+def make_slopes(functions: Functions, along: list[int]) -> Slopes:
     """Of functions those with tangents along the given numbers of these places."""
-    count, handed = len(own.run.leaves), own.carry.leaves
-    program = jax.make_jaxpr(own.start)(own.given.leaves, [jnp.zeros(())]).jaxpr
+    count, handed = len(functions.run.leaves), functions.carry.leaves
+    program = jax.make_jaxpr(functions.start)(functions.given.leaves, [jnp.zeros(())]).jaxpr
     # A number of the steps that is given as it is moves with that one alone; any other may.
     still = [x for i, x in enumerate(program.invars) if i not in along]
     moving = tuple(
         i
         for i, x in enumerate(program.outvars[:count])
-        if is_float(own.run.leaves[i]) and not any(x is one for one in still)
+        if is_float(functions.run.leaves[i]) and not any(x is one for one in still)
     )
 
     def pushed(function: Callable, numbers: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
@@ -204,12 +204,12 @@ def make_slopes(own: Functions, along: list[int]) -> Slopes:
             values = list(numbers)
             for place, value in zip(places, floats, strict=True):
                 values[place] = value
-            found = function(values)
-            return [x for x in found if is_float(x)], found
+            result = function(values)
+            return [x for x in result if is_float(x)], result
 
         floats = [numbers[i] for i in places]
-        _, moved, found = jax.jvp(of_floats, (floats,), (tangents,), has_aux=True)
-        return found, moved
+        _, moved, out = jax.jvp(of_floats, (floats,), (tangents,), has_aux=True)
+        return out, moved
 
     def start(leaves: Arrays, numbers: Arrays) -> Arrays:
         time, *weights = numbers
@@ -218,8 +218,8 @@ def make_slopes(own: Functions, along: list[int]) -> Slopes:
             values = list(leaves)
             for place, value in zip(along, chosen, strict=True):
                 values[place] = value
-            found = own.start(values, [time])
-            return [*(found[i] for i in moving), *found[count : count + len(handed)]]
+            results = functions.start(values, [time])
+            return [*(results[i] for i in moving), *results[count : count + len(handed)]]
 
         return pushed(of_chosen, [leaves[i] for i in along], weights)[1]
 
@@ -233,15 +233,15 @@ def make_slopes(own: Functions, along: list[int]) -> Slopes:
                 run[place] = value
             return function(run, [*values[len(moving) :], *plain[-2:]])
 
-        given = [*(leaves[i] for i in moving), *plain[:-2]]
-        return pushed(of_moving, given, tangents)
+        inputs = [*(leaves[i] for i in moving), *plain[:-2]]
+        return pushed(of_moving, inputs, tangents)
 
     def step(leaves: Arrays, numbers: Arrays) -> Arrays:
-        found, moved = along_run(own.step, leaves, numbers)
-        return [*found, *moved]
+        solved, moved = along_run(functions.step, leaves, numbers)
+        return [*solved, *moved]
 
     def read(leaves: Arrays, numbers: Arrays) -> Arrays:
-        found, moved = along_run(own.read, leaves, numbers)
-        return [*found, *moved]
+        result_, moved = along_run(functions.read, leaves, numbers)
+        return [*result_, *moved]
 
     return Slopes(moving, start, step, read)

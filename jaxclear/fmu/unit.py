@@ -27,7 +27,7 @@ from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import impact_speed_places, names
-from jaxclear.multibody.topology import coordinate_units, own_numbers
+from jaxclear.multibody.topology import coordinate_units, numbers_of_parts
 from jaxclear.native.standalone import Standalone, standalone
 from jaxclear.native.writer import LONGEST_IN_REGISTERS, Unsupported
 from jaxclear.results.response import unit_of
@@ -102,10 +102,10 @@ def with_units(mechanism: Mechanism, outputs: Mapping[str, Any] | None) -> dict[
     if outputs is None:
         branches = [b.name for b in mechanism.topology.branches if b.speed_count]
         outputs = {f"{n} {what}": (n, what) for n in branches for what in ("coordinate", "speed")}
-    found: dict[str, tuple[Callable, str]] = {}
+    result: dict[str, tuple[Callable, str]] = {}
     for name, output in outputs.items():
         if callable(output):
-            found[name] = output, unit_of(output, mechanism)
+            result[name] = output, unit_of(output, mechanism)
             continue
         if not (isinstance(output, tuple) and len(output) == 2):
             raise ValueError(NO_OUTPUT.format(name=name))
@@ -113,8 +113,8 @@ def with_units(mechanism: Mechanism, outputs: Mapping[str, Any] | None) -> dict[
         check_name("quantity", what, QUANTITIES, f' of output "{name}"')
         units, per = set(coordinate_units(mechanism, joint)), QUANTITIES[what]
         unit = f"{units.pop()}{per}" if len(units) == 1 and per is not None else ""
-        found[name] = (lambda run, j=joint, w=what: getattr(run, w)(j)[-1]), unit
-    return found
+        result[name] = (lambda run, j=joint, w=what: getattr(run, w)(j)[-1]), unit
+    return result
 
 
 def ending(run: Trajectory, code: Outcome) -> str:
@@ -142,23 +142,23 @@ class Unit:
         self.integrator = self._with_others(integrator) if slopes else integrator
         read = {name: function for name, (function, _) in self.outputs.items()}
         self.functions = Functions(mechanism, self.integrator, read, self.duration)
-        own = self.functions
-        zero, self.handed = jnp.zeros(()), own.carry.leaves
+        functions = self.functions
+        zero, self.handed = jnp.zeros(()), functions.carry.leaves
         self.row = [self.handed[0], *self.handed, zero, zero]
         self.made: dict[str, Standalone] = {}
-        self.notes = [own.doubt] if own.doubt else []
+        self.notes = [functions.doubt] if functions.doubt else []
 
     def _with_others(self, integrator: AbstractIntegrator) -> AbstractIntegrator:
         """The integrator in a form that those in other steps have, too, by which its slopes are
         judged. Raises `ValueError` where they are not those of the motion."""
-        seen = integrator.formulation.seen(self.mechanism)
-        why = refusal(seen, integrator)
+        view = integrator.formulation.seen(self.mechanism)
+        why = refusal(view, integrator)
         if why:
             raise ValueError(f"slopes of this FMU would not be those of the motion: {why}.")
-        if not is_compared(seen, integrator):
+        if not is_compared(view, integrator):
             return integrator
         step, times = integrator.asked_step(), np.array([0.0, self.interval])
-        self.order = order_of(seen, integrator)
+        self.order = order_of(view, integrator)
         shares: Sequence[float] = (HALF,)
         if step is not None:
             many = np.ceil(self.interval / float(step) * (1 - SLIVER)) >= FEWEST
@@ -177,14 +177,14 @@ class Unit:
 
     def _number(self, kind: str, name: str, where: Any) -> Variable:
         leaf = where(self.mechanism) if callable(where) else None
-        found = [
+        result = [
             row
-            for row in own_numbers(self.mechanism)
+            for row in numbers_of_parts(self.mechanism)
             if (row[1] is leaf if callable(where) else row[0] == where)
         ]
-        if len(found) != 1 or np.ndim(found[0][1]):
+        if len(result) != 1 or np.ndim(result[0][1]):
             raise ValueError(NO_NUMBER.format(kind=kind, name=name))
-        path, leaf, metadata, unit = found[0]
+        path, leaf, metadata, unit = result[0]
         if kind == "input" and not path.startswith("loads"):
             sentence = NO_RATE if ".drive" in path else NOT_OF_A_LOAD
             raise ValueError(sentence.format(name=name, number=path))
@@ -202,20 +202,20 @@ class Unit:
 
     def assembled(self, name: str, kinds: tuple[str, ...]) -> tuple[Contents, str]:
         """What is in the unit, and its header in C. Raises `ValueError`."""
-        own, run, given = self.functions, self.functions.run.leaves, self.functions.given.leaves
-        carry = own.carry.tree(self.handed)
-        mechanism, integrator = own.run.tree(run)
+        part, run, inputs = self.functions, self.functions.run.leaves, self.functions.given.leaves
+        carry = part.carry.tree(self.handed)
+        mechanism, integrator = part.run.tree(run)
         times = jnp.array([-self.interval, 0.0])
-        whole = run_of_step(mechanism, integrator, carry.state, carry, times)
-        checks = check_places(whole.history.model(), carry)
+        total = run_of_step(mechanism, integrator, carry.state, carry, times)
+        checks = check_places(total.history.model(), carry)
         try:
-            self._make("read", own.read, run, self.row)
-            self._make("start", own.start, given, [jnp.zeros(())])
+            self._make("read", part.read, run, self.row)
+            self._make("start", part.start, inputs, [jnp.zeros(())])
             lines = self._add_slopes()
             if checks:
-                self._make("check", own.check, run, self.row)
+                self._make("check", part.check, run, self.row)
             states, contacts, more = (
-                self._add_exchange(whole) if KINDS[1] in kinds else ([], [], [])
+                self._add_exchange(total) if KINDS[1] in kinds else ([], [], [])
             )
         except Unsupported as reason:
             kind = public_name(type(self.integrator))
@@ -227,12 +227,12 @@ class Unit:
         token = hashlib.sha256(code.encode()).hexdigest()[:32]
         variables = self.inputs, self.parameters, self._outputs()
         unit = Contents(name, token, *variables, states, contacts, kinds, self.slopes, *usual)
-        said = [
+        sentences = [
             check.sentence.replace("{figure:.2g}", "%.2g").format(place=place, limit=check.limit)
             for check, place in checks
         ]
         sizes = {
-            "GIVEN": packed_size(given),
+            "GIVEN": packed_size(inputs),
             "RUN": packed_size(run),
             "STATE": self.handed[0].size,
             "HANDED": packed_size(self.handed),
@@ -244,7 +244,7 @@ class Unit:
             "ACCEPTED": self._place_of(lambda carry: carry.steps[0]),
             "INTERVAL": number(self.interval),
             "TOKEN": text(token),
-            "DOUBT": text(own.doubt.replace("%", "%%")),
+            "DOUBT": text(part.doubt.replace("%", "%%")),
             "CO_SIMULATION": int(KINDS[0] in kinds),
             "MODEL_EXCHANGE": int(KINDS[1] in kinds),
             "SLOPES": len(self.slopes),
@@ -263,7 +263,7 @@ class Unit:
         lines += tables_of([(f"jc_{key}", one.tables) for key, one in self.made.items()])
         beyond = [f"{x.name} = %g is out of its range [{x.unit}]." for x in self.settable]
         arrays = {
-            "double given": flat(given),
+            "double given": flat(inputs),
             "double run": flat(run),
             "double handed": flat(self.handed),
             "int given_at": [str(x.at) for x in self.settable],
@@ -271,9 +271,9 @@ class Unit:
             "double least": [number(x.least) for x in self.settable],
             "double most": [number(x.most) for x in self.settable],
             "char *const range_text": [text(x) for x in beyond],
-            "char *const ending": [ending(whole, code) for code in Outcome],
+            "char *const ending": [ending(total, code) for code in Outcome],
             "double check_limit": [number(check.limit) for check, _ in checks],
-            "char *const check_text": [text(x[0].upper() + x[1:]) for x in said],
+            "char *const check_text": [text(x[0].upper() + x[1:]) for x in sentences],
         }
         lines += [array(key, values) for key, values in arrays.items()]
         return unit, "\n".join([*lines, *more, ""])
@@ -285,8 +285,8 @@ class Unit:
 
     def _outputs(self) -> list[Variable]:
         """The outputs, each number of an array by its index."""
-        own = self.functions
-        shapes = jax.eval_shape(own.read, own.run.leaves, self.row)
+        entry = self.functions
+        shapes = jax.eval_shape(entry.read, entry.run.leaves, self.row)
         out = []
         for (name, (_, unit)), like in zip(self.outputs.items(), shapes, strict=True):
             for index in np.ndindex(like.shape):
@@ -296,16 +296,16 @@ class Unit:
 
     def _add_slopes(self) -> list[str]:
         """The step, with slopes where they are asked for, and what C is told of these."""
-        own, run = self.functions, self.functions.run.leaves
+        x, run = self.functions, self.functions.run.leaves
         if not self.slopes:
-            self._make("step", own.step, run, self.row)
+            self._make("step", x.step, run, self.row)
             return [
                 "#define STEP jc_step",
                 "#define STEP_TABLES jc_step_tables",
                 *(f"#define {name} 0" for name in ("MOVING", "D_HANDED", "OTHERS", "CHANGED")),
             ]
         along = [self._leaf_of(name) for name in self.slopes]
-        slopes = make_slopes(own, along)
+        slopes = make_slopes(x, along)
         zero = jnp.zeros(())
         handed = [x for x in self.handed if is_float(x)]
         tangents = [*(run[i] for i in slopes.moving), handed[0], *handed]
@@ -313,9 +313,9 @@ class Unit:
         self._make("step_slope", slopes.step, run, row)
         self._make("read_slope", slopes.read, run, row)
         weights = [zero] * len(along)
-        self._make("start_slope", slopes.start, own.given.leaves, [zero, *weights])
+        self._make("start_slope", slopes.start, x.given.leaves, [zero, *weights])
         plain = flat(run)
-        others = [flat(Flat.of((own.run.tree(run)[0], other)).leaves) for other in self.others]
+        others = [flat(Flat.of((x.run.tree(run)[0], other)).leaves) for other in self.others]
         changed = [k for k in range(len(plain)) if any(x[k] != plain[k] for x in others)]
         values = ["{" + ", ".join(x[k] for k in changed) + "}" for x in others]
         smallest = SMALLEST["equal" if self.equal_steps else "by tolerance"]
@@ -331,10 +331,10 @@ class Unit:
             "TRUSTED": TRUSTED,
             "SMALLEST": smallest,
         }
-        known = [str(1 + self.names.index(name)) for name in self.slopes]
+        present = [str(1 + self.names.index(name)) for name in self.slopes]
         return [
             *(f"#define {key} {value}" for key, value in sizes.items()),
-            array("unsigned slope_of", known),
+            array("unsigned slope_of", present),
             array("int changed_at", list(map(str, changed))),
             f"static const double changed_to[][{max(1, len(changed))}] = "
             f"{{{', '.join(values) or '{0}'}}};",
@@ -343,26 +343,30 @@ class Unit:
     def _leaf_of(self, name: str) -> int:
         """Which of the given leaves a number that can be set is."""
         at = self.settable[self.names.index(name)].at
-        given = self.functions.given.leaves
-        places = [packed_size(given[:i]) for i in range(len(given))]
+        leaves = self.functions.given.leaves
+        places = [packed_size(leaves[:i]) for i in range(len(leaves))]
         return max(i for i, place in enumerate(places) if place == at)
 
-    def _add_exchange(self, whole: Trajectory) -> tuple[list[str], list[str], list[str]]:
+    def _add_exchange(self, trajectory: Trajectory) -> tuple[list[str], list[str], list[str]]:
         """The rate of the state: names of states and contacts, and what C is told of them. Raises
         `ValueError`."""
-        own, formulation, model = self.functions, whole.formulation, whole.history.model()
+        entry, formulation, model = (
+            self.functions,
+            trajectory.formulation,
+            trajectory.history.model(),
+        )
         layout = model.layout
         why = {
             "the forces of this integrator are means over its steps": formulation.forces_are_means,
             "a load or coupling has states of its own": layout.states or layout.plays,
             "a load is sampled": sampled_loads(model.system),
-            "loops are closed anew after each step": whole.mechanism.projects,
+            "loops are closed anew after each step": trajectory.mechanism.projects,
         }
         for reason, holds in why.items():
             if holds:
                 raise ValueError(NO_EXCHANGE.format(why=reason))
-        self._make("rate", own.rates, own.run.leaves, self.row)
-        self._make("remember", own.remember, own.run.leaves, self.row)
+        self._make("rate", entry.rates, entry.run.leaves, self.row)
+        self._make("remember", entry.remember, entry.run.leaves, self.row)
         fixed = set(impact_speed_places(layout))
         places = [k for k in range(layout.size) if k not in fixed]
         every = names(model.system, layout)

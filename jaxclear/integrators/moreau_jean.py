@@ -55,7 +55,7 @@ from jaxclear.ground.tangents import (
 from jaxclear.integrators.base import RIGID, AbstractIntegrator, Interval, divide, searching_steps
 from jaxclear.integrators.derivative_error import IMPACT_FIGURES, NO_SECOND, trusted_impacts
 from jaxclear.integrators.saltation import FIRST
-from jaxclear.multibody.reach import gaps_passed
+from jaxclear.multibody.reach import gaps_crossed
 from jaxclear.multibody.topology import rubbing_in
 from jaxclear.native import one_row
 
@@ -253,7 +253,7 @@ def _grown(figures: Array, late: Scalar, shift: _Shift, error: _Shift) -> Array:
 
 def _placed(figures: Array, model: Model, off: Any) -> Array:
     """The figures behind an impact, where the state is off by so much."""
-    return figures.at[4].set(jnp.maximum(figures[4], gaps_passed(model.system, off)))
+    return figures.at[4].set(jnp.maximum(figures[4], gaps_crossed(model.system, off)))
 
 
 # Residual of the contact laws, relative to the largest velocity, beyond which they are not met.

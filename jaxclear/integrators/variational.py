@@ -51,7 +51,7 @@ from jaxclear.integrators.derivative_error import (
 )
 from jaxclear.integrators.events import Peaks, no_peaks, peaks
 from jaxclear.integrators.saltation import Now, along, closed, cross_within, motion_of, moves
-from jaxclear.multibody.reach import gaps_passed
+from jaxclear.multibody.reach import gaps_crossed
 from jaxclear.multibody.state import bristle_places
 
 
@@ -110,7 +110,7 @@ def resolved_steps(formulation: CompliantContact, rest: Any, plain: Callable) ->
         ended = _parted(motion, corrections, (arrays[0], clock, start), d_in, d_peaks, resolved)
         there, d_end, higher, resolved = ended
         away = there - end
-        share = gaps_passed(unpacked(arrays[0], rest).system, away)
+        share = gaps_crossed(unpacked(arrays[0], rest).system, away)
         resolved = resolved._replace(away=away, parted=jnp.maximum(resolved.parted, share))
         return outputs, (d_end, jax.tree.map(jnp.zeros_like, now), higher, resolved)
 
