@@ -134,6 +134,7 @@ __all__ = [
     "design_front",
     "distribution",
     "drive",
+    "export_fmu",
     "flank",
     "formulation",
     "friction",

@@ -5,6 +5,7 @@ names is asked for, as a run needs none. `jaxclear.__all__` lists them.
 from jaxclear import mesh
 from jaxclear.files.model_import import ImportedSoft, NotImported, read_mjcf, read_shapes, read_urdf
 from jaxclear.files.scene import Scene, read_scene, scene_schema, write_scene
+from jaxclear.fmu.export import export_fmu
 from jaxclear.statics.position_path import positions
 from jaxclear.statics.seated import seated
 from jaxclear.studies import distribution, limit_state, sensor

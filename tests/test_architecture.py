@@ -31,7 +31,7 @@ FLOORS = (
     ("simulation", "mesh"),
     ("statics",),
     ("studies",),
-    ("files", "plot"),
+    ("files", "fmu", "plot"),
     ("commands",),
 )
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}

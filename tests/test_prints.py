@@ -169,7 +169,16 @@ ANSWERS = {
 WITHOUT = ("stats", "complementarity", "extreme", "points", "estimates", "derivative")
 WITHOUT = (*WITHOUT, "reliability")
 # Others hold what takes long to find; their words are sentences, their tables those of `as_table`.
-SENTENCES = {"Advice", "Failed", "PointingError", "Settled", "Unverified", "WearLife", "WearLives"}
+SENTENCES = {
+    "Advice",
+    "Failed",
+    "Fmu",
+    "PointingError",
+    "Settled",
+    "Unverified",
+    "WearLife",
+    "WearLives",
+}
 
 
 @functools.cache

@@ -207,6 +207,51 @@ def run(
         raise click.ClickException(trajectory.result)
 
 
+def fmu(
+    scene: Path,
+    folder: Path | None = None,
+    input: tuple[str, ...] = (),
+    parameter: tuple[str, ...] = (),
+    slope: tuple[str, ...] = (),
+    model_exchange: bool = False,
+    interval: float = 1e-3,
+    target: str | None = None,
+) -> None:
+    """Exports a scene as an FMU, `folder` its file (by default named after the scene); what it
+    gives are the scene's responses, or else coordinates and speeds of its joints."""
+    file = Path(f"{scene.stem}.fmu") if folder is None else folder
+    with _mistakes():
+        content = _read(scene)
+        if content.state is not None:
+            raise ValueError(
+                f"{scene} begins in a state; an FMU begins at a mechanism's own start."
+            )
+        kinds = ("co-simulation", "model exchange")[: 1 + model_exchange]
+        duration = {} if content.duration is None else {"duration": content.duration}
+        unit = jc.export_fmu(
+            content.mechanism,
+            file,
+            integrator=content.integrator,
+            inputs=dict(map(_named, input)),
+            outputs=content.responses or None,
+            parameters=dict(map(_named, parameter)),
+            slopes=slope,
+            kinds=kinds,
+            interval=interval,
+            target=target,
+            **duration,
+        )
+    click.echo(str(unit))
+
+
+def _named(text: str) -> tuple[str, str]:
+    """A name and the number that it stands for, as typed. Raises `ValueError`."""
+    name, _, number = text.partition("=")
+    if not number:
+        raise ValueError(f'"{text}" must be NAME=NUMBER; jaxclear parameters lists the numbers.')
+    return name, number
+
+
 SENSORS: dict[str, Any] = {
     "accelerometer": jc.sensor.Accelerometer,
     "gyroscope": jc.sensor.Gyroscope,

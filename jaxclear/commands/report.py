@@ -117,7 +117,10 @@ def _results(study: Any) -> Section:
     items.append(table(_statistics(study), "Statistics, with the errors that they have (95 %)"))
     if study.finished > len(study.failed):
         items.append(drawn(plot.monte_carlo(study.sample), "Spread of the responses"))
-    if study.finished - len(study.failed) >= LEAST_SAMPLES and len(study.problem.names) > 1:
+    if (
+        study.finished - len(study.failed) >= LEAST_SAMPLES
+        and len(study.problem.variable_names) > 1
+    ):
         items += _contributions(study)
     return Section("Results", items)
 

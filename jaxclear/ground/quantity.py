@@ -108,6 +108,7 @@ def _rule(field: dataclasses.Field) -> FieldRule | None:
     measured = "unit" in field.metadata
     counts = field.metadata.get("counts", ())
     several = measured and (tuple in kinds or "counts" in field.metadata)
+    either = tuple in kinds and bool({*kinds} - {tuple, NoneType})
     allowed = [k for k in kinds if isinstance(k, type) and issubclass(k, eqx.Module)]
     optional = NoneType in kinds or (field.default is None)
     simple = tuple(one for k in kinds if k in SIMPLE for one in SIMPLE[k][0])
@@ -124,7 +125,7 @@ def _rule(field: dataclasses.Field) -> FieldRule | None:
     return FieldRule(
         field.name,
         (*allowed, *([NoneType] if optional else [])),
-        measured and not several,
+        measured and (either or not several),
         counts if several else None,
         function,
         simple,

@@ -19,6 +19,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxclear.components.beam import on_piece
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.components.clearance import AbstractPermanentJoint
 from jaxclear.components.joint import AbstractJoint
@@ -136,6 +137,7 @@ def chain(mechanism: Mechanism, base: str, tip: Marker, through: tuple[str, ...]
     Several ways lead there where the mechanism closes a loop: `through` names connections until one
     way is left. Raises `ValueError` with a sentence.
     """
+    tip = on_piece(mechanism.bodies, tip)
     _check(mechanism, base, tip, through)
     ways = _ways(mechanism, base, tip.body, ())
     found = list(islice((way for way in ways if {*through} <= {name for name, _ in way}), 2))

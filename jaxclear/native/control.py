@@ -350,6 +350,8 @@ def _while(writer, equation, *arguments):
 def _time_loop(writer, equation, *arguments):
     """A loop of this room within another one: as that, it ends when all kernels are stopped."""
     program, rank = equation.params["program"], equation.params["rank"]
+    if program.once and rank == 1 and all(isinstance(a, np.ndarray) for a in arguments):
+        return _row_by_row(writer, program, arguments, equation.outvars)
     if rank or program.length:
         raise Unsupported("a batch of loops within a loop")
     if program.once:
@@ -357,6 +359,18 @@ def _time_loop(writer, equation, *arguments):
     counts = program.condition_constants, program.body_constants
     programs = program.condition, program.body
     return _inner_loop(writer, equation, programs, counts, arguments, outermost=True)
+
+
+def _row_by_row(writer, program, arguments, outvars):
+    """A function of each of few rows, written out for one after the other."""
+    rows = []
+    for k in range(outvars[0].aval.shape[0]):
+        own = [
+            a if i in program.shared else array_of(a[k], a.shape[1:])
+            for i, a in enumerate(arguments)
+        ]
+        rows.append(write_closed(writer, program.body, own[program.condition_constants :]))
+    return [np.stack(column) for column in zip(*rows, strict=True)]
 
 
 def _inner_loop(writer, equation, programs, counts, arguments, outermost=False):

@@ -30,8 +30,8 @@ def while_loop(
     in_memory = _long_parts(long, first)
     first = jax.tree.map(jnp.asarray, first)
     leaves, structure = jax.tree.flatten(first)
-    tests, fixed_tests = _open(jax.make_jaxpr(condition)(first))
-    turns, fixed_turns = _open(jax.make_jaxpr(body)(first))
+    tests, fixed_tests = opened(jax.make_jaxpr(condition)(first))
+    turns, fixed_turns = opened(jax.make_jaxpr(body)(first))
     if [(a.shape, a.dtype) for a in turns.out_avals] != [(v.shape, v.dtype) for v in leaves]:
         raise TypeError(
             f"the body of a loop must keep shapes and types: {leaves} became {turns.out_avals}."
@@ -107,8 +107,8 @@ def scan(
         return (index + 1, state), leaves
 
     leaves, structure = jax.tree.flatten(first)
-    tests, _ = _open(jax.make_jaxpr(lambda carry: carry[0] < length)(first))
-    turns, fixed = _open(jax.make_jaxpr(body)((places, begins), first))
+    tests, _ = opened(jax.make_jaxpr(lambda carry: carry[0] < length)(first))
+    turns, fixed = opened(jax.make_jaxpr(body)((places, begins), first))
     shape, parts = form[0]
     given = jax.tree.leaves((places, begins))
     heights = [each.height for each in kept] or [length]
@@ -191,7 +191,7 @@ def _loops_bound(equation: Any, inputs: list) -> Sequence[Any]:
     return loop_p.bind(*inputs, program=program, rank=0)
 
 
-def _open(program: ClosedJaxpr) -> tuple[ClosedJaxpr, list]:
+def opened(program: ClosedJaxpr) -> tuple[ClosedJaxpr, list]:
     """Constants that are not yet known as leading arguments, and these; known numbers stay
     inside."""
     pairs = list(zip(program.jaxpr.constvars, program.consts, strict=True))

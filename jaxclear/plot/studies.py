@@ -326,7 +326,7 @@ def error_budget(study: MonteCarlo | Campaign, *responses: str, ax: Any = None) 
     names = responses or tuple(study.responses)
     for name in names:
         check_name("response", name, study.responses, " in this study")
-    rows = len(study.problem.names) + 1
+    rows = len(study.problem.variable_names) + 1
     size = (WIDE * len(names), 1.4 + 0.35 * rows)
     sheet = panels("error_budget", ax, 1, len(names), size, sharey=True)
     for axis, name in zip(sheet.axes.flat, names, strict=True):

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxclear.components.beam import on_piece
 from jaxclear.components.body import Marker
 from jaxclear.components.clearance import SITUATIONS, AbstractClearance, situation
 from jaxclear.components.coupling import AbstractBodyCoupling
@@ -32,6 +33,7 @@ from jaxclear.ground.wording import public_name
 from jaxclear.multibody import constraints, dynamics, kinematics, transmissions, tree
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.rows import forces_on_drives, wrench_in_joint
 from jaxclear.multibody.system import System
 from jaxclear.results.state_history import StateHistory, check_name, columns, over_time
@@ -150,11 +152,13 @@ class MarkerHistory(AbstractHistory):
         return jnp.einsum("tji,tj->ti", self.rotation, self.acceleration - gravity)
 
 
-def marker(read: Callable[[str], Any], body: str | Marker, at: Any) -> MarkerHistory:
+def marker(
+    read: Callable[[str], Any], mechanism: Mechanism, body: str | Marker, at: Any
+) -> MarkerHistory:
     """A marker, or a point `at` [m] of a body whose motion is `read` by its name."""
     if isinstance(body, Marker) and at is not None:
         raise ValueError(f'a marker on "{body.body}" has its place; leave `at` out beside it.')
-    where = body if isinstance(body, Marker) else Marker(body, at)
+    where = on_piece(mechanism.bodies, body if isinstance(body, Marker) else Marker(body, at))
     motion, (turn, at) = read(where.body), where.pose()
     return MarkerHistory(
         motion.origin + motion.rotation @ sp.stack(at),

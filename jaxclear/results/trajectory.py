@@ -16,7 +16,6 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxclear.components.beam import on_piece
 from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground.arguments import check_count, check_flags, check_name
@@ -385,9 +384,7 @@ class Trajectory(AbstractShown):
         Raises:
             ValueError: if there is no such body, or `at` is given beside a `Marker`.
         """
-        where = body if isinstance(body, Marker) or at is None else Marker(body, at)
-        at = at if isinstance(body, Marker) else None
-        return histories.marker(self.body, on_piece(self.mechanism.bodies, where), at)
+        return histories.marker(self.body, self.mechanism, body, at)
 
     def deflection(
         self, name: str, relative_to: Literal["chord", "start"] = "chord"

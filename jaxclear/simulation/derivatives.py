@@ -261,7 +261,9 @@ def where_alike(ways: Array, ratios: Array, scale: Array, smallest: Any) -> Arra
     ratios = jnp.expand_dims(ratios, tuple(range(1, others.ndim)))
     off = jnp.max(abs(others - own) / abs(ratios - 1), axis=0)
     known = (off <= TRUSTED * jnp.maximum(scale, smallest)) | jnp.isnan(own)
-    return jnp.where(known, own, Unknown.STEPS_DECIDE.number)
+    # A nan from other steps carries its reason.
+    reason = jnp.where(jnp.isnan(off), off, Unknown.STEPS_DECIDE.number)
+    return jnp.where(known, own, reason)
 
 
 def run_where_alike(

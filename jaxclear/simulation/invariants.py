@@ -143,7 +143,7 @@ def judged(trajectory: Trajectory, model: Model, begun: Worn) -> Trajectory:
     of_run |= wear_by_cells(model, begun, trajectory.worn)
     if trajectory.extremes is not None:
         depths = trajectory.extremes.indentation[: model.layout.joint_contacts]
-        of_run[Check.INDENTATION] = depths / _radii(model.system) if depths.size else depths
+        of_run[Check.INDENTATION] = depths / contact_radii(model.system) if depths.size else depths
     checks = _together(model, history.formulation, of_run, figures, ends[looks.intervals])
     if verdict is None:
         return dataclasses.replace(trajectory, invariants=checks)
@@ -203,11 +203,11 @@ def sunk_in(system: System, depths: Float[Array, " contacts"]) -> Bool[Array, ""
     """Whether a contact is so deep [m] that its part has sunk into the wall that holds it."""
     if not system.bearings:
         return jnp.zeros((), bool)
-    radii = _radii(system)
+    radii = contact_radii(system)
     return jnp.any(depths[: len(radii)] > Check.INDENTATION.ends_at * radii)
 
 
-def _radii(system: System) -> Float[Array, " contacts"]:
+def contact_radii(system: System) -> Float[Array, " contacts"]:
     """Radius of journal or ball in every possible contact [m]."""
     return sp.stack([radius for one in system.bearings.values() for radius in one.radii])
 

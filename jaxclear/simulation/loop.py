@@ -148,6 +148,41 @@ def run(
     past, to a trajectory. `updates`: of worn surfaces so many times as many as usual, where steps
     are not counted."""
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
+    given = mechanism, coordinates, speeds, times, integrator
+    mechanism, turn, first = first_turn(*given, extras, past)
+    model, worn, seen = turn.model, first.worn, turn.model.seeing(first.read)
+    spans = Span(times[:-1], times[1:], jnp.diff(times) / (times[-1] - times[0]))
+    if _whole(integrator, extras, worn):
+        last, left = _in_one_kernel(turn, first, spans, updates)
+    else:
+        counted = integrator.steps_between_saves
+        last, left = _from_save_to_save(turn, first, spans, counted, updates)
+    if _sweeps_outside_kernels(model, integrator, first.warm_start):
+        last, left = forwards_only(NOT_THROUGH_SWEEPS, (last, left))
+    states = integrator.known_states(seen, times, left.states, last.state, last.warm_start)
+    history = StateHistory(mechanism, formulation, times, states, left.read, extras.balance)
+    stats, noted = RunStats(*last.steps, verdict(last.outcome)), left.noted
+    if noted is not None:
+        noted = noted._replace(counts=noted.counts * (times[:-1] <= last.ended)[:, None])
+    met = last.peaks
+    contacts = contact_names(model), contacts_that_turn(mechanism, model)
+    extremes = None if met is None else Extremes(*met, *contacts)
+    ends = history, last.worn, last.outcome, last.ended, stats
+    return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn)
+
+
+def first_turn(
+    mechanism: Mechanism,
+    coordinates: Array,
+    speeds: Array,
+    times: Float[Array, " saves"],
+    integrator: AbstractIntegrator,
+    extras: Extras = Extras(),
+    past: Past = Past(),
+) -> "tuple[Mechanism, Turn, Carry]":
+    """(the mechanism as the steps take it, the turn of its run, and what that is handed first),
+    from consistent coordinates and speeds at the first of the times [s]; arguments as of `run`."""
+    formulation = integrator.formulation
     mechanism = held_as_needed(mechanism, integrator.opens_loops)
     if loads_to_settle(mechanism) and not formulation.forces_are_means:
         system, step = model_of(mechanism, formulation).system, integrator.asked_step()
@@ -168,28 +203,10 @@ def run(
     read = readings(model.system, worn)
     seen = model.seeing(read)
     warm_start = _first_warm_start(seen, integrator, times[0], state)
-    turn = _Turn(model, integrator, extras.report)
+    turn = Turn(model, integrator, extras.report)
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
     first = Carry(state, worn, read, warm_start, reached, times[0], (none, none), None)
-    first = first._replace(peaks=turn.nothing_met(first))
-    spans = Span(times[:-1], times[1:], jnp.diff(times) / (times[-1] - times[0]))
-    if _whole(integrator, extras, worn):
-        last, left = _in_one_kernel(turn, first, spans, updates)
-    else:
-        counted = integrator.steps_between_saves
-        last, left = _from_save_to_save(turn, first, spans, counted, updates)
-    if _sweeps_outside_kernels(model, integrator, warm_start):
-        last, left = forwards_only(NOT_THROUGH_SWEEPS, (last, left))
-    states = integrator.known_states(seen, times, left.states, last.state, last.warm_start)
-    history = StateHistory(mechanism, formulation, times, states, left.read, extras.balance)
-    stats, noted = RunStats(*last.steps, verdict(last.outcome)), left.noted
-    if noted is not None:
-        noted = noted._replace(counts=noted.counts * (times[:-1] <= last.ended)[:, None])
-    met = last.peaks
-    contacts = contact_names(model), contacts_that_turn(mechanism, model)
-    extremes = None if met is None else Extremes(*met, *contacts)
-    ends = history, last.worn, last.outcome, last.ended, stats
-    return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn)
+    return mechanism, turn, first._replace(peaks=turn.nothing_met(first))
 
 
 def sketched(
@@ -277,7 +294,7 @@ def _sweeps_outside_kernels(model: Model, integrator: AbstractIntegrator, warm_s
     return (counted or begun) and any(joint.friction is not None for joint in joints)
 
 
-class _Turn:
+class Turn:
     """One turn of the loop, from a saving time to the next, as a function of (`Carry`, `Span`)."""
 
     def __init__(self, model: Model, integrator: AbstractIntegrator, report: bool):
@@ -343,7 +360,7 @@ class _Turn:
 
 
 def _between_updates(
-    turn: "_Turn", limits: UpdateLimits, step: Any, settled: Callable, loop: Callable
+    turn: Turn, limits: UpdateLimits, step: Any, settled: Callable, loop: Callable
 ) -> Callable:
     """A part of a saving interval that is gone through from update to update of worn surfaces, by a
     while `loop`, as (what is handed on, span) -> (that, what is left). `settled` wears surfaces;
@@ -356,8 +373,8 @@ def _between_updates(
     def end_of_part(time, length, stop):
         if step is not None:
             length = jnp.maximum(jnp.floor(length / step * (1 + SLIVER)), 1.0) * step
-        # No sliver of a part is left, and time grows.
-        inside = (time + (1 + SLIVER) * length < stop) & (time + length > time)
+        # No part shorter than the shortest is left, and time grows.
+        inside = (time + length + (1 - SLIVER) * limits.shortest <= stop) & (time + length > time)
         return jnp.where(inside, time + length, stop)
 
     def parts(begun, span):
@@ -414,7 +431,7 @@ def _in_parts(part: Callable, begun: Any, span: Span) -> Any:
     return jax.lax.while_loop(lambda now: now[0] < parts, turn, first)[1:]
 
 
-def _between_instants(turn: _Turn, loop: Callable, part: Callable) -> Callable:
+def _between_instants(turn: Turn, loop: Callable, part: Callable) -> Callable:
     """A part of a saving interval that is gone through from instant to instant of what is sampled,
     and of what steps are to end at, by a while `loop`; the part itself where there are none."""
     system, breaks = turn.model.system, turn.breaks
@@ -441,7 +458,18 @@ def _between_instants(turn: _Turn, loop: Callable, part: Callable) -> Callable:
     return parts
 
 
-def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Left]:
+def through_interval(turn: Turn) -> Callable[[Carry, Span], Carry]:
+    """A saving interval of a run in which nothing wears, as (what is handed on, span) -> that."""
+
+    def part(now, span):
+        now, _, noted = turn.motion(now, span)
+        return now, ((), noted)
+
+    whole = _between_instants(turn, while_loop, part)
+    return lambda now, span: whole(now, span)[0]
+
+
+def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Left]:
     """(what the last turn hands on, what is left at all saving times). Before a part at whose start
     they are due surfaces are worn by what was lost until then, and after the last."""
     model, count, step = turn.model, len(spans.start), turn.step
@@ -482,7 +510,7 @@ def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tupl
 
 
 def _from_save_to_save(
-    turn: _Turn, first: Carry, spans: Span, counted: int | None, updates: Any
+    turn: Turn, first: Carry, spans: Span, counted: int | None, updates: Any
 ) -> tuple[Carry, Left]:
     """As `_in_one_kernel`, each turn by itself, behind which XLA wears surfaces; of a `counted`
     number of steps it goes backwards through them."""

@@ -181,7 +181,7 @@ class Positions(AbstractShown):
         Raises:
             ValueError: if there is no such body, or `at` is given beside a `Marker`.
         """
-        return marker(self.body, body, at)
+        return marker(self.body, self.scene.mechanism, body, at)
 
     def coordinate(self, name: str) -> Float[Array, "positions ..."]:
         """Coordinates of a joint or body over the positions.

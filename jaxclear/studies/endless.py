@@ -66,8 +66,8 @@ def undrawn_levels(problem: Problem, values: np.ndarray) -> dict[str, str]:
     """Variables of a few levels of which runs (runs, variables) have not seen one, and a sentence
     for each: what such a level does is in no share of a variance."""
     found = {}
-    for i, (name, nominal) in enumerate(zip(problem.names, problem.nominal(), strict=True)):
-        own = problem.variables[name].distribution
+    each = zip(problem.marginals.items(), problem.nominal(), strict=True)
+    for i, ((name, own), nominal) in enumerate(each):
         if not isinstance(own, Discrete):
             continue
         levels = np.asarray(own.deviations, float)

@@ -20,7 +20,11 @@ from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Check, Checks
 from jaxclear.native import stoppable
-from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
+from jaxclear.studies.distribution import (
+    AbstractDistribution,
+    AbstractJointDistribution,
+    TruncatedNormal,
+)
 
 # Runs come in chunks of no fewer samples than these, where there are as many.
 LEAST_CHUNK = 64
@@ -45,10 +49,17 @@ class SampleResult(eqx.Module):
 
 
 class AbstractVariable(AbstractQuantified):
-    """A number that varies about its nominal value, and its distribution about it. What it is a
-    number of is the `subject` of an experiment: a mechanism, or a dictionary of numbers."""
+    """A number that varies about its nominal value, and its distribution about it; by an
+    `AbstractJointDistribution` several numbers, (parts,), that act together under one name. What it
+    is a number of is the `subject` of an experiment: a mechanism, or a dictionary of numbers."""
 
-    distribution: eqx.AbstractVar[AbstractDistribution]
+    distribution: eqx.AbstractVar[AbstractDistribution | AbstractJointDistribution]
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the numbers of a variable of several; () for one number."""
+        own = self.distribution
+        return own.parts if isinstance(own, AbstractJointDistribution) else ()
 
     @abstractmethod
     def nominal_in(self, subject: Any) -> Any:
@@ -105,7 +116,12 @@ class Setting(eqx.Module):
 
     def __call__(self, subject: Any) -> Any:
         """The subject with all variables set, and what follows from them; pure."""
-        each = list(zip(self.names, self.variables, self.values, strict=True))
+        numbers, each = list(self.values), list[Any]()
+        for name, variable in zip(self.names, self.variables, strict=True):
+            count = len(variable.parts)
+            value = jnp.stack(numbers[:count]) if count else numbers[0]
+            numbers = numbers[max(count, 1) :]
+            each.append((name, variable, value))
         for name, variable, value in each:
             subject = variable.put(name, subject, value)
         for _, variable, value in each:
@@ -275,9 +291,7 @@ class AbstractExperiment(AbstractQuantified):
         return {name: getattr(self, name) for name in told}
 
 
-def one_distribution(
-    owner: str, distribution: AbstractDistribution | None, tolerance: Any
-) -> AbstractDistribution:
+def one_distribution(owner: str, distribution: Any, tolerance: Any) -> Any:
     """The distribution given, or that of a tolerance t (a number above 0): normal with three
     standard deviations in t, cut off at +-t. Raises `ValueError` for both or neither."""
     if distribution is not None and tolerance is None:

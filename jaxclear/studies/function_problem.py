@@ -19,11 +19,11 @@ from jaxtyping import Array
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import Scalar, is_one_number, quantity
+from jaxclear.ground.quantity import Scalar, as_number, as_vector, is_one_number, quantity
 from jaxclear.ground.warning import call_user, shape_of
 from jaxclear.ground.wording import described, listed
 from jaxclear.integrators import Outcome
-from jaxclear.studies.distribution import AbstractDistribution
+from jaxclear.studies.distribution import AbstractDistribution, AbstractJointDistribution
 from jaxclear.studies.experiment import (
     AbstractExperiment,
     AbstractVariable,
@@ -46,13 +46,19 @@ ALONE = "response"
 LARGEST_CHUNK = 4096
 
 
+def _numbers(value: Any) -> Any:
+    """One number, or several in a row."""
+    return as_vector(value) if isinstance(value, (tuple, list)) else as_number(value)
+
+
 class Dimension(AbstractVariable):
-    """A number of a drawing, with its distribution.
+    """A number of a drawing, with its distribution; or several numbers under one name.
 
     Args:
-        nominal: nominal value, a number in `unit`.
+        nominal: nominal value, a number in `unit`; with a distribution of several numbers as many.
         distribution: distribution of the deviation from the nominal value, one of
-            `jaxclear.distribution`; in its place `tolerance`.
+            `jaxclear.distribution`, or of several numbers, such as `jaxclear.distribution.Ball`,
+            which the function takes as an array; in its place `tolerance`.
         tolerance: half width t of the tolerance, a number in `unit`, > 0: a normal distribution
             with a standard deviation of t/3, cut off at +-t.
         unit: unit, a text; "m" by default.
@@ -62,14 +68,19 @@ class Dimension(AbstractVariable):
             another kind.
     """
 
-    nominal: Scalar = quantity(unit="(its unit)", meaning="nominal value")
-    distribution: AbstractDistribution
+    nominal: Scalar | tuple = quantity(
+        unit="(its unit)",
+        meaning="nominal value",
+        converter=_numbers,
+        wanted="one number, or several in a tuple",
+    )
+    distribution: AbstractDistribution | AbstractJointDistribution
     unit: str = eqx.field(static=True)
 
     def __init__(
         self,
         nominal: Any,
-        distribution: AbstractDistribution | None = None,
+        distribution: AbstractDistribution | AbstractJointDistribution | None = None,
         *,
         tolerance: float | None = None,
         unit: str = "m",
@@ -80,9 +91,16 @@ class Dimension(AbstractVariable):
         self.nominal = nominal
         self.distribution = one_distribution("Dimension", distribution, tolerance)
         self.unit = unit
+        count = len(nominal) if isinstance(nominal, (tuple, list)) else 0
+        if count != len(self.parts):
+            raise ValueError(
+                f"a Dimension has {count or 'one'} nominal value{'s' * (count > 1)}, and its "
+                f"distribution is of {listed(self.parts) or 'one number'}; give a nominal value to "
+                "each number."
+            )
 
     def nominal_in(self, subject):
-        return self.nominal
+        return jnp.stack(self.nominal) if self.parts else self.nominal
 
     def unit_in(self, subject):
         return self.unit
@@ -106,7 +124,7 @@ class FunctionExperiment(AbstractExperiment):
 
     def __init__(self, function: Callable[..., Any], variables: dict[str, Dimension], units: Any):
         self.function = function
-        at = {name: variable.nominal for name, variable in variables.items()}
+        at = {name: variable.nominal_in(None) for name, variable in variables.items()}
         found = _traced(function, at)
         self.response_names = tuple(name for name, own in found.items() if not own.shape)
         self.series_names = tuple(name for name, own in found.items() if own.shape)

@@ -20,7 +20,8 @@ from jaxtyping import Array, Float
 from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import described
-from jaxclear.studies.distribution import AbstractDistribution
+from jaxclear.studies.distribution import AbstractDistribution, AbstractJointDistribution
+from jaxclear.studies.distribution.joint import marginals_of
 
 # Correlation matrices whose smallest eigenvalue is below this make numbers of each other.
 LEAST_EIGENVALUE = 1e-10
@@ -33,7 +34,8 @@ class Inputs(eqx.Module):
     variable are wider than its distribution says (1 as it is), are arrays that JAX may
     differentiate by. `correlation` (variables, variables) [1] is that of the normal scores, None
     where all are independent; `root` [1] is lower triangular, root root^T = correlation, and
-    `inverse_root` [1] its inverse.
+    `inverse_root` [1] its inverse. `joints` are distributions of several numbers, each with the
+    place of its first; `distributions` has the marginals of these numbers.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -43,6 +45,7 @@ class Inputs(eqx.Module):
     correlation: Float[Array, "variables variables"] | None
     root: Float[Array, "variables variables"] | None
     inverse_root: Float[Array, "variables variables"] | None
+    joints: tuple[tuple[int, AbstractJointDistribution], ...] = ()
 
     @property
     def independent(self) -> bool:
@@ -57,9 +60,7 @@ class Inputs(eqx.Module):
         """Independent standard normal numbers [1] that give these values; for a discrete variable
         the middle of what gives its value."""
         deviations = (values - self.nominal) / self.widths
-        scores = jnp.stack(
-            [d.score(deviations[..., i]) for i, d in enumerate(self.distributions)], axis=-1
-        )
+        scores = self._each(deviations, "score", "scores")
         return scores if self.inverse_root is None else scores @ self.inverse_root.T
 
     def scores(self, normal: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
@@ -68,8 +69,19 @@ class Inputs(eqx.Module):
 
     def of_scores(self, scores: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
         """Values of the variables from their own scores [1]."""
-        deviations = [d.of_score(scores[..., i]) for i, d in enumerate(self.distributions)]
-        return self.nominal + self.widths * jnp.stack(deviations, axis=-1)
+        return self.nominal + self.widths * self._each(scores, "of_score", "of_scores")
+
+    def _each(self, numbers: Any, alone: str, together: str) -> Any:
+        """What methods of these names make of numbers (..., variables): one of the distribution of
+        a single number, one of that of several."""
+        found: dict[int, Any] = {}
+        for first, own in self.joints:
+            some = getattr(own, together)(numbers[..., first : first + len(own.parts)])
+            found |= {first + i: some[..., i] for i in range(len(own.parts))}
+        for i, distribution in enumerate(self.distributions):
+            if i not in found:
+                found[i] = getattr(distribution, alone)(numbers[..., i])
+        return jnp.stack([found[i] for i in range(len(found))], axis=-1)
 
     def deviations(self) -> Float[Array, " variables"]:
         """Standard deviation of each variable [its unit]."""
@@ -78,11 +90,16 @@ class Inputs(eqx.Module):
 
 def joint(
     names: Sequence[str],
-    distributions: Sequence[AbstractDistribution],
+    distributions: Sequence[AbstractDistribution | AbstractJointDistribution],
     nominal: Any,
     correlation: Float[Array, "variables variables"] | None = None,
 ) -> Inputs:
-    """The joint distribution of variables with these names, distributions and nominal values."""
+    """The joint distribution of numbers with these names and nominal values; each of the
+    distributions is that of one of them, or of several in a row."""
+    alone, joints = list[AbstractDistribution](), list[Any]()
+    for own in distributions:
+        joints += [(len(alone), own)] if isinstance(own, AbstractJointDistribution) else []
+        alone += marginals_of(own)
     root = inverse = None
     if correlation is not None:
         library = jnp if is_traced(correlation) else np
@@ -90,12 +107,13 @@ def joint(
         root, inverse = jnp.asarray(lower), jnp.asarray(library.linalg.inv(lower))
     return Inputs(
         tuple(names),
-        tuple(distributions),
+        tuple(alone),
         jnp.asarray(nominal),
         jnp.ones(len(names)),
         correlation,
         root,
         inverse,
+        tuple(joints),
     )
 
 

@@ -280,7 +280,7 @@ class MonteCarlo(AbstractAnswer):
         values = np.delete(self.values, self.failed, axis=0)
         unit = self._unit(response)
         squared = f"{unit if unit.isalnum() else f'({unit})'}^2" if unit != "1" else unit
-        parts = error_budget(values, responses, group, self.problem.names)
+        parts = error_budget(values, responses, group, self.problem.groups)
         return {name: part.in_unit(squared) for name, part in parts.items()}
 
     def summary(self, limits: Mapping[str, Limits] | None = None) -> Any:

@@ -11,6 +11,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import expect
@@ -21,6 +22,7 @@ from jaxclear.ground.wording import described, listed
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.state_history import State
+from jaxclear.studies.distribution import AbstractDistribution
 from jaxclear.studies.experiment import (
     AbstractExperiment,
     AbstractVariable,
@@ -64,10 +66,12 @@ class Problem(AbstractQuantified):
     """
 
     experiment: AbstractExperiment
-    # JAX sorts the keys of a dictionary; `names` keeps the order in which things were given.
+    # JAX sorts the keys of a dictionary; `variable_names` keeps the order in which things were
+    # given, `names` that of their numbers, of which most variables have one.
     variables: dict[str, AbstractVariable]
     correlation: Float[Array, "variables variables"] | None
     names: tuple[str, ...] = eqx.field(static=True)
+    variable_names: tuple[str, ...] = eqx.field(static=True)
     variable_units: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(
@@ -111,7 +115,6 @@ class Problem(AbstractQuantified):
         varied = by_name("variables", variables)
         for name, variable in varied.items():
             expect(variable, AbstractVariable, f'variable "{name}"', "an AbstractVariable")
-        check_names_differ(experiment.response_names, varied)
         matrix = correlation_matrix(correlation, tuple(varied))
         return _made(_fields(experiment, varied, matrix))
 
@@ -131,18 +134,35 @@ class Problem(AbstractQuantified):
         lines = [description.title, "responses"]
         lines += [f"  {name} [{own.unit}]" for name, own in description.responses.items()]
         lines += ["variables"] if self.names else []
-        for name, unit, value in zip(self.names, self.variable_units, self.nominal(), strict=True):
-            spread = in_a_line(self.variables[name].distribution)
-            own = "" if unit == "1" else f" {unit}"
-            lines.append(f"  {name} {number_in_words(value)}{own}, {spread}")
+        nominal = self.nominal()
+        for name, columns in self.groups.items():
+            spread, unit = in_a_line(self.variables[name].distribution), self.variable_units
+            own = "" if unit[columns[0]] == "1" else f" {unit[columns[0]]}"
+            values = ", ".join(number_in_words(nominal[i]) for i in columns)
+            lines.append(f"  {name} {values}{own}, {spread}")
         return "\n".join(lines if self.correlation is None else [*lines, "correlated"])
 
     @property
     def inputs(self) -> Inputs:
         """The joint distribution of the variables: `values(normal)` from independent standard
         normal numbers, and `normal(values)`."""
-        own = [self.variables[name].distribution for name in self.names]
+        own = [self.variables[name].distribution for name in self.variable_names]
         return joint(self.names, own, self.nominal(), self.correlation)
+
+    @property
+    def marginals(self) -> dict[str, AbstractDistribution]:
+        """Distribution of each number by itself, by `names`."""
+        return dict(zip(self.names, self.inputs.distributions, strict=True))
+
+    @property
+    def groups(self) -> dict[str, range]:
+        """The places in `names` of the numbers of each variable, by its name: one of most."""
+        found, first = {}, 0
+        for name in self.variable_names:
+            count = max(len(self.variables[name].parts), 1)
+            found[name] = range(first, first + count)
+            first += count
+        return found
 
     @functools.cached_property
     def description(self) -> Description:
@@ -160,7 +180,9 @@ class Problem(AbstractQuantified):
     def nominal(self) -> Float[Array, " variables"]:
         """Nominal value of each variable."""
         subject = self.experiment.subject
-        numbers = [self.variables[name].nominal_in(subject) for name in self.names]
+        numbers = [self.variables[name].nominal_in(subject) for name in self.variable_names]
+        if len(self.names) > len(numbers):
+            return jnp.concatenate([jnp.atleast_1d(own) for own in numbers])
         return jnp.stack(numbers) if numbers else jnp.zeros(0)
 
     def setting(self, values: Any) -> Setting:
@@ -169,8 +191,8 @@ class Problem(AbstractQuantified):
         Args:
             values: one number for each variable, in their order, (variables,) [their units].
         """
-        own = tuple(self.variables[name] for name in self.names)
-        return Setting(self.names, own, jnp.asarray(values))
+        own = tuple(self.variables[name] for name in self.variable_names)
+        return Setting(self.variable_names, own, jnp.asarray(values))
 
     def with_values(self, values: Any) -> Any:
         """The mechanism, or the dictionary of numbers, with the variables at these values.
@@ -241,7 +263,7 @@ class Problem(AbstractQuantified):
     def parts(self) -> dict[str, Any]:
         """All that tells this problem from another, by name, but for the distributions."""
         own, subject = self.experiment.parts(), self.experiment.subject
-        for name in self.names:
+        for name in self.variable_names:
             own |= self.variables[name].told(name, subject)
         return own
 
@@ -265,14 +287,43 @@ class Problem(AbstractQuantified):
 def _fields(
     experiment: AbstractExperiment, variables: dict[str, Any], correlation: Any
 ) -> dict[str, Any]:
-    """The fields of a problem by name."""
+    """The fields of a problem by name. Raises `ValueError` where two numbers have one name, or one
+    of several is correlated with another variable."""
+    columns = {
+        name: [f"{name} {part}" for part in own.parts] or [name] for name, own in variables.items()
+    }
+    names = tuple(name for own in columns.values() for name in own)
+    twice = [name for name in names if names.count(name) > 1 or len(columns.get(name, "")) > 1]
+    if twice:
+        raise ValueError(f'"{twice[0]}" is a variable and a part of one; give it another name.')
+    check_names_differ(experiment.response_names, (*columns, *names))
+    units = [own.unit_in(experiment.subject) for own in variables.values()]
+    each = zip(units, columns.values(), strict=True)
     return {
         "experiment": experiment,
         "variables": variables,
-        "correlation": correlation,
-        "names": tuple(variables),
-        "variable_units": tuple(own.unit_in(experiment.subject) for own in variables.values()),
+        "correlation": _of_numbers(correlation, columns),
+        "names": names,
+        "variable_names": tuple(variables),
+        "variable_units": tuple(unit for unit, own in each for _ in own),
     }
+
+
+def _of_numbers(correlation: Any, columns: dict[str, list[str]]) -> Any:
+    """The correlation of all numbers from that of the variables."""
+    counts = [len(own) for own in columns.values()]
+    if correlation is None or sum(counts) == len(counts):
+        return correlation
+    given = np.asarray(correlation)
+    for name, count, row in zip(columns, counts, given - np.eye(len(counts)), strict=True):
+        if count > 1 and row.any():
+            raise ValueError(
+                f'correlation of a Problem names "{name}", which has several numbers '
+                f"({listed(columns[name])}); only variables of one number can be correlated."
+            )
+    matrix, first = np.eye(sum(counts)), np.cumsum([0, *counts[:-1]])
+    matrix[np.ix_(first, first)] = given
+    return jnp.asarray(matrix)
 
 
 def _made(fields: dict[str, Any]) -> Problem:

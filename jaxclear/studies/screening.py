@@ -53,7 +53,7 @@ class Screening(AbstractAnswer):
         """Which variable matters most to each response, and how many runs failed."""
         said = []
         for name in self.problem.response_names:
-            own = {v: self.mu_star[name, v].value for v in self.problem.names}
+            own = {v: self.mu_star[name, v].value for v in self.problem.variable_names}
             known = {v: value for v, value in own.items() if np.isfinite(value)}
             if known:
                 said.append(f'"{name}" moves most with "{max(known, key=lambda v: known[v])}".')
@@ -105,7 +105,8 @@ def screening(
     check_sampled(problem, trajectories, seed)
     check_count("trajectories of screening", trajectories, at_least=2)
     check_flags("screening", progress_bar=progress_bar)
-    shares = _trajectories(len(problem.names), trajectories, seed)
+    together = list(problem.groups.values())
+    shares = _trajectories(together, trajectories, seed)
     values = jnp.asarray(all_values(problem, normal_scores(shares)))
     found = evaluate_all(problem, values, progress_bar=progress_bar, label="screening")
     refuse_endless(problem, found.responses, "elementary effect")
@@ -115,8 +116,8 @@ def screening(
     effects, mu_star, sigma = {}, {}, {}
     for name, responses in own.items():
         kept = responses.reshape(trajectories, -1)
-        for i, variable in enumerate(problem.names):
-            # Each trajectory moves each variable once.
+        for variable, (i, *_) in problem.groups.items():
+            # Each trajectory moves each variable once, and its numbers by the same share.
             moved = np.argmax(np.abs(moves[:, :, i]), axis=1)[:, None]
             change, share = (
                 np.take_along_axis(rows, moved, axis=1)[:, 0]
@@ -131,12 +132,14 @@ def screening(
     return Screening(problem, mu_star, sigma, effects, *counts, told(problem, found.checks, good))
 
 
-def _trajectories(variables: int, count: int, seed: int) -> np.ndarray:
-    """Shares [1] of the trajectories' points, (count (variables + 1), variables)."""
-    rng = np.random.default_rng(seed)
-    start = rng.random((count, 1, variables))
+def _trajectories(groups: list[range], count: int, seed: int) -> np.ndarray:
+    """Shares [1] of the trajectories' points, (count (groups + 1), variables), of which those of a
+    group move together."""
+    rng, variables = np.random.default_rng(seed), len(groups)
+    start = rng.random((count, 1, sum(map(len, groups))))
     step = rng.uniform(SHORTEST, LONGEST, (count, 1, variables))
     # The variable that moves first has moved at all points but the first.
     order = rng.permuted(np.tile(np.arange(variables), (count, 1)), axis=1)[:, None]
     moved = np.arange(variables + 1)[:, None] > order
-    return ((start + moved * step) % 1.0).reshape(-1, variables)
+    moves = np.repeat(moved * step, [len(own) for own in groups], axis=2)
+    return ((start + moves) % 1.0).reshape(-1, start.shape[2])

@@ -22,6 +22,7 @@ from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.quantity import Scalar, count, quantity
 from jaxclear.multibody.topology import coordinate_units
 from jaxclear.results.response import AbstractSignal, coordinate_unit
+from jaxclear.studies.distribution.joint import marginals_of
 from jaxclear.studies.function_problem import Dimension
 
 __all__ = [
@@ -128,8 +129,8 @@ def _drawn(value: Any, runs: int, rng: np.random.Generator) -> np.ndarray:
     """A number for each run."""
     if not isinstance(value, Dimension):
         return np.full(runs, float(value))
-    shares = jnp.asarray(rng.random(runs))
-    return np.asarray(value.nominal + value.distribution.quantile(shares))
+    shares, own = jnp.asarray(rng.random(runs)), marginals_of(value.distribution)[0]
+    return np.asarray(value.nominal_in(None) + own.quantile(shares))
 
 
 def passed(signal: Array, rate: Scalar, bandwidth: Any, delay: Any, gain: Any) -> Array:

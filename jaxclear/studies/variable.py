@@ -13,11 +13,12 @@ from jax.scipy.special import ndtr
 from jaxclear.ground.arguments import check_number, expect
 from jaxclear.ground.quantity import Scalar, is_one_number, is_traced, quantity
 from jaxclear.ground.warning import warn
-from jaxclear.ground.wording import described, meant
+from jaxclear.ground.wording import described, listed, meant
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.thermal_expansion import apply_thermal_expansion
 from jaxclear.multibody.topology import own_numbers
-from jaxclear.studies.distribution import AbstractDistribution
+from jaxclear.studies.distribution import AbstractDistribution, AbstractJointDistribution
+from jaxclear.studies.distribution.joint import marginals_of
 from jaxclear.studies.experiment import AbstractVariable, one_distribution
 
 # The least quantile of a response that studies tell.
@@ -66,13 +67,14 @@ class AbstractMechanismVariable(AbstractVariable):
 
 
 class Variable(AbstractMechanismVariable):
-    """A number of a mechanism that varies.
+    """A number of a mechanism that varies, or several under one name.
 
     Args:
-        where: function of a `Mechanism` that returns the number (a leaf), or several that vary
-            together.
+        where: function of a `Mechanism` that returns the number (a leaf), or several that move by
+            the same amount; with a distribution of several numbers as many, each with its own.
         distribution: distribution of the deviation from the number's own value, one of
-            `jaxclear.distribution`; in its place `tolerance`.
+            `jaxclear.distribution`, or of several numbers, such as `jaxclear.distribution.Ball`; in
+            its place `tolerance`.
         tolerance: half width t of the tolerance, a number in the varied number's unit, > 0: a
             normal distribution with a standard deviation of t/3, cut off at +-t.
         derived: numbers that follow from it, a sequence of pairs of functions of a mechanism: where
@@ -86,13 +88,13 @@ class Variable(AbstractMechanismVariable):
     """
 
     where: Callable[[Mechanism], Any] = eqx.field(static=True)
-    distribution: AbstractDistribution
+    distribution: AbstractDistribution | AbstractJointDistribution
     derived: tuple[tuple[Callable, Callable], ...] = eqx.field(static=True)
 
     def __init__(
         self,
         where: Callable,
-        distribution: AbstractDistribution | None = None,
+        distribution: AbstractDistribution | AbstractJointDistribution | None = None,
         *,
         tolerance: float | None = None,
         derived: Sequence[tuple[Callable, Callable]] = (),
@@ -107,7 +109,8 @@ class Variable(AbstractMechanismVariable):
         return jax.tree.leaves(self.where(mechanism))
 
     def nominal_in(self, subject):
-        return self.leaves(subject)[0]
+        leaves = self.leaves(subject)
+        return jnp.stack(leaves) if self.parts else leaves[0]
 
     def unit_in(self, subject):
         first = self.leaves(subject)[0]
@@ -116,7 +119,7 @@ class Variable(AbstractMechanismVariable):
     def put(self, name, subject, value):
         # Leaves that vary together move by the same amount.
         old = self.leaves(subject)
-        new = [leaf + (value - old[0]) for leaf in old]
+        new = list(value) if self.parts else [leaf + (value - old[0]) for leaf in old]
         return eqx.tree_at(self.leaves, subject, new)
 
     def followed(self, subject, value):
@@ -128,9 +131,17 @@ class Variable(AbstractMechanismVariable):
     def check(self, name, mechanism):
         _check_place(name, self.where, mechanism)
         own = self.leaves(mechanism)
+        if self.parts and len(own) != len(self.parts):
+            raise ValueError(
+                f'variable "{name}" points at {len(own)} numbers, and its distribution is that of '
+                f"{len(self.parts)}: {listed(self.parts)}."
+            )
+        if is_traced((own, self.distribution)):
+            return
         for path, leaf, metadata, unit in own_numbers(mechanism):
-            if any(leaf is one for one in own) and not is_traced((leaf, self.distribution)):
-                _warn_of_lost(name, self.distribution, leaf, (path, metadata, unit))
+            for place in [i for i, one in enumerate(own) if leaf is one]:
+                distribution = marginals_of(self.distribution)[place if self.parts else 0]
+                _warn_of_lost(name, distribution, leaf, (path, metadata, unit))
 
     def told(self, name, subject):
         leaves = jax.tree_util.tree_leaves_with_path(subject)

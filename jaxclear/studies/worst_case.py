@@ -14,6 +14,7 @@ search: Kolda, Lewis & Torczon 2003, SIAM Rev. 45, 385, doi:10.1137/S00361445024
 import itertools
 import math
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -40,6 +41,8 @@ from jaxclear.studies.warned import by_kind, codes_of, concerning
 STARTS = 4
 # Corners of the box are all asked where there are no more, those of ten variables.
 MOST_CORNERS = 2**10
+# So many times the width of a box is beyond it in any direction.
+FAR = 1e3
 # A compass search ends when its steps are this share of the box, or after so many rounds.
 SHORTEST, MOST_ROUNDS = 1e-3, 60
 
@@ -159,8 +162,8 @@ def worst_case(
     spread = scrambled_shares(samples, len(low), np.random.default_rng(seed))
     nominal = np.asarray(problem.nominal())
     search = Search(problem, low, high, progress_bar)
-    corners = corners_of(low, high)
-    points = np.concatenate([nominal[None], corners, low + spread * (high - low)])
+    corners = search.confined(corners_of(low, high))
+    points = np.concatenate([nominal[None], corners, search.confined(low + spread * (high - low))])
     responses = search.responses(points)
     # Before others are asked.
     unanswered, failed = search.unanswered(points, len(corners)), points[search.failed]
@@ -168,7 +171,7 @@ def worst_case(
     for name in problem.response_names:
         slopes = search.slopes(name, nominal)
         for sign, found in extremes.items():
-            corner = np.where(sign * slopes > 0, high, np.where(sign * slopes < 0, low, nominal))
+            corner = search.corner(sign * slopes, nominal)
             first = float(responses[name][0] + slopes @ (corner - nominal))
             order = np.argsort(np.where(np.isnan(responses[name]), np.inf, -sign * responses[name]))
             starts = [corner, *points[order[:STARTS]]]
@@ -195,14 +198,29 @@ def box(problem: Problem, sigmas: float) -> tuple[np.ndarray, np.ndarray]:
         cut = np.array(own.end_densities()) > 0
         scores = np.where(cut | (not own.is_continuous()), END_SCORE, sigmas)
         ends.append(np.asarray(own.of_score(jnp.asarray(np.array([-1.0, 1.0]) * scores))))
+    for first, joint in problem.inputs.joints:
+        for i, own in enumerate(joint.marginals(), first):
+            # To the last digit: the edge of a disc is its worst.
+            last = np.asarray(own.quantile(jnp.array([0.0, 1.0])))
+            ends[i] = np.where(np.isfinite(last), last, ends[i])
     low, high = np.array(ends).T
     return nominal + low, nominal + high
+
+
+def confined(problem: Problem, values: Any) -> Any:
+    """Values (..., variables) in the box brought to where numbers that vary together can be."""
+    joints, nominal = problem.inputs.joints, problem.nominal()
+    for first, own in joints:
+        part = slice(first, first + len(own.parts))
+        near = own.nearest(values[..., part] - nominal[part])
+        values = values.at[..., part].set(nominal[part] + near)
+    return values
 
 
 @eqx.filter_jit
 def _value_and_slopes(problem, name, values):
     def response(values):
-        found = problem.evaluate(values)
+        found = problem.evaluate(confined(problem, values))
         return found.responses[name], found
 
     slopes, found = jax.jacfwd(response, has_aux=True)(values)
@@ -214,12 +232,30 @@ class Search:
 
     def __init__(self, problem: Problem, low, high, progress_bar: bool):
         self.problem, self.low, self.high, self.bar = problem, low, high, progress_bar
+        self.joints = problem.inputs.joints
         self.runs = 0
         # Of the points asked last: whether one has no answer, and how and when [s] each ended.
         self.failed, self.ends = np.zeros(0, bool), (np.zeros(0, int), np.zeros(0))
         # Of what the runs warn, by their values.
         self.codes: dict[bytes, int] = {}
         self.differentiable = not any(problem.description.derivative)
+
+    def confined(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., variables) of the box brought to where numbers that vary together can be."""
+        if not self.joints:
+            return points
+        return np.asarray(confined(self.problem, jnp.asarray(points)))
+
+    def corner(self, slopes: np.ndarray, nominal: np.ndarray) -> np.ndarray:
+        """The farthest point along slopes (variables,)."""
+        high, low = self.high, self.low
+        corner = np.where(slopes > 0, high, np.where(slopes < 0, low, nominal))
+        for first, own in self.joints:
+            part = slice(first, first + len(own.parts))
+            steep = np.abs(slopes[part]).max()
+            away = slopes[part] / (steep or 1.0) * FAR * (high - low)[part].max()
+            corner[part] = nominal[part] + np.asarray(own.nearest(jnp.asarray(away)))
+        return np.clip(corner, low, high)
 
     def responses(self, points: np.ndarray) -> dict[str, np.ndarray]:
         """By name at points (points, variables); nan where one failed."""
@@ -298,6 +334,7 @@ class Search:
             at = np.clip(self.low + share * width, self.low, self.high)
             told = _value_and_slopes(self.problem, name, jnp.asarray(at))
             value, slopes, outcome, checks = told
+            at = self.confined(at)
             self.runs += 1
             self._keep(at[None], checks)
             if outcome != Outcome.REACHED or not np.isfinite(value):
@@ -323,7 +360,7 @@ class Search:
             if step < SHORTEST:
                 break
             moves = step * (self.high - self.low) * np.concatenate([np.eye(count), -np.eye(count)])
-            around = np.clip(start + moves, self.low, self.high)
+            around = self.confined(np.clip(start + moves, self.low, self.high))
             found = self.responses(around)[name]
             best = 0 if np.isnan(found).all() else int(np.nanargmax(sign * found))
             if np.isnan(value) or sign * found[best] > sign * value:

@@ -61,7 +61,9 @@ def test_a_lossless_bounce_has_the_derivatives_of_its_closed_form():
     wanted = -(end - np.pi / OMEGA), -2.0, 0.5 * SPEED * np.pi / -(OMEGA**3)
     for step in (2e-5, 1e-4, 3e-4):
         np.testing.assert_allclose(slopes(step, 1.0), wanted, rtol=2e-3)
-    assert "3 % of the narrowest gap" in jc.why_unknown(slopes(1e-3, 0.95))
+    # By itself, or in the steps twice as long that it is compared with.
+    for step in (1e-3, 4e-4):
+        assert "3 % of the narrowest gap" in jc.why_unknown(slopes(step, 0.95))
 
 
 @pytest.mark.parametrize("method", [pytest.param("heun", marks=pytest.mark.slow), "semi_implicit"])

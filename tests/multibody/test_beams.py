@@ -69,6 +69,11 @@ def test_tip_of_a_cantilever_its_stress_and_its_derivative():
     assert there == pytest.approx(exact * (1 - 1 / 64), rel=1e-5)
     middle = force * (LENGTH - 0.5 * LENGTH / 4)
     assert run.stress("rod")[-1, 0] == pytest.approx(middle * 0.5 * DIAMETER / SECOND, rel=1e-4)
+    # Its tip turns by the sum of curvatures, beside one that no force bends.
+    straight = at_rest(clamped(beam(4), (0.0, 0.0)))
+    end = jc.Marker("rod", (LENGTH, 0.0), axis="x")
+    turned = jc.pointing_error(run, end, nominal=straight).pointing_angle[-1]
+    assert turned == pytest.approx(force * LENGTH**2 / (2 * MODULUS * SECOND), rel=1e-4)
     slope = jax.jacfwd(lambda own: tip(own, 4)[0])(jnp.asarray(DIAMETER))
     assert slope == pytest.approx(-4 * exact * (1 - 1 / 64) / DIAMETER, rel=1e-3)
 
@@ -110,9 +115,13 @@ def test_a_column_under_half_of_its_buckling_load():
     assert away[1] + (away[1] - away[0]) / 3 == pytest.approx(exact, rel=3e-3)
 
 
-@pytest.mark.parametrize("held", ["clamped", pytest.param("pinned", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "held",
+    ["clamped", *(pytest.param(own, marks=pytest.mark.slow) for own in ("pinned", "free"))],
+)
 def test_first_frequency(held):
-    root = {"clamped": 1.8751040687, "pinned": np.pi}[held]
+    # Roots of cos(x) cosh(x) = -1, sin(x) = 0 and cos(x) cosh(x) = 1: Euler-Bernoulli beams.
+    root = {"clamped": 1.8751040687, "pinned": np.pi, "free": 4.7300407449}[held]
     exact = (root / LENGTH) ** 2 * np.sqrt(MODULUS * SECOND / MASS)
 
     def frequency(segments):
@@ -121,15 +130,17 @@ def test_first_frequency(held):
         if held == "pinned":
             curvature = np.sin(np.pi * places)
         else:
-            ratio = (np.cosh(root) + np.cos(root)) / (np.sinh(root) + np.sin(root))
+            sign = 1 if held == "clamped" else -1
+            ratio = (np.cosh(root) + sign * np.cos(root)) / (np.sinh(root) + sign * np.sin(root))
             x = root * places
-            curvature = np.cosh(x) + np.cos(x) - ratio * (np.sinh(x) + np.sin(x))
+            curvature = np.cosh(x) + sign * np.cos(x) - ratio * (np.sinh(x) + sign * np.sin(x))
         start = {f"rod bend {i + 1}": 1e-3 * c for i, c in enumerate(curvature)}
         if held == "pinned":
             start["left"] = -0.5 * 1e-3 * curvature.sum()
             rig = on_pins(rod, start=start)
         else:
-            wall = jc.Connection(jc.joint.Fixed(), "ground", "rod")
+            joint = jc.joint.Fixed() if held == "clamped" else jc.joint.Planar()
+            wall = jc.Connection(joint, "ground", "rod")
             rig = jc.Mechanism({"rod": rod}, {"wall": wall}, start=start)
         how = jc.integrator.ImplicitStep(2 * np.pi / exact / 400)
         run = jc.simulate(rig, 3 * 2 * np.pi / exact, save=1201, integrator=how, verify=False)
@@ -141,6 +152,39 @@ def test_first_frequency(held):
     coarse, fine = frequency(4), frequency(8)
     assert abs(fine / exact - 1) < 0.01
     assert fine + (fine - coarse) / 3 == pytest.approx(exact, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_a_spun_rod_stretches():
+    # By its weight in the rotating frame: rho w^2 L^3 / (3 E).
+    rate = 50.0
+    exact = DENSITY * rate**2 * LENGTH**3 / (3 * MODULUS)
+    hub = jc.Connection(jc.joint.Revolute(drive=jc.drive.ConstantSpeed(rate)), "ground", "rod")
+
+    def longer(segments):
+        rig = jc.Mechanism({"rod": beam(segments, stretches=True)}, {"hub": hub})
+        return float(at_rest(rig).deflection("rod", "start")[-1, -1, 0])
+
+    coarse, fine = longer(4), longer(8)
+    assert fine == pytest.approx(exact, rel=2e-3)
+    assert fine + (fine - coarse) / 3 == pytest.approx(exact, rel=1e-3)
+
+
+def test_a_beam_rests_as_its_loads_bend_it():
+    force = 1.0
+    bent = force * LENGTH**3 / (3 * MODULUS * SECOND) * (1 - 1 / 16)
+    rod = beam(2, None)
+    tip = jc.Marker("rod", (LENGTH, 0.0))
+    rig = jc.Mechanism(
+        {"rod": rod},
+        {"hub": jc.Connection(jc.joint.Revolute(), "ground", "rod")},
+        {"tip": jc.load.Force(tip, (0.0, force))},
+    )
+    turned = 0.5 * np.pi
+    found = jc.positions(rig, {"hub": [0.0, turned]})
+    np.testing.assert_allclose(found.marker(tip).position[0], (LENGTH, bent, 0.0), rtol=1e-5)
+    # Upright it is pulled along itself.
+    np.testing.assert_allclose(found.marker(tip).position[1], (0.0, LENGTH, 0.0), atol=1e-9)
 
 
 @pytest.mark.slow

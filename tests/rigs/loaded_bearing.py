@@ -30,15 +30,16 @@ class SwingingLoad(AbstractBodyLoad):
         return Effect((Action(self.marker, force, sp.ZERO),), 0, 0, power)
 
 
-def loaded_bearing(load, friction, *, radius=10e-3, stiffness=1e9, sliding=False):
-    """The journal under `load` [N]; 1 kg at a radius of 10 mm; `sliding`: at 1 m/s at first."""
+def loaded_bearing(load, friction, *, radius=10e-3, stiffness=1e9, sliding=False, updates=None):
+    """The journal under `load` [N]; 1 kg at a radius of 10 mm; `sliding`: at 1 m/s at first;
+    `updates`: of its surface in a run, at most."""
     mass = DENSITY * radius**2
     joint = jc.clearance.PlanarJournalBearing(
         jc.contact.CarvalhoMartins(stiffness=stiffness),
         friction,
         bearing_radius=radius,
         clearance=CLEARANCE_RATIO * radius,
-        bearing_wear=jc.Wearing(jc.wear.Archard()),
+        bearing_wear=jc.Wearing(jc.wear.Archard(), updates=updates),
     )
     return jc.Mechanism(
         {"journal": jc.Body(mass, 0.5 * mass * radius**2)},

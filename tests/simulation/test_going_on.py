@@ -17,8 +17,9 @@ def rod_length(rig):
     return rig.connections["B"].parent.at[0]
 
 
-def bearing():
-    return loaded_bearing(100.0, jc.friction.CoulombTanh(transition_speed=1e-2), sliding=True)
+def bearing(updates=None):
+    friction = jc.friction.CoulombTanh(transition_speed=1e-2)
+    return loaded_bearing(100.0, friction, sliding=True, updates=updates)
 
 
 def first_half(rig, integrator):
@@ -35,9 +36,10 @@ def first_half(rig, integrator):
     ],
 )
 def test_two_halves_are_the_whole(integrator, within):
-    """With a law that remembers, and a surface that wears."""
-    rig = bearing()
-    whole = jc.simulate(rig, 2 * HALF, save=2 * SAVES - 1, integrator=integrator)
+    """With a law that remembers, and a surface that wears: updated at each saving time, in both."""
+    updates = SAVES - 1
+    rig, twice = bearing(updates), bearing(2 * updates)
+    whole = jc.simulate(twice, 2 * HALF, save=2 * SAVES - 1, integrator=integrator)
     one = first_half(rig, integrator)
     two = jc.simulate(rig, HALF, save=SAVES, integrator=integrator, state=one.state())
     np.testing.assert_array_equal(two.time, whole.time[SAVES - 1 :])

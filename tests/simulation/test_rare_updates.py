@@ -62,3 +62,16 @@ def test_replicas_wear_them_more_often_in_proportion():
 def test_how_often_is_a_whole_number():
     with pytest.raises(ValueError, match="updates"):
         jc.Wearing(jc.wear.Archard(), updates=0)
+
+
+def test_steps_that_are_no_share_of_the_time_between_updates_leave_them_as_rare():
+    """One at each saving time of a run in which 166.7 steps fit into an interval: so the motion is
+    that of surfaces that do not wear, in the same steps."""
+    integrator = jc.integrator.FixedStep(3e-5)
+    runs = [
+        jc.simulate(each, DURATION, save=5, integrator=integrator, verify=False)
+        for each in (rig(4), jc.scenes.slider_crank())
+    ]
+    assert int(runs[0].accepted_steps) == int(runs[1].accepted_steps) == 4 * 167
+    moved = [run.body("slider").com for run in runs]
+    np.testing.assert_allclose(*moved, rtol=0, atol=1e-9)

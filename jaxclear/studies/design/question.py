@@ -132,7 +132,7 @@ def freedom_of(problem: Any, nominal: Mapping | None, tolerance: Mapping | None)
             "nothing is left open: give design a `tolerance` or a `nominal` with bounds, such as "
             f'tolerance={{"{names[0] if names else "name"}": (1e-6, 1e-4)}}.'
         )
-    usual = [usual_tolerance(problem.variables[name].distribution) for name in names]
+    usual = list(map(usual_tolerance, problem.inputs.distributions))
     return Freedom(tuple(choices), names, np.asarray(problem.nominal()), np.array(usual))
 
 

@@ -123,14 +123,14 @@ def prior_quantiles(problem: Problem, name: str, shares: np.ndarray) -> np.ndarr
     """Values of an unknown below which these shares of its prior lie."""
     nominal = float(problem.nominal()[problem.names.index(name)])
     within = jnp.asarray(np.clip(shares, LEAST_SHARE, 1 - LEAST_SHARE))
-    return nominal + np.asarray(problem.variables[name].distribution.quantile(within))
+    return nominal + np.asarray(problem.marginals[name].quantile(within))
 
 
 def prior_shares(problem: Problem, values: np.ndarray) -> np.ndarray:
     """Values (runs, variables) as shares of their priors."""
     nominal = np.asarray(problem.nominal())
     found = [
-        scipy.special.ndtr(np.asarray(problem.variables[name].distribution.score(jnp.asarray(own))))
+        scipy.special.ndtr(np.asarray(problem.marginals[name].score(jnp.asarray(own))))
         for name, own in zip(problem.names, (values - nominal).T, strict=True)
     ]
     return np.stack(found, axis=1)

@@ -86,6 +86,12 @@ def check_identifiable(problem: Any, record: Measurement) -> None:
     expect(problem.experiment, RunExperiment, "what is identified", wanted)
     if not problem.variables:
         raise ValueError("the problem has no variables; its unknowns are these: give it some.")
+    several = [name for name, own in problem.groups.items() if len(own) > 1]
+    if several:
+        raise ValueError(
+            f'"{several[0]}" is a variable of several numbers; give each unknown a variable of its '
+            "own, so that each has an interval."
+        )
     if isinstance(problem.integrator, NonColliding):
         raise ValueError(
             "integrator.NonColliding moves bodies as ideal joints do, whatever the clearance, so "

@@ -97,7 +97,7 @@ def wear_life_derivatives(
     found = {}
     with open_store(store, "a wear life", problem), progress.bar(progress_bar, "lives"):
         for name in names:
-            deviation = problem.variables[name].distribution.deviation()
+            deviation = problem.marginals[name].deviation()
             own = float(deviation) if width is None else float(width)
             found[name] = _of_variable(life, quantity, limit, name, own, most)
             progress.advance(1 / len(names))

@@ -80,7 +80,7 @@ class Reliability(AbstractAnswer):
         if not self.points:
             return {}
         shares = _shares(self.problem, self.points[0])
-        return {name: float(s) for name, s in zip(self.problem.names, shares, strict=True)}
+        return {name: float(shares[list(own)].sum()) for name, own in self.problem.groups.items()}
 
     def design_point(self, index: int = 0) -> dict[str, float]:
         """Values of the variables of a design point, by name, in their units."""
@@ -92,7 +92,6 @@ class Reliability(AbstractAnswer):
         read = lambda part: {name: part(own) for name, own in every}
         count, names = len(self.points), list(self.problem.names)
         places = [[self.design_point(i)[name] for name in names] for i in range(count)]
-        likeliest = self.importance()
         columns = {
             "probability": Column(over, read(lambda own: own.value), "1"),
             "coefficient of variation": Column(over, read(lambda own: own.variation), "1"),
@@ -110,7 +109,7 @@ class Reliability(AbstractAnswer):
             "variable unit": Column((VARIABLE,), list(self.problem.variable_units)),
             "importance": Column(
                 (VARIABLE,),
-                {name: likeliest.get(name, np.nan) for name in names},
+                list(_shares(self.problem, self.points[0])) if count else [np.nan] * len(names),
                 "1",
                 "of the likeliest design point",
             ),
@@ -124,9 +123,8 @@ class Reliability(AbstractAnswer):
         for i, point in enumerate(self.points):
             shares = _shares(self.problem, point)
             row = {"beta": point.beta} | self.design_point(i)
-            row |= {
-                f"importance of {n}": s for n, s in zip(self.problem.names, shares, strict=True)
-            }
+            groups = self.problem.groups.items()
+            row |= {f"importance of {n}": shares[list(own)].sum() for n, own in groups}
             rows.append(row)
         units = dict(zip(self.problem.names, self.problem.variable_units, strict=True))
         return as_table(rows, units=units)

@@ -258,14 +258,15 @@ def directions(problem: Problem, wanted: list[str]) -> list[Direction]:
     """The directions of these names: a variable's own, or that of its width, "tolerance of
     clearance". Raises `ValueError` for names that there are not."""
     known = {name: Direction(name, i, None) for i, name in enumerate(problem.names)}
-    for i, name in enumerate(problem.names):
-        what, number = problem.variables[name].distribution.width()
+    marginals = problem.marginals
+    for i, (name, own) in enumerate(marginals.items()):
+        what, number = own.width()
         known[f"{what} of {name}"] = Direction(f"{what} of {name}", i, float(number))
     for name in wanted:
-        own = [one for one in problem.names if str(name).endswith(f" of {one}")]
-        if name not in known and own:
-            what = problem.variables[own[-1]].distribution.width()[0]
-            raise ValueError(f'no "{name}" in this problem; there is "{what} of {own[-1]}".')
+        near = [one for one in problem.names if str(name).endswith(f" of {one}")]
+        if name not in known and near:
+            what = marginals[near[-1]].width()[0]
+            raise ValueError(f'no "{name}" in this problem; there is "{what} of {near[-1]}".')
         check_name("variable", name, known, " in this problem")
     return [known[name] for name in wanted]
 

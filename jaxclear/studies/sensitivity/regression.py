@@ -138,6 +138,8 @@ def no_score_function(problem: Problem, direction: Direction) -> str:
     """Why the score function does not tell a derivative; "" where it does."""
     inputs, i = problem.inputs, direction.variable
     own = inputs.distributions[i]
+    if any(first <= i < first + len(joint.parts) for first, joint in inputs.joints):
+        return "the variable has several numbers, which end together; take differences."
     if not own.is_continuous():
         return "the variable comes in single sizes, which have no density; take differences."
     if inputs.independent:

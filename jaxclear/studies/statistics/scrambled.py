@@ -13,7 +13,7 @@ Johnson 1978, J. Am. Stat. Assoc. 73, 536, doi:10.1080/01621459.1978.10480051; q
 Pearson 1934, Biometrika 26, 404, doi:10.1093/biomet/26.4.404.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -255,22 +255,23 @@ def capability(low: float | None, high: float | None) -> Callable[..., float]:
 
 
 def error_budget(
-    values: np.ndarray, responses: np.ndarray, group: np.ndarray, names: tuple[str, ...]
+    values: np.ndarray, responses: np.ndarray, group: np.ndarray, groups: Mapping[str, Any]
 ) -> dict[str, Statistic]:
     """Parts of the variance [response's unit squared] by variable, of `values` (samples,
-    variables) and `responses` (samples,), the rest last; they sum to the variance.
+    variables) and `responses` (samples,), the rest last; they sum to the variance. `groups`: the
+    places of the numbers of each variable.
 
     A plane through the responses has a slope by every variable; slope times deviation, squared, is
     that variable's part. What no plane explains (curvature, interplay, chaos) stands beside them.
     Of correlated variables a part holds half of what each pair shares, and may be negative.
     """
 
-    def part(which: int) -> Any:
-        return lambda rows, group: _parts(rows, group)[which]
+    def part(which: list[int]) -> Any:
+        return lambda rows, group: _parts(rows, group)[which].sum()
 
     rows = np.column_stack([responses, values])
-    of = [*names, REST]
-    return {name: jackknifed(part(i), rows, group, grouped=True) for i, name in enumerate(of)}
+    of = {name: list(own) for name, own in groups.items()} | {REST: [values.shape[1]]}
+    return {name: jackknifed(part(own), rows, group, grouped=True) for name, own in of.items()}
 
 
 def _parts(rows: np.ndarray, group: np.ndarray) -> np.ndarray:

@@ -115,11 +115,13 @@ def shapley_effects(
     check_sampled(problem, samples, seed)
     check_count("samples of shapley_effects", samples, at_least=2 * SCRAMBLINGS)
     check_flags("shapley_effects", progress_bar=progress_bar)
-    group, count = np.sort(groups(samples, SCRAMBLINGS)), len(problem.names)
+    group, together = np.sort(groups(samples, SCRAMBLINGS)), tuple(problem.groups.values())
+    count = len(together)
     steps = _all_steps(count) if count <= MOST_VARIABLES else _some_steps(count, seed)
     every = {known | {variable} for variable, known, _ in steps}
     sets = sorted(every, key=lambda known: (len(known), sorted(known)))
-    values = _samples(problem.inputs, sets, group, seed)
+    columns = [sorted(i for one in known for i in together[one]) for known in sets]
+    values = _samples(problem.inputs, columns, group, seed)
     if surface is None:
         found = evaluate_all(problem, values, progress_bar=progress_bar, label="Shapley effects")
         reached = np.asarray(found.outcome) == Outcome.REACHED
@@ -143,7 +145,8 @@ def shapley_effects(
                 _with_open(one, abs(one.value - other.value), open_, explained)
                 for one, other in zip(own, beyond, strict=True)
             ]
-        effects |= {(name, variable): one for variable, one in zip(problem.names, own, strict=True)}
+        each = zip(problem.variable_names, own, strict=True)
+        effects |= {(name, variable): one for variable, one in each}
     seen = np.asarray(values)[np.tile(good, len(sets))] if surface is None else surface.values
     little = open_shares(problem, seen, effects)
     remark, failed = _remark(surface), int((~good).sum())
@@ -172,7 +175,7 @@ def _some_steps(count: int, seed: int) -> list[Step]:
     ]
 
 
-def _samples(inputs: Inputs, sets: list[frozenset[int]], group: np.ndarray, seed: int) -> Any:
+def _samples(inputs: Inputs, sets: list[list[int]], group: np.ndarray, seed: int) -> Any:
     """Values (sets * samples, variables): for each set a sample that shares its variables with the
     last one, which shares all, and is drawn anew in the others, given these."""
     count = len(inputs.names)
@@ -181,7 +184,7 @@ def _samples(inputs: Inputs, sets: list[frozenset[int]], group: np.ndarray, seed
     scores = normal[:, :count] @ np.linalg.cholesky(matrix).T
     rows = []
     for known in sets:
-        one, rest = sorted(known), [i for i in range(count) if i not in known]
+        one, rest = known, [i for i in range(count) if i not in known]
         drawn = scores.copy()
         if rest:
             follow = matrix[np.ix_(rest, one)] @ np.linalg.inv(matrix[np.ix_(one, one)])

@@ -30,7 +30,6 @@ from jaxclear.ground.printing import failed_samples_sentence
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, with_interval
 from jaxclear.studies.endless import refuse_endless, undrawn_levels
-from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
@@ -91,7 +90,8 @@ def sobol_indices(
 ) -> SobolIndices:
     """Sobol' indices of every response by every variable.
 
-    A problem is run `samples` (variables + 2) times. The indices of a surface take no run; their
+    A variable of several numbers has one index: they are exchanged together. A problem is run
+    `samples` (variables + 2) times. The indices of a surface take no run; their
     error is the variance that the surface does not explain.
 
     Args:
@@ -127,9 +127,9 @@ def sobol_indices(
     normal = scores_by_scrambling(np.bincount(group, minlength=parts), 2 * count, seed)
     base, other = normal[:, :count], normal[:, count:]
     columns = [base, other]
-    for i in range(count):
+    for own in problem.groups.values():
         mixed = base.copy()
-        mixed[:, i] = other[:, i]
+        mixed[:, list(own)] = other[:, list(own)]
         columns.append(mixed)
     values = problem.inputs.values(jnp.asarray(np.concatenate(columns)))
     found = evaluate_all(problem, values, progress_bar=progress_bar, label="Sobol' indices")
@@ -142,11 +142,11 @@ def sobol_indices(
     first, total = {}, {}
     every: Any = [None] * len(problem.response_names)
     if good.any():
-        every = _parts(problem.inputs, at, rows, group[good])
+        every = _parts(problem, at, rows, group[good])
     for name, own in zip(problem.response_names, every, strict=True):
-        for i, variable in enumerate(problem.names):
+        for i, variable in enumerate(problem.variable_names):
             first[name, variable] = _share(own, i)
-            total[name, variable] = _share(own, count + i)
+            total[name, variable] = _share(own, len(columns) - 2 + i)
     warnings = told(problem, found.checks, reached.ravel())
     told_of = open_shares(problem, np.asarray(values)[np.tile(good, len(columns))], first, total)
     return SobolIndices(
@@ -212,7 +212,8 @@ def _of_surface(surface: ResponseSurface) -> SobolIndices:
     """Indices of polynomials: what they do not explain may belong to any variable."""
     problem = surface.problem
     asked = surface.polynomials, np.asarray(surface.powers), problem.inputs, surface.values
-    spread, held = Expansion.of(*asked), Expansion.of(*asked, held=True)
+    groups = tuple(problem.groups.values())
+    spread, held = Expansion.of(*asked, groups), Expansion.of(*asked, groups, held=True)
     refuse_part_of_spread(surface, spread.outside)
     indices: tuple[dict, dict] = ({}, {})
     for name in problem.response_names:
@@ -224,7 +225,9 @@ def _of_surface(surface: ResponseSurface) -> SobolIndices:
             found.append(np.array(shares) * (explained / variance if variance > 0 else 0.0))
         half = open_ + np.abs(found[0] - found[1])
         for kind, shares, halves in zip(indices, found[0], half, strict=True):
-            for variable, share, own_half in zip(problem.names, shares, halves, strict=True):
+            for variable, share, own_half in zip(
+                problem.variable_names, shares, halves, strict=True
+            ):
                 low, high = float(share - own_half), float(share + own_half)
                 kind[name, variable] = Statistic(float(share), low, high)
     told_of = open_shares(problem, surface.values, *indices)
@@ -266,7 +269,7 @@ def _share(parts: _Parts | None, place: int) -> Statistic:
     return Statistic(told.value, told.value - float(low), told.value + float(high))
 
 
-def _parts(inputs: Inputs, at: np.ndarray, rows: np.ndarray, group: np.ndarray) -> list[_Parts]:
+def _parts(problem: Problem, at: np.ndarray, rows: np.ndarray, group: np.ndarray) -> list[_Parts]:
     """For each response what the scramblings say, from values (columns, samples, variables) and
     responses (columns, samples, responses)."""
     scramblings = [group == own for own in np.unique(group)]
@@ -275,7 +278,7 @@ def _parts(inputs: Inputs, at: np.ndarray, rows: np.ndarray, group: np.ndarray) 
     alike = np.ptp(rows, axis=(0, 1)) <= ROUNDING * np.abs(rows).max(axis=(0, 1))
     away = np.where(alike, 0.0, away)
     plain = np.array([_numbers(away[:, own]) for own in scramblings])
-    fitted = _Polynomial.through(inputs, at, away, scramblings)
+    fitted = _Polynomial.through(problem, at, away, scramblings)
     spread, held = (0.0, 0.0) if fitted is None else fitted.corrections(scramblings)
     kinds = plain, plain + spread, plain + held
     each = [[own[:, :, i] for own in kinds] for i in range(rows.shape[2])]
@@ -303,7 +306,7 @@ class _Polynomial(NamedTuple):
 
     @classmethod
     def through(
-        cls, inputs: Inputs, at: np.ndarray, rows: np.ndarray, scramblings: list[np.ndarray]
+        cls, problem: Problem, at: np.ndarray, rows: np.ndarray, scramblings: list[np.ndarray]
     ) -> "_Polynomial | None":
         """Of the degree that predicts the left out scramblings best, for each response; None where
         runs are too few for a line."""
@@ -335,8 +338,8 @@ class _Polynomial(NamedTuple):
             coefficients = np.where(missed < best, found, coefficients)
             best = np.minimum(missed, best)
         known = at[:2].reshape(-1, at.shape[2])
-        spread = Expansion.of(polynomials, table, inputs, known)
-        held = Expansion.of(polynomials, table, inputs, known, held=True)
+        asked = polynomials, table, problem.inputs, known, tuple(problem.groups.values())
+        spread, held = Expansion.of(*asked), Expansion.of(*asked, held=True)
         return cls(terms, coefficients, (spread, held))
 
     def corrections(self, scramblings: list[np.ndarray]) -> list[np.ndarray]:

@@ -49,7 +49,8 @@ def in_texts(problem: Problem) -> dict[str, str]:
     and functions by a digest."""
     parts = problem.parts()
     parts |= {
-        f'distribution of "{name}"': problem.variables[name].distribution for name in problem.names
+        f'distribution of "{name}"': problem.variables[name].distribution
+        for name in problem.variable_names
     }
     if problem.correlation is not None:
         parts["correlation of the variables"] = problem.correlation

@@ -23,7 +23,12 @@ class RecordedVariable(AbstractVariable):
 
     nominal: Any
     unit: str = eqx.field(static=True)
+    recorded_parts: tuple[str, ...] = eqx.field(static=True)
     distribution: Any = None
+
+    @property
+    def parts(self):
+        return self.recorded_parts
 
     def nominal_in(self, subject):
         return self.nominal
@@ -68,8 +73,12 @@ def of_json(told: dict[str, Any]) -> Problem:
     }
     endings = dict(zip(Outcome, told["endings"], strict=True))
     description = Description(responses=responses, endings=endings, **told["description"])
-    numbers = zip(told["names"], told["nominal_values"], told["variable_units"], strict=True)
-    variables = {name: RecordedVariable(np.asarray(own), unit) for name, own, unit in numbers}
+    values, units = iter(told["nominal_values"]), iter(told["variable_units"])
+    variables = {}
+    for name, parts in told["variables"]:
+        own = [(next(values), next(units)) for _ in parts or [name]]
+        nominal = np.array([value for value, _ in own]) if parts else np.asarray(own[0][0])
+        variables[name] = RecordedVariable(nominal, own[0][1], tuple(parts))
     experiment = RecordedExperiment(description, tuple(told["response_names"]))
     return Problem.of(experiment, variables)
 
@@ -81,6 +90,7 @@ def in_json(problem: Problem) -> dict[str, Any]:
     whole = ("title", "discretised", "warnings", "remark")
     return {
         "names": problem.names,
+        "variables": [[name, problem.variables[name].parts] for name in problem.variable_names],
         "variable_units": problem.variable_units,
         "nominal_values": [float(value) for value in problem.nominal()],
         "response_names": problem.response_names,

@@ -25,8 +25,9 @@ NOTHING = 1e-9
 # More products than this no fit in memory serves.
 MOST_TERMS = 20_000
 # Scores at which the law of a variable is summed up: of smooth functions the trapezoidal rule is
-# exact to rounding, of single sizes to a share of 1e-4.
+# exact to rounding, of single sizes to a share of 1e-4. Of several numbers so many points in all.
 SCORES = 20_001
+POINTS_TOGETHER = 40_000
 
 
 class Polynomials(eqx.Module):
@@ -115,11 +116,13 @@ def products(
 class Expansion(NamedTuple):
     """How coefficients (terms,) of products of polynomials, of `powers` (terms, variables), become
     those of products that are orthonormal: by `change` (terms, terms). `outside` (variables,) is
-    the share [1] of parts that lie beyond the values between which the polynomials are known."""
+    the share [1] of parts that lie beyond the values between which the polynomials are known;
+    `groups` are the places of the numbers of each variable."""
 
     powers: np.ndarray
     change: np.ndarray
     outside: np.ndarray
+    groups: tuple[range, ...]
 
     @classmethod
     def of(
@@ -128,33 +131,65 @@ class Expansion(NamedTuple):
         powers: np.ndarray,
         inputs: Inputs,
         known: np.ndarray,
+        groups: tuple[range, ...],
         held: bool = False,
     ) -> "Expansion":
         """Under the law of independent variables. `known` (values, variables) are those at which
-        there were runs; `held`: beyond the outermost of them polynomials stay as they are there."""
+        there were runs; `groups`: the places of the numbers of each variable; `held`: beyond the
+        outermost of the known values polynomials stay as they are there."""
         scores = np.linspace(-LARGEST_SCORE, LARGEST_SCORE, SCORES)
         weights = np.exp(-0.5 * scores**2)
         weights /= weights.sum()
         every = np.broadcast_to(scores[:, None], (SCORES, powers.shape[1]))
-        values = np.asarray(inputs.of_scores(jnp.asarray(every)))
-        inside = np.clip(values, known.min(axis=0), known.max(axis=0))
-        at = np.asarray(jax.vmap(polynomials)(jnp.asarray(inside if held else values)))
+
+        def law(scores):
+            values = np.asarray(inputs.of_scores(jnp.asarray(scores)))
+            inside = np.clip(values, known.min(axis=0), known.max(axis=0))
+            at = np.asarray(jax.vmap(polynomials)(jnp.asarray(inside if held else values)))
+            return inside != values, at
+
+        beyond, at = law(every)
+        outside = weights @ beyond
         change = np.ones((len(powers), len(powers)))
-        for i in range(powers.shape[1]):
-            own = at[:, : powers[:, i].max() + 1, i]
+        for group in groups:
+            own = powers[:, list(group)]
+            if len(group) == 1:
+                rows, which = at[:, : own.max() + 1, group[0]], own[:, 0]
+                shares = weights
+            else:
+                # All products of the numbers that act together, the lowest first.
+                scores, shares = _together(len(group), list(group), powers.shape[1])
+                beyond, there = law(scores)
+                outside[list(group)] = shares @ beyond[:, list(group)]
+                table = np.unique(own, axis=0)
+                table = table[np.argsort(table.sum(axis=1), kind="stable")]
+                which = np.argmax((own[:, None] == table).all(axis=2), axis=1)
+                rows = np.prod(there[:, table, np.array(group)], axis=2)
             # p = lower q, with q orthonormal: moments of p are lower lower^T.
-            upper: Any = np.linalg.qr(np.sqrt(weights)[:, None] * own, mode="r")
+            upper: Any = np.linalg.qr(np.sqrt(shares)[:, None] * rows, mode="r")
             lower = upper.T
             lower = lower * np.where(np.diag(lower) < 0, -1.0, 1.0)
-            change *= lower[np.ix_(powers[:, i], powers[:, i])]
-        return cls(powers, change.T, weights @ (inside != values))
+            change *= lower[np.ix_(which, which)]
+        return cls(powers, change.T, outside, groups)
 
     def variances(self, coefficients: np.ndarray) -> tuple[float, float, Any, Any]:
         """Of the surface with these coefficients (terms,): mean, variance, and which parts of it a
-        variable has alone or with others, (variables,); the response's unit or its square."""
+        variable has alone or with others, (groups,); the response's unit or its square."""
         own = self.change @ coefficients
-        squares, there = own**2, self.powers > 0
+        squares = own**2
+        there = np.stack([self.powers[:, list(g)].any(axis=1) for g in self.groups], axis=1)
         constant = ~there.any(axis=1)
         alone = there & (there.sum(axis=1) == 1)[:, None]
         mean, variance = own[constant].sum(), squares[~constant].sum()
         return float(mean), float(variance), squares @ alone, squares @ there
+
+
+def _together(count: int, columns: list[int], variables: int) -> tuple[np.ndarray, np.ndarray]:
+    """Scores (points, variables), of which those of some columns are on a grid, and the share [1]
+    of each point."""
+    one = np.linspace(-LARGEST_SCORE, LARGEST_SCORE, round(POINTS_TOGETHER ** (1 / count)) | 1)
+    grid = np.stack(np.meshgrid(*[one] * count, indexing="ij"), axis=-1).reshape(-1, count)
+    weights = np.exp(-0.5 * np.sum(grid**2, axis=1))
+    scores = np.zeros((len(grid), variables))
+    scores[:, columns] = grid
+    return scores, weights / weights.sum()

@@ -26,6 +26,11 @@ METHODS = ("statistics", "signal")
 TEXT_OF = Read("text", str)
 
 
+def several(name: str, text: str) -> click.Option:
+    """An argument that may be given more than once."""
+    return click.Option([name], multiple=True, type=TEXT_OF, help=text)
+
+
 SCENE = click.Argument(["scene"], type=readable_file)
 MAYBE_SCENE = click.Argument(["scene"], type=readable_file, required=False)
 
@@ -96,6 +101,23 @@ SCENE_FILES = {
         [
             "jaxclear identify scene.yaml run3.csv --signal a_x=accelerometer:slider:x:noise=0.3 "
             "--turn 0.042"
+        ],
+    ),
+    "fmu": Offer(
+        "a scene file as an FMI 3.0 unit (FMU) of machine code for simulators of systems",
+        [
+            SCENE,
+            flag("--out", "the unit (default SCENE.fmu)", page),
+            several("--input", "a number of a load that may change, NAME=NUMBER"),
+            several("--parameter", "a number that may be set before a run, NAME=NUMBER"),
+            several("--slope", "NAME of an input or parameter along which slopes are carried"),
+            click.Option(["--model-exchange"], is_flag=True, help="for model exchange, too"),
+            flag("--interval", "usual communication step [s]", number(0.0, "s", above=True), 1e-3),
+            flag("--target", "x86_64-linux, x86_64-windows, ... (default this system)", TEXT_OF),
+        ],
+        [
+            "jaxclear fmu scene.yaml --out crank.fmu",
+            "jaxclear fmu scene.yaml --parameter 'gap=connections[\"B\"].joint.clearance'",
         ],
     ),
     "report": Offer(

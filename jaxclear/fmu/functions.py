@@ -1,0 +1,247 @@
+"""What a unit computes, as functions of lists of arrays: its start from parameters, a communication
+step, and what is read at its end.
+
+Numbers of the mechanism enter as `constants`: `given` as the user gives them, from which the start
+is assembled, and `run` as the steps take them (loads that follow from the inertia are settled at
+the start). What is handed from step to step is the `Carry` of a run.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxclear.formulations.base import model_of
+from jaxclear.formulations.impact_speed import ContactMotion
+from jaxclear.formulations.model import Instant, Model
+from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.checks import Check
+from jaxclear.multibody import kinematics
+from jaxclear.multibody.assembly import assemble_arrays, is_sound, ready
+from jaxclear.multibody.mechanism import Mechanism, with_redundancy
+from jaxclear.multibody.state import unpack_motion
+from jaxclear.results.state_history import StateHistory
+from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
+from jaxclear.simulation.invariants import (
+    contact_names,
+    contact_radii,
+    contacts_that_turn,
+    openings,
+)
+from jaxclear.simulation.loop import Carry, Span, Turn, first_turn, through_interval
+
+Arrays = list[Any]
+# A contact that touches or parts within this time [s] does so now: searches for roots end within
+# 1e-12 s or so, and no contact lasts as short.
+AT_ONCE = 1e-9
+
+
+class Flat(NamedTuple):
+    """A tree of arrays as a list: `leaves`, and the tree of other leaves."""
+
+    leaves: Arrays
+    structure: Any
+    static: Any
+
+    @classmethod
+    def of(cls, tree: Any) -> "Flat":
+        """The list of a tree."""
+        arrays, static = eqx.partition(tree, eqx.is_array)
+        return cls(*jax.tree.flatten(arrays), static)
+
+    def tree(self, leaves: Arrays) -> Any:
+        """The tree with other arrays."""
+        return eqx.combine(jax.tree.unflatten(self.structure, leaves), self.static)
+
+
+class Functions:
+    """The functions of a unit. `given`, `run` and `carry`: numbers as the user gives them, those of
+    the steps, and what the first step is handed, for the mechanism as it is exported; `doubt`: a
+    sentence on its start, or "".
+
+    All but `start` take the numbers of the steps, and the state at the beginning of a communication
+    step, what is handed on at its end, and both times [s].
+    """
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        integrator: AbstractIntegrator,
+        outputs: Mapping[str, Callable],
+        duration: float,
+    ):
+        """`outputs`: by name functions of the run over the last communication step; `duration` [s]:
+        how long a run usually is."""
+        nominal = ready(integrator.formulation.seen(mechanism))
+        self.outputs, self.duration, self.doubt = outputs, duration, nominal.doubt
+        self.redundancy = nominal.mechanism.topology.redundancy
+        # The search goes on from where the mechanism stands if its guess led elsewhere.
+        place = nominal.start.coordinates, nominal.start.speeds
+        self.rough = place if nominal.searched else None
+        self.given = Flat.of((mechanism, integrator))
+        first = self._begin(nominal.mechanism, nominal.start, jnp.zeros(()), integrator)
+        self.run, self.carry = map(Flat.of, first)
+
+    def _begin(self, mechanism: Mechanism, start: Any, time: Any, integrator: Any) -> tuple:
+        times = jnp.stack([time, time + self.duration])
+        given = mechanism, start.coordinates, start.speeds, times, integrator
+        mechanism, _, first = first_turn(*given)
+        return (mechanism, integrator), first
+
+    def start(self, leaves: Arrays, numbers: Arrays) -> Arrays:
+        """From the given numbers and a time [s] those of the steps, what the first step is handed,
+        and whether the start is sound."""
+        mechanism, integrator = self.given.tree(leaves)
+        own = with_redundancy(integrator.formulation.seen(mechanism), self.redundancy)
+        start = assemble_arrays(own, True, numbers[0], self.rough)
+        first = map(Flat.of, self._begin(own, start, numbers[0], integrator))
+        return [*(x for each in first for x in each.leaves), is_sound(own, start)]
+
+    def step(self, leaves: Arrays, numbers: Arrays) -> Arrays:
+        """What is handed on at the end of a communication step, from that at its beginning."""
+        _, integrator, model, now = self._now(leaves, numbers)
+        start, stop = numbers[-2:]
+        turn, span = Turn(model, integrator, False), Span(start, stop, jnp.zeros(()))
+        return Flat.of(through_interval(turn)(now, span)).leaves
+
+    def read(self, leaves: Arrays, numbers: Arrays) -> Arrays:
+        """The outputs."""
+        mechanism, integrator, _, now = self._now(leaves, numbers)
+        run = run_of_step(mechanism, integrator, numbers[0], now, jnp.stack(numbers[-2:]))
+        return [jnp.asarray(function(run), float) for function in self.outputs.values()]
+
+    def _now(self, leaves: Arrays, numbers: Arrays) -> tuple[Any, Any, Model, Carry]:
+        mechanism, integrator = self.run.tree(leaves)
+        model = model_of(mechanism, integrator.formulation)
+        return mechanism, integrator, model, self.carry.tree(numbers[1:-2])
+
+    def check(self, leaves: Arrays, numbers: Arrays) -> Arrays:
+        """The figures by which a run is judged, as many as `check_places` names."""
+        _, _, model, now = self._now(leaves, numbers)
+        figures, system = [], model.system
+        if system.bearings and now.peaks is not None:
+            depths = now.peaks.depths[: model.layout.joint_contacts]
+            figures.append(depths / contact_radii(system))
+        if system.closures:
+            entries, time = model.entries(now.state), numbers[-1]
+            q, v = unpack_motion(system, entries)
+            motions = kinematics.link_motions(system, q, v, time)
+            figures.append(openings(Instant(model, motions, q, v, time, entries, [])))
+        return figures
+
+    def rates(self, leaves: Arrays, numbers: Arrays) -> Arrays:
+        """The rate of the state, and how deep every contact is."""
+        _, integrator, model, now = self._now(leaves, numbers)
+        rate, contacts = integrator.formulation.rate(model, numbers[-1], now.state)
+        return [rate, contacts.depths]
+
+    def remember(self, leaves: Arrays, numbers: Arrays) -> Arrays:
+        """The state with impact speeds of contacts that touch or part within `AT_ONCE`: the search
+        for the instant ends on either side."""
+        _, integrator, model, now = self._now(leaves, numbers)
+        depths, speeds = integrator.formulation.contacts(model, numbers[-1], now.state)
+        ahead = ContactMotion(depths + AT_ONCE * speeds, speeds)
+        return [integrator.formulation.remember(model, now.state, ahead, ahead, jnp.ones(()))]
+
+
+def check_places(model: Model, carry: Carry) -> list[tuple[Check, str]]:
+    """Which figures `check` gives, and of what."""
+    names = contact_names(model)[: model.layout.joint_contacts] if carry.peaks is not None else ()
+    loops = [(Check.LOOP_DRIFT, name) for name in model.system.topology.loops]
+    return [(Check.INDENTATION, name) for name in names] + loops
+
+
+def run_of_step(
+    mechanism: Mechanism, integrator: AbstractIntegrator, before: Any, now: Carry, times: Any
+) -> Trajectory:
+    """The run over one communication step."""
+    model = model_of(mechanism, integrator.formulation)
+    # What adds up (impulses, worn volumes) counts from its beginning, as of any run.
+    adds_up = jnp.arange(model.layout.size) >= model.layout.remembered.stop
+    states = jnp.stack([before, now.state]) - jnp.where(adds_up, before, 0.0)
+    states = integrator.known_states(model, times, states, now.state, now.warm_start)
+    history = StateHistory(mechanism, integrator.formulation, times, states, {}, False)
+    contacts = contact_names(model), contacts_that_turn(mechanism, model)
+    extremes = None if now.peaks is None else Extremes(*now.peaks, *contacts)
+    stats = RunStats(*now.steps, jnp.zeros((), int))
+    return Trajectory(history, {}, now.outcome, now.ended, stats, extremes=extremes)
+
+
+class Slopes(NamedTuple):
+    """The functions of a unit with tangents: of its start along given numbers, of a step, and of
+    what is read; `moving`: which of the numbers of the steps have tangents."""
+
+    moving: tuple[int, ...]
+    start: Callable
+    step: Callable
+    read: Callable
+
+
+def is_float(leaf: Any) -> bool:
+    """Whether an array has tangents."""
+    return jnp.issubdtype(leaf.dtype, jnp.floating)
+
+
+def make_slopes(own: Functions, along: list[int]) -> Slopes:
+    """Of functions those with tangents along the given numbers of these places."""
+    count, handed = len(own.run.leaves), own.carry.leaves
+    program = jax.make_jaxpr(own.start)(own.given.leaves, [jnp.zeros(())]).jaxpr
+    # A number of the steps that is given as it is moves with that one alone; any other may.
+    still = [x for i, x in enumerate(program.invars) if i not in along]
+    moving = tuple(
+        i
+        for i, x in enumerate(program.outvars[:count])
+        if is_float(own.run.leaves[i]) and not any(x is one for one in still)
+    )
+
+    def pushed(function: Callable, numbers: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
+        """A function of a list of arrays, and tangents of those of its results that have some."""
+        places = [i for i, x in enumerate(numbers) if is_float(x)]
+
+        def of_floats(floats: Arrays) -> tuple[Arrays, Arrays]:
+            values = list(numbers)
+            for place, value in zip(places, floats, strict=True):
+                values[place] = value
+            found = function(values)
+            return [x for x in found if is_float(x)], found
+
+        floats = [numbers[i] for i in places]
+        _, moved, found = jax.jvp(of_floats, (floats,), (tangents,), has_aux=True)
+        return found, moved
+
+    def start(leaves: Arrays, numbers: Arrays) -> Arrays:
+        time, *weights = numbers
+
+        def of_chosen(chosen: Arrays) -> Arrays:
+            values = list(leaves)
+            for place, value in zip(along, chosen, strict=True):
+                values[place] = value
+            found = own.start(values, [time])
+            return [*(found[i] for i in moving), *found[count : count + len(handed)]]
+
+        return pushed(of_chosen, [leaves[i] for i in along], weights)[1]
+
+    def along_run(function: Callable, leaves: Arrays, numbers: Arrays) -> tuple[Arrays, Arrays]:
+        """A function of what a row begins with, and its tangents."""
+        plain, tangents = numbers[: len(handed) + 3], numbers[len(handed) + 4 :]
+
+        def of_moving(values: Arrays) -> Arrays:
+            run = list(leaves)
+            for place, value in zip(moving, values, strict=False):
+                run[place] = value
+            return function(run, [*values[len(moving) :], *plain[-2:]])
+
+        given = [*(leaves[i] for i in moving), *plain[:-2]]
+        return pushed(of_moving, given, tangents)
+
+    def step(leaves: Arrays, numbers: Arrays) -> Arrays:
+        found, moved = along_run(own.step, leaves, numbers)
+        return [*found, *moved]
+
+    def read(leaves: Arrays, numbers: Arrays) -> Arrays:
+        found, moved = along_run(own.read, leaves, numbers)
+        return [*found, *moved]
+
+    return Slopes(moving, start, step, read)

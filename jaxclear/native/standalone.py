@@ -1,0 +1,104 @@
+"""A function of few numbers as machine code that needs neither JAX nor this process: an object file
+for any processor and system, which a linker of theirs takes.
+
+The function is called as `name(in, out, tables)`: one row of floats for its arguments, one for what
+it gives (behind the number of its turns, which is 1), whole numbers and truth values as floats; and
+the places of long arrays that never change.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.native import kernel, stopping
+from jaxclear.native.program import Program, avals_of, in_memory
+from jaxclear.native.while_loops import opened
+from jaxclear.native.writer import LONGEST_IN_REGISTERS, Unsupported
+
+
+class Standalone(NamedTuple):
+    """A function as LLVM code: its `name`, `text`, how many numbers its arguments and what it gives
+    have, and the long arrays that it reads."""
+
+    name: str
+    text: str
+    inputs: int
+    outputs: int
+    tables: list[np.ndarray]
+
+
+def standalone(
+    name: str, function: Callable, constants: Sequence[Any], numbers: Sequence[Any]
+) -> Standalone:
+    """`function(constants, numbers)`, lists of arrays, which gives a list of arrays. Of the
+    constants long ones are tables. Raises `Unsupported` where a part of it has no rule."""
+    constants, numbers = ([jnp.asarray(x) for x in given] for given in (constants, numbers))
+    # What may change is in registers, a few numbers at a time.
+    pieces = [
+        np.array_split(np.arange(x.size), max(1, -(-x.size // LONGEST_IN_REGISTERS)))
+        for x in numbers
+    ]
+    cut = [
+        jnp.ravel(x)[own] if len(parts) > 1 else x
+        for x, parts in zip(numbers, pieces, strict=True)
+        for own in parts
+    ]
+    given = [*constants, *cut]
+
+    def whole(*values: Any) -> list:
+        own, rest = values[: len(constants)], iter(values[len(constants) :])
+        joined = [
+            jnp.concatenate([next(rest) for _ in parts]).reshape(x.shape)
+            if len(parts) > 1
+            else next(rest)
+            for x, parts in zip(numbers, pieces, strict=True)
+        ]
+        return [jnp.asarray(x) for x in function(list(own), joined)]
+
+    left = jax.eval_shape(whole, *given)
+    nothing = [jnp.zeros((), int), *(jnp.zeros(x.shape, x.dtype) for x in left)]
+
+    def body(*values: Any) -> list:
+        return [values[len(given)] + 1, *whole(*values[: len(given)])]
+
+    tests, _ = opened(jax.make_jaxpr(lambda turns, *_: turns < 1)(*nothing))
+    turns, fixed = opened(jax.make_jaxpr(body)(*given, *nothing))
+    program = Program(tests, turns, 0, len(fixed) + len(given), once=True, whole=True)
+    text = kernel.text_of(program, 1)
+    held, state = avals_of(program)
+    long = in_memory(program)[: len(held)]
+    tables = [np.asarray(x) for x, one in zip([*fixed, *given], long, strict=True) if one]
+    if any(x.size and not one for x, one in zip(fixed, long, strict=False)):
+        raise Unsupported("a long array that is no table")
+    size = sum(x.size for x, one in zip(held, long, strict=True) if not one)
+    head = f"@{stopping.SYMBOL} = internal global i64 0\n"
+    text = text.replace("define internal void @NAME.loop", f"define hidden void @{name}")
+    text = text.replace("@NAME", f"@{name}").replace(f"@{name}.loop", f"@{name}")
+    return Standalone(name, head + text, size, sum(x.size for x in state) - 1, tables)
+
+
+def object_file(functions: Sequence[Standalone], triple: str, cpu: str) -> bytes:
+    """Machine code of all of them for a target and a processor, by LLVM's names."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    target = llvm.Target.from_triple(triple)
+    machine = target.create_target_machine(
+        opt=3, cpu=cpu, features="", reloc="pic", codemodel="default", jit=False
+    )
+    whole = None
+    for one in functions:
+        module = llvm.parse_assembly(one.text)
+        module.triple, module.data_layout = triple, str(machine.target_data)
+        if whole is None:
+            whole = module
+        else:
+            whole.link_in(module)
+    options = llvm.create_pipeline_tuning_options(speed_level=2)
+    passes = llvm.create_pass_builder(machine, options)
+    passes.getModulePassManager().run(whole, passes)
+    return machine.emit_object(whole)
