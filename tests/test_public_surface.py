@@ -109,14 +109,18 @@ def test_public_module_says_what_it_offers(place):
 # themselves.
 INNER = {
     "AbstractLaw",
+    "AbstractLean",
     "AbstractLikeIdeal",
+    "AbstractPlaceZone",
     "AbstractSurface",
     "AbstractThreshold",
     "AreaMap",
     "AsNeeded",
     "CylinderMap",
     "ImpactMemory",
+    "_FitSizes",
     "_ServoOnMotor",
+    "_ZoneVariable",
     "PeriodicTorque",
     "SphereMap",
     "StepTorque",

@@ -375,6 +375,14 @@ def square_width(indentation: Scalar, cell: Scalar, clearance: Scalar) -> Scalar
     return jnp.sqrt(square * square + least * least)
 
 
+def contact_square(widened: Scalar, cell: Scalar, depth: Scalar, clearance: Scalar) -> Scalar:
+    """Square of half the width [rad2] of a contact in a scar so deep [m], from that of one that is
+    `widened` to cells (`square_width`): an elastic contact, and the outline that sinks in."""
+    least = (LEAST_WIDTH * cell) ** 2
+    elastic = safe_sqrt(positive_part(widened * widened - least * least))
+    return elastic + 2.0 * depth / clearance
+
+
 def depth_of(square: Scalar, cell: Scalar, clearance: Scalar) -> Scalar:
     """Overlap [m] of a contact whose half width [rad] has this square; 0 stands for none."""
     return 0.5 * clearance * jnp.maximum(square, (LEAST_WIDTH * cell) ** 2)

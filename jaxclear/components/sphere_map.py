@@ -23,6 +23,7 @@ from jaxclear.components.contact_patch import (
     arc,
     arc_with_cell,
     block_centre,
+    contact_square,
     depth_of,
     entry,
     point_contact,
@@ -278,6 +279,10 @@ class SphereMap(AbstractSurface):
 
     def path(self, features):
         return 2.0 * arc(safe_sqrt(jnp.sum(features[:3] ** 2))) / self.cell
+
+    def cells_per_contact(self, features, depth):
+        square = contact_square(1.0 / features[8], self.cell, depth, self.clearance)
+        return (self.cell / jnp.sqrt(square),) * 2
 
     def angles(self) -> Float[Array, " around"]:
         """Azimuth of the centre of each cell [rad]."""

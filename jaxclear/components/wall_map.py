@@ -211,6 +211,10 @@ class WallMap(AbstractSurface):
     def path(self, features):
         return 2.0 * safe_sqrt(_half_path_squared(features[0], features[1])) / self.cell
 
+    def cells_per_contact(self, features, depth):
+        fallen = LEAST_CELLS * self.cell * positive_part(features[2]) / self.face
+        return (safe_divide(fallen, features[3] + depth),)
+
     def place(self, row: Array) -> Array:
         """Where the centres of cells lie, from the middle of the walls [m]."""
         return self.length * ((block_centre(row, self.coarse_along) + 0.5) / self.cells[1] - 0.5)

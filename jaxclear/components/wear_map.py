@@ -30,6 +30,7 @@ from jaxclear.components.contact_patch import (
     arc,
     arc_with_cell,
     block_centre,
+    contact_square,
     depth_lost,
     depth_of,
     entry,
@@ -49,7 +50,7 @@ from jaxclear.ground.numerics import (
     safe_divide,
     safe_sqrt,
 )
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, count, quantity
 from jaxclear.laws.wear import AbstractWearLaw
 
 # Angle [rad] to either side of a contact of the cells that XLA looks at first.
@@ -76,11 +77,10 @@ class Wearing(AbstractQuantified):
             follows the radius as worn at the contact, not as made.
         updates: largest number of updates of the surface in a run, a count, >= 1; None: no bound.
             With a bound a depth may be wrong by more than the estimate.
-        coarseness: number of cells side by side that are one [1], >= 1 and <= 2; companion runs
-            take 2.
+        coarseness: number of cells side by side that are one [1], 1 or 2; companion runs take 2.
 
     Raises:
-        ValueError: for fewer than 4 cells around or 1 along.
+        ValueError: for fewer than 4 cells around or 1 along, or another coarseness.
     """
 
     law: AbstractWearLaw
@@ -100,6 +100,8 @@ class Wearing(AbstractQuantified):
             raise ValueError(
                 f"a wear map must have at least 4 cells around and 1 along, not {self.cells}."
             )
+        if concrete(self.coarseness) not in (None, 1.0, 2.0):
+            raise ValueError(f"coarseness of a Wearing must be 1 or 2, not {self.coarseness:g}.")
 
 
 def mean_along(depth: Float[Array, "around along"]) -> Float[Array, "around along"]:
@@ -219,6 +221,11 @@ class AbstractSurface(AbstractWearMap):
         the surface of which is this."""
 
     coarseness: eqx.AbstractVar[Scalar]
+
+    @abstractmethod
+    def cells_per_contact(self, features: Float[Array, " n"], depth: Scalar) -> tuple[Any, ...]:
+        """Size of a cell over half of what the contact overlaps in a scar so deep [m], in each
+        direction in which cells widen it [1]."""
 
     @property
     def side(self) -> Array:
@@ -462,6 +469,13 @@ class CylinderMap(AbstractSurface):
 
     def path(self, features):
         return 2.0 * arc(safe_sqrt(features[0] ** 2 + features[1] ** 2)) / self.cell
+
+    def cells_per_contact(self, features, depth):
+        fall, narrowness, end = features[2:]
+        square = contact_square(narrowness**-2.0, self.cell, depth, self.clearance)
+        fallen = jnp.abs(fall * end) * self.coarse_along / self.cells[1]
+        overlap = 0.5 * self.clearance * square
+        return self.cell / jnp.sqrt(square), fallen / overlap
 
     def centre(self, column: Int[Array, "*columns"]) -> Array:
         """Centres of columns, in half steps."""

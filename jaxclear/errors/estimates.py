@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxclear.components.wear_map import AbstractSurface
 from jaxclear.errors.observables import named
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
 from jaxclear.integrators.base import PART_OF, Promise
-from jaxclear.integrators.checks import Check, Checks
+from jaxclear.multibody.system import wearing_in
 from jaxclear.results.response import needs_of
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.results.verification import AbstractVerification, Estimate, Unverified
@@ -123,7 +124,7 @@ class Verified(AbstractVerification):
             # What is found in a run need not be in its replica: a tenth impact, a row of a table.
             return Estimate(value, math.nan, f"in finer steps the same fails: {failure}")
         try:
-            share = of_cells(run.invariants)
+            share = max(factors_of_cells(run).values(), default=1.0)
             estimate = lambda *each: _estimate_error(*each, share)
             error = jax.tree.map(estimate, value, coarse, *values)
         except (TypeError, ValueError):
@@ -200,13 +201,40 @@ def richardson(differences: list[Any], shares: Sequence[float | None] = (HALF, Q
     return functools.reduce(jnp.maximum if is_traced(errors) else np.maximum, errors)
 
 
-def of_cells(checks: Checks) -> float:
-    """The error that cells leave, relative to what cells twice as wide change: that of order 2
-    where they resolve the scars, else of order 1."""
-    cells = checks.figures.get(Check.WEAR_BY_CELLS)
-    if cells is None or is_traced(cells.worst):
-        return 1.0
-    return 1 / 3 if np.max(np.asarray(cells.worst)) <= Check.WEAR_BY_CELLS.limit else 1.0
+def factors_of_cells(run: Trajectory) -> dict[str, float]:
+    """The error that cells leave in the depth of each worn surface ("joint, surface"), relative to
+    what cells twice as wide change.
+
+    Where cells resolve the contact it is 1, which allows for orders from 1 on: Roache's factor of
+    safety, 3, for two grids and the usual order, 2. A contact narrower than its cells has been
+    widened to them, and depths go with one over each of its widths, of which fourth powers add up:
+    those of the contact, from the mean of its losses, and of the cells.
+    Source: Roache 1994, J. Fluids Eng. 116, 405, doi:10.1115/1.2910291.
+    """
+    factors = {f"{joint}, {surface}": 1.0 for joint, ks in run.worn.items() for surface in ks}
+    if is_traced((run.states, run.worn)):
+        return factors
+    wearing = wearing_in(run.mechanism)
+    for slot in run.history.layout().wear:
+        surface, depth = (
+            wearing[slot.bearing].maps()[slot.surface][0],
+            run.worn[slot.bearing][slot.surface],
+        )
+        volume, features = slot.loss(run.states[0], run.states[-1])
+        if isinstance(surface, AbstractSurface) and volume > 0:
+            place = f"{slot.bearing}, {slot.surface}"
+            sizes = surface.cells_per_contact(features, surface.deepest(depth))
+            factors[place] = max(factors[place], factor_of_widths(sizes))
+    return factors
+
+
+def factor_of_widths(sizes: Sequence[Any]) -> float:
+    """The share of `factors_of_cells` for cells of such sizes over half a contact's width."""
+    by_cells, by_wider = (
+        math.prod((1.0 + (factor * float(x)) ** 4) ** -0.25 for x in sizes) for factor in (1, 2)
+    )
+    change = by_cells - by_wider
+    return max(1.0, (1.0 - by_cells) / change) if change > 0 else 1.0
 
 
 def _estimate_error(value: Any, coarse: Any, *rest: Any) -> Any:

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.errors.accuracy import Bounds, Observed
-from jaxclear.errors.estimates import HALF, QUARTER, Failed, Verified, of_cells, richardson
+from jaxclear.errors.estimates import HALF, QUARTER, Failed, Verified, factors_of_cells, richardson
 from jaxclear.errors.observables import parted
 from jaxclear.ground.quantity import concrete, is_traced, with_fields
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
@@ -190,7 +190,14 @@ def _verification(
     coarser = _on_coarser_cells(run, integrator, repeated)
     if coarser is not None:
         rows_of_cells = bounds.differences(run, coarse, bounds.observe(coarser), finer[-1])
-        wear = of_cells(run.invariants) * np.array([row.part == "losses" for row in rows_of_cells])
+        shares_of_cells = factors_of_cells(run)
+        most = max(shares_of_cells.values(), default=1.0)
+        wear = np.array(
+            [
+                shares_of_cells.get(row.place, most) if row.part == "losses" else 0.0
+                for row in rows_of_cells
+            ]
+        )
         errors = list(errors + wear * [row.off for row in rows_of_cells])
         shares = shares + wear * [row.share for row in rows_of_cells]
     numbers = np.stack([[row[0].value for row in rows], errors, shares, promised], axis=1)

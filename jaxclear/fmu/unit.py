@@ -163,9 +163,8 @@ class Unit:
         if step is not None:
             many = np.ceil(self.interval / float(step) * (1 - SLIVER)) >= FEWEST
             shares = (LONGER if many else SHORTER)[self.order]
-        make = lambda share: in_other_steps(integrator, jnp.asarray(share), times)
-        self.others = [make(share) for share in shares]
-        return integrator if self.equal_steps else make(1.0)
+        self.others = [in_other_steps(integrator, jnp.asarray(x), times) for x in shares]
+        return integrator if self.equal_steps else integrator.held(jnp.asarray(jnp.inf))
 
     def add_numbers(self, inputs: Mapping[str, Any], parameters: Mapping[str, Any]) -> None:
         """The inputs and parameters. Raises `ValueError` for what cannot be one."""

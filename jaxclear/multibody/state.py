@@ -13,10 +13,12 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from jaxclear.components.clearance import ContactCandidate, ContactLaws
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import by_form
+from jaxclear.ground.numerics import safe_divide
 from jaxclear.multibody.contact_point import PointState, memory_template
 from jaxclear.multibody.system import (
     SLIP,
@@ -48,6 +50,18 @@ class WearSlot:
     @property
     def feature_count(self) -> int:
         return len(self.averaged) + len(self.constants)
+
+    def loss(self, before: Array, after: Array) -> tuple[Array, Array]:
+        """(volume [m3] that the contact lost between two states, location features as means over
+        it); nothing lost has zeros for those that vary."""
+        entries = slice(self.start, self.start + 1 + len(self.averaged))
+        change = after[entries] - before[entries]
+        features: list[Any] = [0.0] * self.feature_count
+        for place, i in enumerate(self.averaged):
+            features[i] = safe_divide(change[1 + place], change[0])
+        for i, value in self.constants:
+            features[i] = value
+        return change[0], sp.stack(features)
 
 
 @dataclass(frozen=True)

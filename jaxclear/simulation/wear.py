@@ -11,12 +11,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.components.wear_map import Wearing
-from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_name
-from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import constant, is_traced
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.state import Layout, WearSlot
+from jaxclear.multibody.state import Layout
 from jaxclear.multibody.system import System, readings, wear_maps, wearing_in
 from jaxclear.native import has_kernels, one_by_one, scan
 
@@ -127,19 +125,6 @@ def worn_by(system: System, worn: Worn, lost: Losses) -> Worn:
     return one_by_one(through)(numbers, worn, lost)
 
 
-def lost_at(slot: WearSlot, before: Array, after: Array) -> tuple[Array, Array]:
-    """(volume [m3] that one contact lost between two states, location features as means over it);
-    nothing lost has zeros for those that vary."""
-    entries = slice(slot.start, slot.start + 1 + len(slot.averaged))
-    change = after[entries] - before[entries]
-    features: list[Any] = [0.0] * slot.feature_count
-    for place, i in enumerate(slot.averaged):
-        features[i] = safe_divide(change[1 + place], change[0])
-    for i, value in slot.constants:
-        features[i] = value
-    return change[0], sp.stack(features)
-
-
 def left_its_surface(system: System, layout: Layout, state: Array) -> Any:
     """Whether locations of wear are all that is no number in a state, because a part has left the
     surface that it wears; False where none can."""
@@ -158,7 +143,7 @@ def losses(layout: Layout, before: Array, after: Array) -> Losses:
     """What each surface lost between two states."""
     lost: dict[tuple[str, str], list] = {}
     for slot in layout.wear:
-        lost.setdefault((slot.bearing, slot.surface), []).append(lost_at(slot, before, after))
+        lost.setdefault((slot.bearing, slot.surface), []).append(slot.loss(before, after))
     return {
         surface: tuple(jnp.stack(parts) for parts in zip(*events, strict=True))
         for surface, events in lost.items()

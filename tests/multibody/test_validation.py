@@ -280,6 +280,10 @@ PARTS = {
         '"arm" gives `at` beside',
     ),
     "few cells": (lambda: jc.Wearing(jc.wear.Archard(), cells=(3, 1)), "at least 4 cells"),
+    "cells one and a half wide": (
+        lambda: jc.Wearing(jc.wear.Archard(), coarseness=1.5),
+        "coarseness of a Wearing must be 1 or 2",
+    ),
     "half cells": (lambda: jc.Wearing(jc.wear.Archard(), cells=(12.5, 1)), "whole numbers"),
     "wear by another law": (lambda: jc.Wearing(LAW), "Wearing has law = .* one of jaxclear.wear"),
     "ramp of no duration": (

@@ -10,6 +10,7 @@ from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wall_map import WallMap
 from jaxclear.components.wear_map import AreaMap, CylinderMap
 from jaxclear.errors import verification
+from jaxclear.errors.estimates import factor_of_widths, factors_of_cells
 from jaxclear.integrators.checks import Check
 from jaxclear.native import scan
 from jaxclear.simulation.invariants import narrowness
@@ -76,6 +77,7 @@ def pressed(cells):
 
 def test_a_run_on_coarse_cells_says_so():
     run = pressed((16, 8))
+    assert factors_of_cells(run)["B, socket"] > 1.0
     assert any("more cells" in sentence for sentence in run.warnings)
 
 
@@ -151,6 +153,45 @@ def test_cells_twice_as_wide_are_those_of_a_map_with_half_as_many(kind, fine, co
     within = 0.02 if kind == "ball" else 1e-9
     np.testing.assert_allclose(wide, half, rtol=0, atol=within * half.max())
     np.testing.assert_allclose(told, wanted, rtol=within)
+
+
+NARROW, LOST = 0.05, 1e-18
+
+
+def narrow_events(kind, coarseness):
+    """(map, location features) of a contact of half a width of 0.05 rad, or 1 mm long, on cells of
+    0.17 rad, or 3 mm; true depth [m] where it loses a volume that changes no shape."""
+    x, y = np.cos(0.31), np.sin(0.31)
+    indentation = jnp.asarray(1e-4 * NARROW**2)
+    if kind == "guide":
+        surface = WallMap((2, 40), 0.12, 0.0, 0.04, 0.01, 1e-4, 0.01, coarseness)
+        return surface, (0.0031, 0.0031**2, 4e-5, 1e-6, 1.0, 1.0), LOST / (0.01 * 0.5e-3)
+    radius, length, size = 10e-3, 20e-3, (36, 1) if kind == "line" else (36, 18)
+    if kind == "line":
+        surface = CylinderMap(size, radius, length, 1e-4, coarseness)
+        place = x, y, 0.0, float(surface.narrowness(indentation)), 0.0
+        return surface, place, LOST / (radius * length * NARROW * np.pi / 2)
+    surface = SphereMap(size, radius, 1e-4, coarseness)
+    narrowness = float(surface.narrowness(indentation))
+    place = x, y, 0.0, x * x, x * y, 0.0, y * y, 0.0, narrowness
+    return surface, place, LOST / (2 / 3 * np.pi * (radius * NARROW) ** 2)
+
+
+@pytest.mark.parametrize("kind", ["line", "ball", "guide"])
+def test_the_error_of_a_scar_narrower_than_a_cell_is_that_of_its_contact(kind):
+    """Hertz's pressure over the contact's own width; beside a change of cells alone it is 5 to 20
+    times as large."""
+    depths = []
+    for coarseness in (2.0, 1.0):
+        surface, place, true = narrow_events(kind, coarseness)
+        event = jnp.full(1, LOST), jnp.asarray(place)[None]
+        depths.append(float(surface.deepest(surface.deposit(jnp.zeros(surface.cells), *event))))
+    coarse, fine = depths
+    sizes = surface.cells_per_contact(jnp.asarray(place), jnp.asarray(fine))
+    stated = factor_of_widths(sizes) * abs(fine - coarse)
+    assert fine < 0.5 * true
+    assert 0.5 * (true - fine) < stated < 2.0 * (true - fine)
+    assert factor_of_widths((0.0, 0.1)) == 1.0
 
 
 def rubbing(cells):
