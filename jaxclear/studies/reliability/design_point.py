@@ -188,7 +188,7 @@ def _search(model, cut, start, bulges, steps) -> np.ndarray | None:
         (margin,), (slope,) = limits(start)
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             nearest = (slope @ start - margin) * slope / (slope @ slope)
-            nearest = nearest * min(1.0, FURTHEST / np.linalg.norm(nearest))
+            nearest = nearest * min(1.0, FURTHEST / float(np.linalg.norm(nearest)))
         if not np.isfinite(nearest).all():
             break
         if np.linalg.norm(nearest - start) < NEAR:

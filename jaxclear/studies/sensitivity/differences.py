@@ -105,8 +105,8 @@ def moved(
     one = len(values) >= FIRST and not problem.cost().cheap
     chunk = chunk_size(problem, len(SHIFTS) * FIRST) if one else None
     flat = jnp.asarray(each.reshape(-1, each.shape[2]))
-    bar = {"progress_bar": progress_bar, "label": "differences"}
-    return Runs(evaluate_all(problem, flat, chunk=chunk, **bar), group)
+    found = evaluate_all(problem, flat, chunk=chunk, progress_bar=progress_bar, label="differences")
+    return Runs(found, group)
 
 
 def differences(

@@ -26,6 +26,7 @@ from jaxclear.studies.sensitivity.derivative import (
     refused,
 )
 from jaxclear.studies.sensitivity.differences import (
+    Runs,
     differences,
     looks,
     moved,
@@ -146,7 +147,9 @@ def _confirming_differences(
     if why:
         return {one.label: refused(why) for one in asked}
     values, group = sample
-    runs, answers, left = None, {}, asked
+    runs: Runs | None = None
+    answers: dict[str, Estimate] = {}
+    left = asked
     for look in looks(group):
         if not left:
             break
