@@ -21,7 +21,7 @@ import matplotlib
 import matplotlib.colors
 import numpy as np
 
-from jaxclear.components.beam import beam_of
+from jaxclear.components.beam import beam_of, wholes
 from jaxclear.components.body import GROUND
 from jaxclear.components.load import Gravity
 from jaxclear.ground.argument_errors import answering
@@ -221,7 +221,7 @@ def _script_data(
         "time": np.asarray(run.time)[frames],
         "bodies": [
             {"name": name, "colour": colours[name], "com": np.asarray(run.body(name).com)[frames]}
-            for name in run.mechanism.bodies
+            for name in wholes(run.mechanism.bodies)
         ],
         "joints": [inset(run, name, frames, last) for name in joints],
         "warnings": list(run.warnings),
@@ -240,8 +240,8 @@ def _colours(run: Trajectory) -> dict[str, str]:
     palette = [matplotlib.colors.to_hex(f"C{k}") for k in range(10)]
     palette.pop(7)  # the grey of the ground
     bodies = run.mechanism.bodies
-    wholes = list(dict.fromkeys(beam_of(bodies, name) for name in bodies))
-    return {n: palette[wholes.index(beam_of(bodies, n)) % len(palette)] for n in bodies}
+    names = wholes(bodies)
+    return {n: palette[names.index(beam_of(bodies, n)) % len(palette)] for n in bodies}
 
 
 def _page(run: Trajectory, solids: dict, frames: np.ndarray, data: dict, forces: Pushes) -> str:
