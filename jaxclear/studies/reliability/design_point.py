@@ -168,7 +168,7 @@ def _found(model, cut, start) -> DesignPoint | None:
 
 def _apart(nearest: np.ndarray, z: np.ndarray) -> bool:
     """Whether a place is not the nearest to the middle of a limit that is a plane there."""
-    return bool(np.linalg.norm(nearest - z) > ALONG * max(np.linalg.norm(z), 1.0))
+    return bool(np.linalg.norm(nearest - z) > ALONG * max(float(np.linalg.norm(z)), 1.0))
 
 
 def _search(model, cut, start, bulges, steps) -> np.ndarray | None:
