@@ -12,7 +12,7 @@ from scipy.optimize import brentq, minimize
 from scipy.stats import norm
 
 import jaxclear as jc
-from jaxclear.studies.design import optimise
+from jaxclear.studies.design import discrete
 from jaxclear.studies.design.catalogue import standard_width
 from tests.rigs import positioned_four_bar
 
@@ -340,7 +340,7 @@ def test_processes_are_the_best_of_all_combinations(kinds, room):
 @pytest.mark.parametrize("combinations", [512, 1])
 def test_processes_of_a_mechanism_are_the_best_by_enumeration(monkeypatch, combinations):
     """All combinations, and one dimension after the other as where they are too many."""
-    monkeypatch.setattr(optimise, "MOST_COMBINATIONS", combinations)
+    monkeypatch.setattr(discrete, "MOST_COMBINATIONS", combinations)
     crank, rig = positioned_four_bar.CRANKS[0], positioned_four_bar
     best = rig.optimum(crank)
     kinds = [[(b, 0.0, 1e-7, 1e-4)] for b in rig.PRICED]

@@ -16,8 +16,9 @@ import scipy
 
 from jaxclear.ground.arguments import check_count, check_name
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
+from jaxclear.studies.design.discrete import chosen
 from jaxclear.studies.design.lagrangian import cheapest_by_steps
-from jaxclear.studies.design.optimise import Candidate, Search, cheapest, chosen
+from jaxclear.studies.design.optimise import Candidate, Search, cheapest
 from jaxclear.studies.design.population import (
     AbstractModel,
     Direct,
