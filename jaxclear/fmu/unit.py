@@ -43,7 +43,7 @@ from jaxclear.simulation.derivatives import (
     order_of,
     refusal,
 )
-from jaxclear.simulation.not_finite import told_of_the_end
+from jaxclear.simulation.not_finite import message_of_the_end
 from jaxclear.simulation.sampling import sampled_loads
 
 KINDS = ("co-simulation", "model exchange")
@@ -120,7 +120,7 @@ def with_units(mechanism: Mechanism, outputs: Mapping[str, Any] | None) -> dict[
 def ending(run: Trajectory, code: Outcome) -> str:
     """Why a run ended so, in C, its time left to `printf`."""
     ended = dataclasses.replace(run, outcome=jnp.asarray(int(code)), ended=jnp.zeros(()))
-    return text(told_of_the_end(ended).replace("%", "%%").replace("after 0 s", "after %g s"))
+    return text(message_of_the_end(ended).replace("%", "%%").replace("after 0 s", "after %g s"))
 
 
 class Unit:
