@@ -72,8 +72,8 @@ def chosen(search: Search, relaxed: Candidate) -> Candidate:
         before = here
         for k, own in enumerate(options.values()):
             beside = range(max(here[k] - 1, 0), min(here[k] + 2, len(own)))
-            for other in beside if own[0].process is None else near[k]:
-                moved = (*here[:k], other, *here[k + 1 :])
+            for index in beside if own[0].process is None else near[k]:
+                moved = (*here[:k], int(index), *here[k + 1 :])
                 here = moved if best(moved).better(best(here)) else here
         if here == before:
             break
