@@ -9,11 +9,11 @@ The boundary is ten functions, five that tell of the program, and three for Ctrl
 
 - `while_loop(condition, body, first)` in the place of `jax.lax.while_loop`;
 - `scan(turn, first, rows)` in the place of `jax.lax.scan(turn, first, rows)`: loops within its
-  turns are part of the same kernel; by `Kept` parts of what turns leave go to tables of their own,
-  each turn's to a place that is chosen beforehand, or nowhere;
+  turns are part of the same kernel; by `TableLayout` parts of what turns leave go to tables of
+  their own, each turn's to a place that is chosen beforehand, or nowhere;
 - `over_rows(function, *rows)` in the place of `jax.vmap(function)(*rows)`, `through_rows` where
   rows are few and arrays are long, `one_row(function, *numbers)` and `in_one` in the place of the
-  function itself, and `once`, which makes a kernel of a short one too;
+  function itself, and `as_kernel`, which makes a kernel of a short one too;
 - `one_by_one(function)`: a function through whose batches XLA goes sample by sample;
 - `with_fast_loops(function)`: a function whose outermost loops a library has written;
 - `by_columns(function, *arguments)`: backwards as many derivatives forwards as numbers move;
@@ -87,8 +87,8 @@ from jaxclear.native.verdicts import calls_lapack as calls_lapack
 from jaxclear.native.verdicts import explain as explain
 from jaxclear.native.verdicts import only_kernels as only_kernels
 from jaxclear.native.verdicts import verdict as verdict
-from jaxclear.native.while_loops import Kept as Kept
-from jaxclear.native.while_loops import once as once
+from jaxclear.native.while_loops import TableLayout as TableLayout
+from jaxclear.native.while_loops import as_kernel as as_kernel
 from jaxclear.native.while_loops import scan as scan
 from jaxclear.native.while_loops import while_loop as while_loop
 from jaxclear.native.while_loops import with_fast_loops as with_fast_loops

@@ -342,7 +342,7 @@ class LostMotion(AbstractResponse):
     """Largest difference of a joint's coordinate under the loads and under reversed loads [rad, m].
 
     It is the angle or distance that play allows while the drives stand still. It reads the
-    positions of a `PositionProblem` with `both_ways=True`.
+    positions of a `PositionProblem` with `reverse_loads=True`.
 
     Args:
         joint: name of the joint.

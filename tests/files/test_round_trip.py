@@ -384,7 +384,7 @@ def asked_over_positions():
     return jc.Scene(
         rig,
         positions={rig.driven[0]: np.linspace(0.0, 1.0, 3)},
-        both_ways=True,
+        reverse_loads=True,
         variables={
             "clearance": jc.Variable(lambda m: m.connections["B"].joint.clearance, tolerance=1e-5),
             "warmth": jc.Condition(
@@ -411,7 +411,7 @@ def test_a_scene_is_a_run_or_positions(tmp_path):
     rig = jc.scenes.slider_crank()
     for given, sentence in (
         ({"duration": 1.0, "positions": {"O": [0.1]}}, 'positions and "duration"'),
-        ({"both_ways": True}, "both_ways without positions"),
+        ({"reverse_loads": True}, "reverse_loads without positions"),
         ({"positions": {"O": [[0.1]]}}, 'positions of joint "O" are .* numbers in a row'),
     ):
         with pytest.raises(ValueError, match=sentence):
