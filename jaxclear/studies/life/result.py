@@ -110,9 +110,9 @@ class WearLife(AbstractAnswer):
     @property
     def by_saves(self) -> np.ndarray:
         """By which share the depth that a cycle wears at each stage, root mean square over the
-        cells of the worst surface, would be another one with every fourth of its saving times, at
-        which surfaces are updated. A bound of what the life is off: surfaces that wear on level
-        some of it."""
+        cells of the worst surface, would be another one if surfaces were updated at every fourth of
+        its saving times alone: between the cycles that are simulated they are updated at each. A
+        bound of what the life is off: surfaces that wear on level some of it."""
         shares = []
         for stage in self.stages:
             other = np.concatenate(
@@ -287,9 +287,9 @@ class WearLife(AbstractAnswer):
         by_saves = float(self.by_saves.max())
         if by_saves > self.accuracy:
             text += (
-                " With a fourth of its saving times, at which surfaces are updated, a cycle would "
-                f"spread wear otherwise, by up to {100 * by_saves:.2g} % of the depth of cells; "
-                "volumes do not hang on them."
+                " Between simulated cycles surfaces are updated at the saving times of a cycle; at "
+                "a fourth of these a cycle would spread wear otherwise, by up to "
+                f"{100 * by_saves:.2g} % of the depth of cells. Volumes do not depend on them."
             )
         return text
 

@@ -63,7 +63,8 @@ class Settling(NamedTuple):
 
     @property
     def by_saves(self) -> Worn:
-        """By how much `wear` would be another one with every fourth of the saving times [m]."""
+        """By how much `wear` would be another one if surfaces were updated at every fourth of the
+        saving times alone [m]."""
         return _means(
             [jax.tree.map(lambda a, b: a - b, c.wore_by_fourths, c.wore) for c in self.taken]
         )
