@@ -54,6 +54,7 @@ from jaxclear.laws import contact, material
 from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.multibody.loops import AsNeeded, Baumgarte, Projection
 from jaxclear.multibody.mechanism import Mechanism, parts_as_drawn
+from jaxclear.results.response import PositionError
 from jaxclear.simulation.saving import Saving
 from jaxclear.studies.distribution import Empirical, FromScipy
 from jaxclear.studies.variable import AbstractMechanismVariable, Condition, Heating, Variable
@@ -203,6 +204,10 @@ def _end(side: str, other: str) -> Getter:
     return read
 
 
+def _point(response: PositionError) -> Any:
+    return response.body.body if response.body.at is None else response.body
+
+
 def _as_drawn(part: str) -> Getter:
     return lambda mechanism: parts_as_drawn(mechanism)[part]
 
@@ -238,6 +243,7 @@ ARGUMENT_FORMS: dict[type, dict[str, tuple[AbstractForm | None, Getter]]] = {
         "at": (Numbers({"unit": "m"}, (2, 3)), _nothing),
         "axis": (DIRECTION, _nothing),
     },
+    PositionError: {"body": (END, _point)},
     Mechanism: {
         "bodies": (ByName(Part((Body, Beam))), _as_drawn("bodies")),
         "connections": (ByName(Part((Connection,))), _as_drawn("connections")),

@@ -5,6 +5,7 @@ It answers to the same names as a run, so a response that reads places serves bo
 """
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -16,7 +17,7 @@ from jaxtyping import Array, Float
 from jaxclear.components.body import Marker
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_name
-from jaxclear.ground.datasets import Column, dataset
+from jaxclear.ground.datasets import Column, dataset, write_csv
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.wording import listed
@@ -264,6 +265,17 @@ class Positions(AbstractShown):
         }
         mechanism = str(self.scene.mechanism)
         return dataset(columns, coordinates, what="positions", mechanism=mechanism)
+
+    def to_csv(self, path: Any) -> Path:
+        """Write a CSV file: a row for each position, names with units, every digit.
+
+        Args:
+            path: name of the file.
+
+        Returns:
+            The path of the file.
+        """
+        return write_csv(self.to_dataset(), path)
 
     def _columns(self) -> dict[str, Column]:
         scene, columns = self.scene, {}
