@@ -48,7 +48,6 @@ from jaxclear.formulations.rubbing_percussions import (
 )
 from jaxclear.formulations.state_rate import (
     Passive,
-    followed_rates,
     link_accelerations,
     passive_rates,
 )
@@ -318,16 +317,15 @@ def _passive(
     system, layout, h = model.system, model.layout, time_step.length
     free_motion = middle.free_motion
     by_contact = impact.by_contact[: len(free_motion.contacts)]
-    impulses = [part for own in by_contact for part in own]
-    impulses += [] if rubbed is None else [h * force for force in rubbed.forces]
-    impulses += [] if given is None else [h * force for force in given[0].values()]
-    if not layout.wear and not layout.energies:
-        rates = followed_rates(system, layout, free_motion.forces)
-        return [*(sp.mul(h, rate) for rate in rates), *impulses]
     forces = [tuple(sp.mul(1 / h, part) for part in own) for own in by_contact]
-    change = middle.change_to(mean)
-    reports = rigid_reports(system, free_motion.poses, free_motion.contacts, forces, change)
-    acting = free_motion.forces._replace(reports=reports)
+    pressing = [part for own in forces for part in own]
+    pressing += [] if rubbed is None else rubbed.forces
+    pressing += [] if given is None else given[0].values()
+    acting = free_motion.forces
+    if layout.wear or layout.energies:
+        change = middle.change_to(mean)
+        reports = rigid_reports(system, free_motion.poses, free_motion.contacts, forces, change)
+        acting = acting._replace(reports=reports)
     if layout.energies:
         # Loads work along the mean speeds: those of the middle know nothing of the impulses against
         # which the loads press.
@@ -344,15 +342,16 @@ def _passive(
     multipliers = tuple(_add_rates(delassus.multipliers, impact.multipliers, h))
     solution = link_accelerations(system, total, multipliers)
     passive = Passive() if rubbed is None else rubbed.passive
-    rates = [sp.mul(h, rate) for rate in passive_rates(system, layout, acting, solution, passive)]
-    worn = len(rates) - len(layout.energies)
+    rates = passive_rates(system, layout, acting, solution, passive, pressing)
+    rates = [sp.mul(h, rate) for rate in rates]
+    first = len(rates) - len(layout.energies)
     for name in ("contact_work", "contact_loss") if layout.energies else ():
-        place = worn + layout.energies.index(name)
+        place = first + layout.energies.index(name)
         rates[place] = sp.sub(rates[place], end.energy)
     if given is not None and layout.energies:
-        place = worn + layout.energies.index("damping_loss")
+        place = first + layout.energies.index("damping_loss")
         rates[place] = sp.add(rates[place], sp.mul(h, given[1]))
-    return [*rates[:worn], *impulses, *rates[worn:]]
+    return rates
 
 
 def _add_rates(free: Any, impulses: Any, h: Any) -> list:

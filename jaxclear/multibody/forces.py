@@ -6,6 +6,7 @@ the accelerations (`dynamics`).
 """
 
 import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -119,44 +120,59 @@ def applied_forces(
                     wrenches[link] = sum_wrenches(wrenches[link], wrench)
             stored, damping = sp.add(stored, effect.stored), sp.add(damping, effect.dissipated)
             external = sp.add(external, effect.external)
-    acting = ActingForces(wrenches, [(0,) * len(motion.columns) for motion in motions], [])
+    acting: list[Row] = []
     rates: dict[str, tuple] = {}
     for name, _ in coordinate_loads(system):
         found, rows = load_rows(system, motions, name, time, followed)
-        for row in rows:
-            acting.add(row)
+        acting += rows
         rates |= {name: found.rates} if found.rates else {}
         stored, damping = sp.add(stored, found.stored), sp.add(damping, found.dissipated)
         external = sp.add(external, found.external)
     pressed = pressing_of(system, motions, followed)
     for name, giving in system.transmissions.items():
         torque = pressed[name].torque
-        acting.add(Row(name, twist_direction(motions, giving), -torque / giving.scale))
+        acting.append(Row(name, twist_direction(motions, giving), -torque / giving.scale))
         moved = (pressed[name].end_rate,) if giving.has_twist else ()
         rubbed = _friction_of_coupling(system, motions, name, torque, followed)
         if rubbed is not None:
             direction, friction, speed, rate = rubbed
-            acting.add(Row(name, direction, friction))
+            acting.append(Row(name, direction, friction))
             moved, damping = (*moved, rate), sp.add(damping, -friction * speed)
         rates |= {name: moved} if moved else {}
         stored, damping = (
             sp.add(stored, pressed[name].stored),
             sp.add(damping, pressed[name].dissipated),
         )
-    for link, force in forces_on_drives(motions, acting.rows).items():
-        external = sp.sub(external, sp.mul(force, motions[link].speeds[0]))
-    return Forces(
+    without_rows = Forces(
         motions,
         reports,
-        tuple(acting.wrenches),
-        tuple(acting.coordinate_forces),
+        tuple(wrenches),
+        tuple((0,) * len(motion.columns) for motion in motions),
         stored,
         damping,
         external,
-        tuple(acting.rows),
+        (),
         followed,
         rates,
         pressed,
+    )
+    return with_rows(without_rows, acting)
+
+
+def with_rows(forces: Forces, rows: Sequence[Row]) -> Forces:
+    """The forces with more rows; of what acts on coordinates that drives prescribe, these give the
+    power."""
+    acting = ActingForces(list(forces.wrenches), list(forces.coordinate_forces), [])
+    for row in rows:
+        acting.add(row)
+    external = forces.external_power
+    for link, force in forces_on_drives(forces.motions, rows).items():
+        external = sp.sub(external, sp.mul(force, forces.motions[link].speeds[0]))
+    return forces._replace(
+        wrenches=tuple(acting.wrenches),
+        coordinate_forces=tuple(acting.coordinate_forces),
+        rows=(*forces.rows, *rows),
+        external_power=external,
     )
 
 
