@@ -223,9 +223,12 @@ def evaluate(
         elastic = _counted(state.share, laws.contact.elastic_force(contact.indentation))
         # Steps set the impact speed where a contact closes; it has no rate.
         standing = None if state.impact_speed is None else 0.0
-        forces: tuple = normal, tuple(tractions), elastic
-        remembered = PointState(standing, bristle_rates)
-        acting.append(ActingContact(laws, contact, (rate, *slip), *forces, remembered, speed))
+        remembered, rates = PointState(standing, bristle_rates), (rate, *slip)
+        acting.append(
+            ActingContact(
+                laws, contact, rates, normal, tuple(tractions), elastic, remembered, speed
+            )
+        )
     return assemble(joint, pose, acting)
 
 

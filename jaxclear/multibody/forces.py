@@ -31,13 +31,13 @@ from jaxclear.multibody import closure_coordinates, contact_point, kinematics, t
 from jaxclear.multibody.contact_point import JointReport
 from jaxclear.multibody.loops import Relative
 from jaxclear.multibody.rows import (
-    ActingForces,
     CoordinateReading,
     Direction,
     OnClosure,
     OnLink,
     Row,
     action_and_reaction,
+    add_wrenches,
     forces_on_drives,
     sum_wrenches,
     wrench_in_joint,
@@ -162,15 +162,19 @@ def applied_forces(
 def with_rows(forces: Forces, rows: Sequence[Row]) -> Forces:
     """The forces with more rows; of what acts on coordinates that drives prescribe, these give the
     power."""
-    acting = ActingForces(list(forces.wrenches), list(forces.coordinate_forces), [])
+    wrenches, coordinate_forces = list(forces.wrenches), list(map(list, forces.coordinate_forces))
     for row in rows:
-        acting.add(row)
+        add_wrenches(wrenches, row)
+        for place in row.direction.places:
+            if isinstance(place, OnLink) and coordinate_forces[place.link]:
+                on_link, size = coordinate_forces[place.link], sp.mul(place.factor, row.force)
+                on_link[place.component] = sp.add(on_link[place.component], size)
     external = forces.external_power
     for link, force in forces_on_drives(forces.motions, rows).items():
         external = sp.sub(external, sp.mul(force, forces.motions[link].speeds[0]))
     return forces._replace(
-        wrenches=tuple(acting.wrenches),
-        coordinate_forces=tuple(acting.coordinate_forces),
+        wrenches=tuple(wrenches),
+        coordinate_forces=tuple(map(tuple, coordinate_forces)),
         rows=(*forces.rows, *rows),
         external_power=external,
     )
