@@ -234,7 +234,7 @@ def contact_points(
 
     def geometry(joint, relative, worn):
         gap_functions = contact_point.gap_function(joint, relative.pose, worn)
-        return gap_functions, _row_rates(
+        return gap_functions, row_rates(
             joint, gap_functions, relative.pose, relative.velocity, relative.spin
         )
 
@@ -246,7 +246,7 @@ def contact_points(
         motions,
         [bearing.closure for bearing in bearings.values()],
         [
-            (_row_rates, (bearing.joint, gap_functions), poses[name])
+            (row_rates, (bearing.joint, gap_functions), poses[name])
             for (name, bearing), (gap_functions, _) in zip(bearings.items(), found, strict=True)
         ],
     )
@@ -265,7 +265,7 @@ def contact_points(
     return poses, tuple(points)
 
 
-def _row_rates(joint, gap_functions, pose, velocity, spin) -> tuple:
+def row_rates(joint, gap_functions, pose, velocity, spin) -> tuple:
     """Rate of the indentation and components of slip of each contact, one after the other."""
     rates: list[Any] = []
     for gap_function in gap_functions:
