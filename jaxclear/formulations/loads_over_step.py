@@ -82,7 +82,7 @@ class HeldCoordinate(NamedTuple):
             return position, direction
         flanks = system.flanks[self.on]
         direction = twist_direction(motions, flanks).times(1 / flanks.scale)
-        return twist_of(system, motions, flanks).value, direction
+        return twist_of(motions, flanks).value, direction
 
     def friction(
         self, system: System, motions: tuple[Motion, ...], time: Any, followed: Followed
@@ -190,7 +190,7 @@ def with_loads(system: System, forces: Forces, given: dict[str, Any]) -> Forces:
         if own.load is None:
             torque, none = -given[name], (0.0, 0.0)
             torques = positive_part(torque), positive_part(-torque)
-            twist = twist_of(system, motions, system.flanks[own.on])
+            twist = twist_of(motions, system.flanks[own.on])
             pressing[own.on] = Pressing(torque, None, 0.0, 0.0, twist, none, none, torques)
     return with_rows(forces._replace(pressing=pressing), rows)
 

@@ -241,7 +241,7 @@ def pressing_of(
     """What couplings with play or stiffness do, by name; alike ones are traced once."""
     calls = []
     for name, own in system.transmissions.items():
-        twist, end = transmissions.twist_of(system, motions, own), None
+        twist, end = transmissions.twist_of(motions, own), None
         if own.has_twist:
             known = followed.states.get(name)
             end = transmissions.end_at_start(own, twist) if known is None else known[0]
