@@ -54,6 +54,7 @@ from jaxclear.multibody.loops import AsNeeded, Baumgarte, Projection
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.simulation.saving import Saving
 from jaxclear.studies.distribution import Empirical, FromScipy
+from jaxclear.studies.tolerance import Size
 from jaxclear.studies.variable import AbstractMechanismVariable, Condition, Heating, Variable
 
 KIND = "kind"
@@ -246,6 +247,7 @@ ARGUMENT_FORMS: dict[type, dict[str, tuple[AbstractForm | None, Getter]]] = {
         "tolerance": (Number({"unit": "1", "above": 0}), _nothing),
     },
     Heating: {"expansion": (Choice((Number(EXPANSION), ByName(Number(EXPANSION)))), _expansion)},
+    Size: {"where": (Place(), _attribute("where"))},
     Variable: {
         "where": (Place(), _attribute("where")),
         "tolerance": (Number({"unit": "1", "above": 0}), _nothing),
