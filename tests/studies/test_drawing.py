@@ -240,7 +240,7 @@ def test_a_direction_leans_by_the_width_over_the_length():
 
 def test_zones_to_one_datum_share_its_shift():
     """Both bores of a coupler, the second measured from the first."""
-    bar = jc.scenes.four_bar("ideal", frictimarker=False, wear=False)
+    bar = jc.scenes.four_bar("ideal", friction=False, wear=False)
     lines = {
         "second": T.Position(10e-6, marker="B.parent", datum="first"),
         "first": T.Position(40e-6, marker="A.child"),
