@@ -57,7 +57,7 @@ try:
     from jaxclear.multibody.magnitudes import UnusualMagnitude
     from jaxclear.multibody.mechanism import Mechanism
     from jaxclear.multibody.thermal_expansion import apply_thermal_expansion
-    from jaxclear.native.as_written import remember
+    from jaxclear.native.source_check import remember
     from jaxclear.results import response, signal
     from jaxclear.results.pointing_error import pointing_error
     from jaxclear.results.state_history import State

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -191,6 +192,17 @@ def test_an_example_is_the_ready_mechanism_as_it_is_written(name, tmp_path, caps
 def test_parameters_of_a_scene_file_are_listed(here, capsys):
     main(["parameters", "scene.yaml"])
     assert 'connections["pin"].joint.clearance' in capsys.readouterr().out
+
+
+def test_a_scene_becomes_a_unit_for_other_simulators(here, capsys):
+    gap = 'connections["pin"].joint.clearance'
+    main(["fmu", "scene.yaml", "--out", "pendulum.fmu", "--parameter", f"gap={gap}"])
+    assert "parameters: gap" in capsys.readouterr().out
+    with zipfile.ZipFile(here / "pendulum.fmu") as archive:
+        assert 'name="gap"' in archive.read("modelDescription.xml").decode()
+    with pytest.raises(SystemExit):
+        main(["fmu", "scene.yaml", "--input", "torque"])
+    assert '"torque" must be NAME=NUMBER' in capsys.readouterr().err
 
 
 def checked_page(path):

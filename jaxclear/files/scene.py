@@ -83,7 +83,7 @@ class Scene(AbstractQuantified):
         description: a text; "" by default.
         positions: coordinates of the drives [rad, m], by joint, as of `jaxclear.positions`; None
             (default) for none.
-        both_ways: whether positions are computed under reversed loads too; False by default.
+        reverse_loads: whether positions are computed under reversed loads too; False by default.
         drawing: lines of the mechanism's drawing, by name, as of a `Drawing`; {} by default.
         general: general tolerance of the drawing, as of a `Drawing`; None (default) for none.
 
@@ -101,12 +101,12 @@ class Scene(AbstractQuantified):
     correlation: Any = None
     description: str = ""
     positions: Any = None
-    both_ways: bool = False
+    reverse_loads: bool = False
     drawing: Any = eqx.field(default_factory=dict)
     general: str | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        check_flags("Scene", both_ways=self.both_ways)
+        check_flags("Scene", reverse_loads=self.reverse_loads)
         if self.positions is not None:
             checked_positions(self.positions)
             timed = ("duration", "integrator", "save", "state")
@@ -116,8 +116,10 @@ class Scene(AbstractQuantified):
                     f"a Scene is given positions and {listed(extra)}; it is a mechanism over "
                     "positions, without time, or a run: give one of the two."
                 )
-        elif self.both_ways:
-            raise ValueError("a Scene is given both_ways without positions, to which it belongs.")
+        elif self.reverse_loads:
+            raise ValueError(
+                "a Scene is given reverse_loads without positions, to which it belongs."
+            )
         if self.duration is not None:
             check_duration(self.duration)
         if isinstance(self.state, str):
@@ -186,7 +188,7 @@ class Scene(AbstractQuantified):
         """
         if self.positions is None:
             raise ValueError("this scene states no positions; give it some, or ask for its run.")
-        return positions(self.mechanism, self.positions, both_ways=self.both_ways)
+        return positions(self.mechanism, self.positions, reverse_loads=self.reverse_loads)
 
     def problem(self) -> Problem:
         """The problem of the scene, for studies.
@@ -205,7 +207,7 @@ class Scene(AbstractQuantified):
         parts = (drawn.mechanism, self._compared(), varied)
         more: dict[str, Any] = {"correlation": self.correlation}
         if self.positions is not None:
-            more |= {"positions": self.positions, "both_ways": self.both_ways}
+            more |= {"positions": self.positions, "reverse_loads": self.reverse_loads}
             return PositionProblem(*parts, **more)
         more |= {"integrator": self.integrator, **self._run_arguments()}
         return Problem(*parts, **more)
@@ -307,7 +309,7 @@ RUN: dict[str, AbstractForm] = {
     "save": Choice((Integer({"at_least": 2}), NumberArray(), Part((Saving,)))),
     "state": Choice((Text(), Part((State,)))),
     "positions": ByName(NumberArray()),
-    "both_ways": Flag(),
+    "reverse_loads": Flag(),
 }
 
 
@@ -473,7 +475,7 @@ def _values_of(scene: Scene) -> dict[str, Any]:
         "save": _plain_save(scene.save),
         "state": scene.state,
         "positions": scene.positions,
-        "both_ways": scene.both_ways or None,
+        "reverse_loads": scene.reverse_loads or None,
     }
     run = {name: plain(RUN[name], v, name) for name, v in settings.items() if v is not None}
     plain_scene |= {"run": run} if run else {}

@@ -20,7 +20,13 @@ from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.arguments import check_name
 from jaxclear.ground.numerics import safe_sqrt
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, lenient_converter
+from jaxclear.ground.quantity import (
+    AbstractQuantified,
+    Scalar,
+    count,
+    lenient_converter,
+    with_fields,
+)
 from jaxclear.ground.wording import described
 from jaxclear.multibody.system import wearing_in
 from jaxclear.multibody.topology import coordinate_units, turns
@@ -215,15 +221,22 @@ class WornVolume(AbstractResponse):
         return run.worn_volume(self.joint, self.surface)[-1]
 
 
+def _as_point(body: Any) -> Marker:
+    """A marker with its place; without one it stands for the centre of mass of a body."""
+    own = checked_tip(body)
+    return own if own is not body or own.at is not None else with_fields(own, at=(0.0, 0.0))
+
+
 class PositionError(AbstractResponse):
-    """Root mean square distance of a centre of mass from a reference path [m].
+    """Root mean square distance of a point of a body from a reference path [m].
 
     The mean is over the saving times.
 
     Args:
-        body: name of the body.
+        body: a `Marker`, or the name of a body, whose centre of mass it then is.
         reference: positions of the reference path [m], shape (time, 3), ground frame, such as
-            `run.body(name).com` of a run with the same duration and saving times.
+            `run.marker(marker).position` or `run.body(name).com` of a run with the same duration
+            and saving times.
         axes: numbers of the ground's axes along which the distance is measured, some of 0, 1, 2 (x,
             y, z); all by default.
         unit: unit of the number, "m".
@@ -233,7 +246,7 @@ class PositionError(AbstractResponse):
             saving times than the run; if `axes` names other axes.
     """
 
-    body: str = eqx.field(static=True)
+    body: Marker = eqx.field(converter=_as_point)
     reference: Float[Array, "time 3"] = eqx.field(
         converter=lenient_converter(lambda path: jnp.asarray(path, float))
     )
@@ -267,10 +280,11 @@ class PositionError(AbstractResponse):
             )
 
     def __call__(self, run):
-        path = run.body(self.body).com
+        name, whole = self.body.body, self.body.at is None
+        path = run.body(name).com if whole else run.marker(self.body).position
         if path.shape != self.reference.shape:
             raise ValueError(
-                f'the reference path of "{self.body}" has {len(self.reference)} saving times, the '
+                f'the reference path of "{name}" has {len(self.reference)} saving times, the '
                 f"run has {len(path)}: take it from a run over the same duration with "
                 f"save={len(path)}."
             )
@@ -397,7 +411,7 @@ class LostMotion(AbstractResponse):
     """Largest difference of a joint's coordinate under the loads and under reversed loads [rad, m].
 
     It is the angle or distance that play allows while the drives stand still. It reads the
-    positions of a `PositionProblem` with `both_ways=True`.
+    positions of a `PositionProblem` with `reverse_loads=True`.
 
     Args:
         joint: name of the joint.
