@@ -57,7 +57,7 @@ try:
     from jaxclear.multibody.magnitudes import UnusualMagnitude
     from jaxclear.multibody.mechanism import Mechanism
     from jaxclear.multibody.thermal_expansion import apply_thermal_expansion
-    from jaxclear.native.as_written import remember
+    from jaxclear.native.source_check import remember
     from jaxclear.results import response, signal
     from jaxclear.results.pointing_error import pointing_error
     from jaxclear.results.state_history import State
@@ -94,6 +94,7 @@ __all__ = [
     "Connection",
     "DesignSettings",
     "Dimension",
+    "Drawing",
     "FunctionProblem",
     "Heating",
     "ImportedSoft",
@@ -135,6 +136,7 @@ __all__ = [
     "distribution",
     "drive",
     "export_fmu",
+    "fit",
     "flank",
     "formulation",
     "friction",
@@ -153,6 +155,7 @@ __all__ = [
     "pointing_error",
     "pose",
     "positions",
+    "process",
     "quantity",
     "read_mjcf",
     "read_scene",
@@ -176,6 +179,7 @@ __all__ = [
     "stiffness",
     "surface",
     "sweep",
+    "tolerance",
     "vector",
     "wear",
     "wear_life",
@@ -188,7 +192,15 @@ __all__ = [
 _refused, __dir__ = nothing_else("jaxclear", __all__)
 # What `offered_later` offers; of it, what is a module.
 _LATER = set(__all__) - set(globals())
-_MODULES_LATER = ("catalogue", "cost", "distribution", "limit", "limit_state", "sensor")
+_MODULES_LATER = (
+    "catalogue",
+    "cost",
+    "distribution",
+    "limit",
+    "limit_state",
+    "sensor",
+    "tolerance",
+)
 
 
 class _Later(ModuleType):

@@ -8,7 +8,7 @@ from jaxclear.files.scene import Scene, read_scene, scene_schema, write_scene
 from jaxclear.fmu.export import export_fmu
 from jaxclear.statics.position_path import positions
 from jaxclear.statics.seated import seated
-from jaxclear.studies import distribution, limit_state, sensor
+from jaxclear.studies import distribution, limit_state, sensor, tolerance
 from jaxclear.studies.advice import PilotSettings, advise
 from jaxclear.studies.design import catalogue, cost, limit
 from jaxclear.studies.design.design import design, design_front
@@ -35,5 +35,7 @@ from jaxclear.studies.store.campaign import campaign, open_campaign
 from jaxclear.studies.surface.correction import corrected
 from jaxclear.studies.surface.surface import surface
 from jaxclear.studies.sweep import sweep
+from jaxclear.studies.tolerance.drawing import Drawing
+from jaxclear.studies.tolerance.fit import fit, process
 from jaxclear.studies.variable import AbstractMechanismVariable, Condition, Heating, Variable
 from jaxclear.studies.worst_case import worst_case

@@ -40,7 +40,7 @@ STUDIES = (
     # What a study asks, and what it answers.
     "experiment distribution inputs variable responses chosen_integrator usual_integrator "
     "run_experiment problem",
-    "function_problem position_problem sensor",
+    "function_problem position_problem sensor tolerance",
     "limit_state store.digest answer endless warned",
     "store.store store.batch",
     "sampling scrambling sequential replicas statistics",

@@ -63,7 +63,7 @@ def test_what_xla_goes_through_itself_is_optimised(monkeypatch):
     """Counted steps and loops without kernels: XLA then does much of a run's work."""
     rungs, scene = jc.integrator, jc.scenes.flap()
     assert is_all_kernel(scene, rungs.Adaptive())
-    assert not is_all_kernel(scene, rungs.Adaptive(), told=True)
+    assert not is_all_kernel(scene, rungs.Adaptive(), loud=True)
     assert not is_all_kernel(scene, rungs.FixedStep(1e-5, steps_per_save=10))
     assert not is_all_kernel(scene, rungs.Adaptive(diffrax.Kvaerno5()))
     # Surfaces wear within the kernel.

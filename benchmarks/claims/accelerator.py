@@ -176,7 +176,7 @@ def _heard() -> set[str]:
 
 def _look_at_kernels(found: Found) -> None:
     """What the driver made of the kernels."""
-    known = gpu.known()
+    known = gpu.list_kernels()
     loaded = [each for kernel in known for each in kernel.loaded]
     found.kernels = len(known)
     if loaded:

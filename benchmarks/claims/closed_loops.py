@@ -17,7 +17,7 @@ import numpy as np
 import jaxclear as jc
 from benchmarks.measure import arguments, by_turns, report, sign
 from jaxclear.simulation.simulate import run
-from jaxclear.simulation.singular_positions import met
+from jaxclear.simulation.singular_positions import singular_positions
 
 SAMPLES = 16
 STEPS = {
@@ -109,9 +109,9 @@ def look(name: str, saves: int) -> dict[str, Any]:
     first = time.process_time() - begun
     jax.clear_caches()
     begun = time.process_time()
-    met(found)
+    singular_positions(found)
     looked = time.process_time() - begun
-    cases = {"run": simulated, "look": lambda: len(met(found))}
+    cases = {"run": simulated, "look": lambda: len(singular_positions(found))}
     spent, ratios, _ = by_turns(cases, "run", 1.0)
     return {
         "mechanism": name,

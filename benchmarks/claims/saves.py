@@ -24,7 +24,7 @@ import jaxclear as jc
 from benchmarks.measure import arguments, report, side_by_side, sign
 from jaxclear.commands.four_bar import CELLS
 from jaxclear.native import explain
-from jaxclear.native.compiled import AROUND_A_KERNEL, ONCE
+from jaxclear.native.compiled import AROUND_A_KERNEL, QUICK
 from jaxclear.simulation.initial_state import beginning
 from jaxclear.simulation.loop import run
 from jaxclear.simulation.simulate import is_all_kernel
@@ -81,7 +81,7 @@ def program(scene: str, integrator: Any, saves: int, batch: int) -> Any:
     if batch:
         speeds = speeds * (1 + 1e-3 * np.random.default_rng(0).normal(size=(batch, 1)))
         function = jax.vmap(function, (None, 0))
-    options = ONCE if is_all_kernel(rig, integrator) else AROUND_A_KERNEL
+    options = QUICK if is_all_kernel(rig, integrator) else AROUND_A_KERNEL
     compiled = jax.jit(function).lower(arrays, speeds).compile(compiler_options=options)
     return lambda: compiled(arrays, speeds)
 

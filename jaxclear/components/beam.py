@@ -5,7 +5,7 @@ alike. Source: Wittbrodt, Adamiec-Wojcik & Wojciech 2006, Dynamics of Flexible M
 Rigid Finite Element Method, ch. 2, doi:10.1007/978-3-540-32352-9.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -215,6 +215,11 @@ def beam_of(bodies: dict[str, Any], name: str) -> str:
     return body.beam if isinstance(body, Piece) else name
 
 
+def wholes(bodies: dict[str, Any]) -> list[str]:
+    """The names of bodies, of which beams are one each."""
+    return [name for name in bodies if beam_of(bodies, name) == name]
+
+
 def parts_of_beams(loads: Mapping[str, Any]) -> tuple[str, ...]:
     """The names of hinges of beams and of their elasticity in a mechanism under these loads."""
     elastic = {name: own for name, own in loads.items() if isinstance(own, _Elasticity)}
@@ -237,32 +242,18 @@ def with_pieces(
     stale = {n: own for n, own in bodies.items() if isinstance(own, Piece) and own != pieces.get(n)}
     if not beams and not stale:
         return bodies, connections, loads
-
     built = [name for name in beams if f"{name} elasticity" in loads]
-
-    def moved(part):
-        return jax.tree.map(
-            lambda x: on_piece(beams, on_beam(stale, x), built),
-            part,
-            is_leaf=lambda x: isinstance(x, Marker),
-        )
-
-    bodies = {n: own for n, own in bodies.items() if n not in stale}
-    connections = {n: moved(own) for n, own in connections.items() if not _joins(stale, own)}
-    gone = {own.beam for own in stale.values()}
-    loads = {
-        n: moved(own)
-        for n, own in loads.items()
-        if not (isinstance(own, _Elasticity) and own.name in gone)
-    }
+    bodies, *joined = without_pieces(bodies, connections, loads, stale)
+    connections, loads = (_moved(lambda x: on_piece(beams, x, built), parts) for parts in joined)
     for name, beam in beams.items():
         hinges, ends = beam.hinges(name), beam.ends()
         joints = {}
         for i, hinge in enumerate(hinges):
             _, joint, axis = HINGES[hinge.kind]
             parent = Marker(piece_name(name, i), (ends[i + 1] - ends[i], 0.0), axis)
-            child = Marker(piece_name(name, i + 1), axis=axis)
-            joints[hinge.joint] = Connection(joint, parent, child)
+            joints[hinge.joint] = Connection(
+                joint, parent, Marker(piece_name(name, i + 1), axis=axis)
+            )
         elasticity = {f"{name} elasticity": _Elasticity(name, hinges)}
         made = (bodies, beam.pieces(name)), (connections, joints), (loads, elasticity)
         for parts, new in made:
@@ -276,36 +267,55 @@ def with_pieces(
     return bodies, connections, loads
 
 
-def _joins(pieces: Mapping[str, Piece], connection: Any) -> bool:
-    """Whether a connection is a hinge before one of these pieces."""
-    piece = pieces.get(connection.child.body) if isinstance(connection, Connection) else None
-    return piece is not None and connection.parent.body == piece_name(piece.beam, piece.index - 1)
+def without_pieces(
+    bodies: dict[str, Any], connections: dict[str, Any], loads: dict[str, Any], pieces: dict | None
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """Bodies, connections and loads of a mechanism without these pieces of beams (None: all), their
+    hinges and their elasticity; markers on them lie on the beams."""
+    if pieces is None:
+        pieces = {n: own for n, own in dict.items(bodies) if isinstance(own, Piece)}
+    beams = {own.beam for own in pieces.values()}
+
+    def on_beam(marker):
+        if marker.body not in pieces:
+            return marker
+        piece, (along, *across) = pieces[marker.body], marker.at or (0.0, 0.0)
+        return with_fields(marker, body=piece.beam, at=(along + piece.place, *across))
+
+    def is_part(own):
+        if not isinstance(own, Connection):
+            return isinstance(own, _Elasticity) and own.name in beams
+        ends = own.parent, own.child
+        return own.child.body in pieces and len({on_beam(end).body for end in ends}) == 1
+
+    kept = ({n: x for n, x in parts.items() if not is_part(x)} for parts in (connections, loads))
+    connections, loads = (_moved(on_beam, parts) for parts in kept)
+    return {n: x for n, x in dict.items(bodies) if n not in pieces}, connections, loads
 
 
-def on_beam(pieces: Mapping[str, Piece], part: Any) -> Any:
-    """A marker on one of these pieces as one on its beam; anything else as it is."""
-    piece = pieces.get(part.body) if isinstance(part, Marker) else None
-    if piece is None or part.at is None:
-        return part
-    return with_fields(part, body=piece.beam, at=(part.at[0] + piece.place, *part.at[1:]))
+def _moved(move: Callable[[Marker], Marker], parts: Mapping[str, Any]) -> dict[str, Any]:
+    """Parts with every marker moved."""
+    one = lambda x: move(x) if isinstance(x, Marker) else x
+    leaf = lambda x: isinstance(x, Marker)
+    return {n: jax.tree.map(one, own, is_leaf=leaf) for n, own in parts.items()}
 
 
-def on_piece(bodies: Mapping[str, Any], part: Any, built: Sequence[str] = ()) -> Any:
-    """A marker on a beam of these bodies as one on the piece where it lies; anything else as it
-    is, and so what is being traced on beams that are `built`: it was put on its piece before."""
-    beam = bodies.get(part.body) if isinstance(part, Marker) else None
-    if not isinstance(beam, Beam) or part.at is None:
-        return part
-    ends, place = beam.ends(), concrete(part.at[0])
-    if place is None and part.body in built:
-        return part
+def on_piece(bodies: Mapping[str, Any], marker: Marker, built: Sequence[str] = ()) -> Marker:
+    """A marker on a beam of these bodies as one on the piece where it lies; any other as it is, and
+    so what is being traced on beams that are `built`: it was put on its piece before."""
+    beam = bodies.get(marker.body)
+    if not isinstance(beam, Beam) or marker.at is None:
+        return marker
+    ends, place = beam.ends(), concrete(marker.at[0])
+    if place is None and marker.body in built:
+        return marker
     if place is None or not -1e-9 <= place / ends[-1] <= 1 + 1e-9:
         raise ValueError(
-            f'a marker on the beam "{part.body}" lies at x = {part.at[0]} m; it must be a number '
-            f"from 0 to its length {ends[-1]:g} m."
+            f'a marker on the beam "{marker.body}" lies at x = {marker.at[0]} m; it must be a '
+            f"number from 0 to its length {ends[-1]:g} m."
         )
     index = int(np.searchsorted(ends[1:-1], place))
     if not index:
-        return part
-    at = (part.at[0] - ends[index], *part.at[1:])
-    return with_fields(part, body=piece_name(part.body, index), at=at)
+        return marker
+    at = (marker.at[0] - ends[index], *marker.at[1:])
+    return with_fields(marker, body=piece_name(marker.body, index), at=at)

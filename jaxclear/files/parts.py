@@ -19,8 +19,10 @@ import equinox as eqx
 import jax
 import jaxtyping
 
+from jaxclear.components.beam import Beam
 from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.function_of_time import AbstractFunctionOfTime, TimeTable
+from jaxclear.components.load import AbstractLoad
 from jaxclear.files.by_numbers import from_scipy, table_of, time_table
 from jaxclear.files.forms import (
     UNMEASURED,
@@ -51,9 +53,11 @@ from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.laws import contact, material
 from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.multibody.loops import AsNeeded, Baumgarte, Projection
-from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism, parts_as_drawn
+from jaxclear.results.response import PositionError
 from jaxclear.simulation.saving import Saving
 from jaxclear.studies.distribution import Empirical, FromScipy
+from jaxclear.studies.tolerance import Size
 from jaxclear.studies.variable import AbstractMechanismVariable, Condition, Heating, Variable
 
 KIND = "kind"
@@ -129,7 +133,7 @@ class Part(AbstractForm):
         if kind not in kinds.values():
             refuse(path, _no_data(thing, kinds))
         values: dict[str, Any] = {}
-        if self.families != (kind,):
+        if self.families != (kind,) and kind not in USUAL:
             values[KIND] = kind.__name__
         for name, arg in arguments(kind).items():
             value, place = arg.read_from(thing), f"{path}.{name}" if path else name
@@ -155,7 +159,8 @@ class Part(AbstractForm):
             places[name] = (public_name(kind), arguments(kind))
         for name, (build, taken) in made.items():
             places[name] = (public_name(build), taken)
-        single = len(self.families) == 1 and self.families[0] in {*kinds.values(), *USUAL}
+        only = kinds.values() if len(self.families) == 1 else ()
+        single = self.families[0] in {*only, *USUAL}
         refs = []
         for name, (full, args) in sorted(places.items()):
             if any(argument.needed and argument.form is None for argument in args.values()):
@@ -200,6 +205,14 @@ def _end(side: str, other: str) -> Getter:
     return read
 
 
+def _point(response: PositionError) -> Any:
+    return response.body.body if response.body.at is None else response.body
+
+
+def _as_drawn(part: str) -> Getter:
+    return lambda mechanism: parts_as_drawn(mechanism)[part]
+
+
 def _mechanism_value(what: str) -> Getter:
     return lambda mechanism: mechanism.given[what]
 
@@ -231,9 +244,11 @@ ARGUMENT_FORMS: dict[type, dict[str, tuple[AbstractForm | None, Getter]]] = {
         "at": (Numbers({"unit": "m"}, (2, 3)), _nothing),
         "axis": (DIRECTION, _nothing),
     },
+    PositionError: {"body": (END, _point)},
     Mechanism: {
-        "bodies": (ByName(Part((Body,))), _attribute("bodies")),
-        "connections": (ByName(Part((Connection,))), _attribute("connections")),
+        "bodies": (ByName(Part((Body, Beam))), _as_drawn("bodies")),
+        "connections": (ByName(Part((Connection,))), _as_drawn("connections")),
+        "loads": (ByName(Part((AbstractLoad,))), _as_drawn("loads")),
         "start": (NUMBERS_BY_NAME, _mechanism_value("start")),
         "speeds": (NUMBERS_BY_NAME, _mechanism_value("speeds")),
         "guess": (NUMBERS_BY_NAME, _mechanism_value("guess")),
@@ -246,6 +261,7 @@ ARGUMENT_FORMS: dict[type, dict[str, tuple[AbstractForm | None, Getter]]] = {
         "tolerance": (Number({"unit": "1", "above": 0}), _nothing),
     },
     Heating: {"expansion": (Choice((Number(EXPANSION), ByName(Number(EXPANSION)))), _expansion)},
+    Size: {"where": (Place(), _attribute("where"))},
     Variable: {
         "where": (Place(), _attribute("where")),
         "tolerance": (Number({"unit": "1", "above": 0}), _nothing),
@@ -288,7 +304,7 @@ INSTEAD: dict[type, tuple[Callable[..., Any], dict[str, Argument]]] = {
     ),
 }
 # The class of a mapping that says no kind, where it is not the only one.
-USUAL: Mapping[Any, type] = MappingProxyType({AbstractMechanismVariable: Variable})
+USUAL: Mapping[Any, type] = MappingProxyType({AbstractMechanismVariable: Variable, Body: Body})
 # The argument for which a text alone stands.
 ALONE: Mapping[Any, str] = MappingProxyType({Marker: "body"})
 

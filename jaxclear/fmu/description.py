@@ -1,7 +1,10 @@
-"""What a unit says of itself: the description that FMI reads, and the C header of its numbers."""
+"""What a unit says of itself: the description that FMI reads (`modelDescription.xml`), and how
+numbers, texts and arrays stand in its C header.
+"""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
@@ -9,114 +12,83 @@ import numpy as np
 
 from jaxclear.ground.datasets import installed
 
+IDENTIFIER = "jaxclear_unit"
+SAVED = 'canGetAndSetFMUState="true" canSerializeFMUState="true"'
+KINDS = {
+    "model exchange": f'<ModelExchange modelIdentifier="{IDENTIFIER}" {SAVED} '
+    'needsCompletedIntegratorStep="false"/>',
+    "co-simulation": f'<CoSimulation modelIdentifier="{IDENTIFIER}" {SAVED} '
+    'canHandleVariableCommunicationStepSize="true" providesDirectionalDerivatives="{slopes}"/>',
+}
+# Parts of a unit's structure, in their order.
+STRUCTURE = ("Output", "ContinuousStateDerivative", "InitialUnknown", "EventIndicator")
+
 
 class Variable(NamedTuple):
     """A number of a unit by its `name`: its `unit`, the place `at` among the given numbers and of
-    an input at `run_at` among those of the steps, its `value` and its range (least, most)."""
+    an input at `run_at` among those of the steps, which `leaf` it is, its `value` and range."""
 
     name: str
     unit: str
     value: float = 0.0
     at: int = 0
     run_at: int = 0
+    leaf: int = 0
     least: float = -np.inf
     most: float = np.inf
 
-
-class Contents(NamedTuple):
-    """What is in a unit, in the order of its variables."""
-
-    name: str
-    token: str
-    inputs: list[Variable]
-    parameters: list[Variable]
-    outputs: list[Variable]
-    states: list[str]
-    contacts: list[str]
-    kinds: tuple[str, ...]
-    slopes: tuple[str, ...]
-    duration: float
-    interval: float
+    def about(self, causality: str, variability: str) -> dict[str, str]:
+        """Its attributes as one that can be set."""
+        bounds = {"min": self.least, "max": self.most, "start": self.value}
+        about = {"causality": causality, "variability": variability}
+        return about | {k: repr(float(x)) for k, x in bounds.items() if np.isfinite(x)}
 
 
-IDENTIFIER = "jaxclear_unit"
-
-
-def description(unit: Contents) -> str:
-    """modelDescription.xml."""
-    count = iter(range(1, 1 << 30))
-    lines = [_variable(0, "time", "s", causality="independent", variability="continuous")]
-    for one in unit.inputs:
-        about = {"causality": "input", "variability": "continuous", "start": repr(one.value)}
-        lines.append(_variable(next(count), one.name, one.unit, **about))
-    for one in unit.parameters:
-        bounds = {"min": one.least, "max": one.most}
-        about = {"causality": "parameter", "variability": "fixed", "initial": "exact"}
-        about |= {k: repr(float(x)) for k, x in bounds.items() if np.isfinite(x)}
-        lines.append(_variable(next(count), one.name, one.unit, **about, start=repr(one.value)))
-    calculated = {"variability": "continuous", "initial": "calculated"}
-    structure, unknown = [], []
-    for one in unit.outputs:
-        place = next(count)
-        lines.append(_variable(place, one.name, one.unit, causality="output", **calculated))
-        structure.append(f'<Output valueReference="{place}"/>')
-        unknown.append(f'<InitialUnknown valueReference="{place}"/>')
-    first = next(count)
-    for k, name in enumerate([*unit.states, *(f"der({name})" for name in unit.states)]):
-        rate = k >= len(unit.states)
-        more = {"derivative": str(first + k - len(unit.states))} if rate else {}
-        lines.append(_variable(first + k, name, "", causality="local", **calculated, **more))
-        if rate:
-            structure.append(f'<ContinuousStateDerivative valueReference="{first + k}"/>')
-        unknown.append(f'<InitialUnknown valueReference="{first + k}"/>')
-    for k, name in enumerate(unit.contacts, first + 2 * len(unit.states)):
-        lines.append(_variable(k, f"depth of {name}", "m", causality="local", **calculated))
-        unknown.append(f'<EventIndicator valueReference="{k}"/>')
-    slopes = str(bool(unit.slopes)).lower()
-    saved = 'canGetAndSetFMUState="true" canSerializeFMUState="true"'
-    parts = {
-        "model exchange": f'<ModelExchange modelIdentifier="{IDENTIFIER}" {saved} '
-        'needsCompletedIntegratorStep="false"/>',
-        "co-simulation": f'<CoSimulation modelIdentifier="{IDENTIFIER}" {saved} '
-        f'canHandleVariableCommunicationStepSize="true" providesDirectionalDerivatives="{slopes}" '
-        'canReturnEarlyAfterIntermediateUpdate="false"/>',
-    }
-    named = [*unit.inputs, *unit.parameters, *unit.outputs, Variable("", "m"), Variable("", "s")]
-    units = sorted({one.unit for one in named} - {""})
-    every = [
-        '<?xml version="1.0" encoding="UTF-8"?>',
-        f'<fmiModelDescription fmiVersion="3.0" modelName={quoteattr(unit.name)} '
-        f'instantiationToken="{unit.token}" generationTool="jaxclear {installed("jaxclear")}">',
-        *(parts[kind] for kind in parts if kind in unit.kinds),
-        f"<UnitDefinitions>{''.join(f'<Unit name={quoteattr(u)}/>' for u in units)}"
-        "</UnitDefinitions>",
-        '<LogCategories><Category name="logStatusWarning"/><Category name="logStatusError"/>'
-        "</LogCategories>",
-        f'<DefaultExperiment startTime="0" stopTime="{unit.duration!r}" '
-        f'stepSize="{unit.interval!r}"/>',
-        "<ModelVariables>",
-        *lines,
-        "</ModelVariables>",
-        f"<ModelStructure>{''.join([*structure, *unknown])}</ModelStructure>",
-        "</fmiModelDescription>",
+def description(unit: Any, name: str, kinds: Sequence[str]) -> str:
+    """modelDescription.xml of a unit of this name and these kinds."""
+    found = {"variability": "continuous", "initial": "calculated"}
+    inner, out = {"causality": "local"} | found, {"causality": "output"} | found
+    time = {"causality": "independent", "variability": "continuous"}
+    rows: list[tuple] = [("time", "s", time)]
+    rows += [(x.name, x.unit, x.about("input", "continuous")) for x in unit.inputs]
+    rows += [(x.name, x.unit, x.about("parameter", "fixed")) for x in unit.parameters]
+    rows += [(x.name, x.unit, out, "Output", "InitialUnknown") for x in unit.outputs]
+    first = len(rows)
+    rows += [(x, "", inner, "InitialUnknown") for x in unit.states]
+    for k, x in enumerate(unit.states, first):
+        rate = inner | {"derivative": str(k)}
+        rows.append((f"der({x})", "", rate, "ContinuousStateDerivative", "InitialUnknown"))
+    rows += [(f"depth of {x}", "m", inner, "EventIndicator") for x in unit.contacts]
+    lines = []
+    for k, (label, measure, about, *_) in enumerate(rows):
+        known = {"name": label, "valueReference": str(k), "unit": measure} | about
+        words = (f"{key}={quoteattr(value)}" for key, value in known.items() if value)
+        lines.append(f"<Float64 {' '.join(words)}/>")
+    places = [
+        f'<{part} valueReference="{k}"/>'
+        for part in STRUCTURE
+        for k, row in enumerate(rows)
+        if part in row[3:]
     ]
-    return "\n".join(every)
-
-
-def _variable(place: int, name: str, unit: str, **about: str) -> str:
-    about |= {"unit": unit} if unit else {}
-    words = " ".join(f"{key}={quoteattr(value)}" for key, value in about.items())
-    return f'<Float64 name={quoteattr(name)} valueReference="{place}" {words}/>'
+    slopes = str(bool(unit.slopes)).lower()
+    template = Path(__file__).parent / "modelDescription.xml"
+    return template.read_text(encoding="utf-8").format(
+        name=quoteattr(name),
+        token=unit.token,
+        version=installed("jaxclear"),
+        kinds="".join(text.format(slopes=slopes) for kind, text in KINDS.items() if kind in kinds),
+        units="".join(f"<Unit name={quoteattr(u)}/>" for u in sorted({r[1] for r in rows} - {""})),
+        duration=unit.duration,
+        interval=unit.interval,
+        variables="\n".join(lines),
+        structure="".join(places),
+    )
 
 
 def number(value: Any) -> str:
     """A number in C."""
-    value = float(value)
-    return (
-        repr(value)
-        if np.isfinite(value)
-        else {"inf": "INFINITY", "-inf": "-INFINITY"}.get(repr(value), "NAN")
-    )
+    word = repr(float(value))
+    return {"inf": "INFINITY", "-inf": "-INFINITY", "nan": "NAN"}.get(word, word)
 
 
 def text(sentence: str) -> str:
@@ -129,17 +101,10 @@ def array(name: str, entries: Sequence[str]) -> str:
     return f"static const {name}[] = {{{', '.join(entries) or '0'}}};"
 
 
-def tables_of(functions: Sequence[tuple[str, Sequence[np.ndarray]]]) -> list[str]:
+def tables_of(functions: Mapping[str, Any]) -> list[str]:
     """Long arrays of functions by name, each once."""
-    lines: list[str] = []
     known: dict[bytes, str] = {}
-    for name, tables in functions:
-        places = []
-        for table in tables:
-            key = np.ascontiguousarray(table).tobytes()
-            if key not in known:
-                known[key] = f"table_{len(known)}"
-                lines.append(array(f"double {known[key]}", [number(x) for x in np.ravel(table)]))
-            places.append(known[key])
-        lines.append(array(f"double *const {name}_tables", places))
-    return lines
+    place = lambda table: known.setdefault(table.tobytes(), f"table_{len(known)}")
+    named = {name: list(map(place, one.tables)) for name, one in functions.items()}
+    rows = [array(f"double {x}", list(map(number, np.frombuffer(k)))) for k, x in known.items()]
+    return rows + [array(f"double *const jc_{x}_tables", own) for x, own in named.items()]

@@ -9,9 +9,9 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxclear.fmu.description import IDENTIFIER, description
+from jaxclear.fmu.description import IDENTIFIER, KINDS, description
 from jaxclear.fmu.link import TARGETS, checked_target, library, this_machine
-from jaxclear.fmu.unit import KINDS, Unit
+from jaxclear.fmu.unit import Unit
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.precision import check_double_precision
@@ -123,7 +123,8 @@ def export_fmu(
     check_number("the interval", interval, "s", above=0)
     integrator = Adaptive() if integrator is None else integrator
     check_run(mechanism, integrator)
-    for kind in kinds:
+    kinds, slopes = ((x,) if isinstance(x, str) else tuple(x) for x in (kinds, slopes))
+    for kind in kinds or ("",):
         check_name("kind", kind, KINDS, " of export_fmu")
     for name in wearing_in(mechanism):
         raise ValueError(WORN.format(name=name))
@@ -135,17 +136,16 @@ def export_fmu(
     steps = load_steps(mechanism, integrator, times)
     unit = Unit(mechanism, steps.integrator, outputs, tuple(slopes), (duration, interval))
     unit.add_numbers(inputs or {}, parameters or {})
-    file = Path(path)
-    contents, header = unit.assembled(file.stem, tuple(kinds))
-    names = TARGETS[system]
+    file, names, made = Path(path), TARGETS[system], io.BytesIO()
+    header = unit.assemble("model exchange" in kinds)
     code = object_file(list(unit.made.values()), names.triple, cpu or names.cpu)
-    made = io.BytesIO()
     with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("modelDescription.xml", description(contents))
+        archive.writestr("modelDescription.xml", description(unit, file.stem, kinds))
         place = f"binaries/{system}/{IDENTIFIER}.{names.ending}"
         archive.writestr(place, library(system, header, code))
     file.write_bytes(made.getvalue())
-    notes = [*checked_by(steps.passed, Checks()).warnings, *unit.notes]
+    doubt = unit.functions.doubt
+    notes = [*checked_by(steps.passed, Checks()).warnings, *([doubt] if doubt else [])]
     if system != this_machine():
         notes.append(f"It is for {system} and was not run here.")
     return Fmu(
@@ -155,7 +155,7 @@ def export_fmu(
         kinds=tuple(kinds),
         inputs=tuple(inputs or ()),
         parameters=tuple(parameters or ()),
-        outputs=tuple(unit.outputs),
+        outputs=tuple(unit.units),
         slopes=tuple(slopes),
         notes=tuple(notes),
     )

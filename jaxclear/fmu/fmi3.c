@@ -10,7 +10,25 @@
 #include <stdint.h>
 #include <stdio.h>
 #include <math.h>
+typedef void function(const double *, double *, const double *const *);
 #include "unit.h"
+#if SLOPES
+#define STEP jc_step_slope
+#define STEP_TABLES jc_step_slope_tables
+#else
+#define STEP jc_step
+#define STEP_TABLES jc_step_tables
+#define MOVING 0
+#define D_HANDED 0
+#define OTHERS 0
+#define CHANGED 0
+#endif
+#define ENDINGS (int)(sizeof ending / sizeof *ending)
+#define NOT_ASSEMBLED \
+  "With these parameters the mechanism cannot be assembled: its loops do not close, or parts start deep in each other."
+#define NO_SLOPE "This unit carries slopes of its outputs along the numbers that were named in export_fmu only."
+#define NOT_TRUSTED \
+  "A slope at %g s is nan: in other steps it is another by more than a percent, so steps decide it. Take shorter ones."
 #if defined _WIN32
 #define API __declspec(dllexport)
 #else
@@ -90,7 +108,7 @@ static S start(Unit *u) {
     memcpy(u->m.row[r] + MOVED, out + 1, MOVING * sizeof(double));
     memcpy(u->m.row[r] + D_CARRY, out + 1 + MOVING, D_HANDED * sizeof(double));
     memcpy(u->m.row[r] + D_PREVIOUS, out + 1 + MOVING, STATE * sizeof(double));
-    for (int k = 0; r % EACH && k < CHANGED; k++) u->m.row[r][changed_at[k]] = changed_to[r % EACH - 1][k];
+    for (int k = 0; r % EACH && k < CHANGED; k++) u->m.row[r][changed_at[k]] = changed_to[(r % EACH - 1) * CHANGED + k];
     memset(weights, 0, SLOPES * sizeof(double));
 #endif
     u->m.row[r][TIMES] = time - INTERVAL;
@@ -102,11 +120,11 @@ API const char *fmi3GetVersion(void) { return "3.0"; }
 API S fmi3SetDebugLogging(I i, bool on, size_t n, const char *const c[]) { return OK; }
 API I fmi3InstantiateCoSimulation(const char *name, const char *token, const char *path, bool visible, bool logging,
     bool events, bool early, const VR q[], size_t nq, void *environment, void *log, void *update) {
-  return CO_SIMULATION && !events ? make(token, environment, log) : 0;
+  return !events ? make(token, environment, log) : 0;
 }
 API I fmi3InstantiateModelExchange(const char *name, const char *token, const char *path, bool visible, bool logging,
     void *environment, void *log) {
-  return MODEL_EXCHANGE ? make(token, environment, log) : 0;
+  return STATES ? make(token, environment, log) : 0;
 }
 API I fmi3InstantiateScheduledExecution(const char *a, const char *b, const char *c, bool d, bool e, void *f, void *g,
     void *h, void *i, void *j) { return 0; }
@@ -145,7 +163,7 @@ API S fmi3Terminate(I i) {
 API S fmi3Reset(I i) { begin_again(i); return OK; }
 API S fmi3EnterStepMode(I i) { return OK; }
 /* Of model exchange: a state, its rate or the depth of a contact, by number. */
-#if MODEL_EXCHANGE
+#if STATES
 static double exchanged(Unit *u, int k) {
   double out[LARGEST + 1];
   if (k < STATES) return u->m.row[0][CARRY + state_at[k]];
@@ -164,7 +182,7 @@ API S fmi3GetFloat64(I i, const VR r[], size_t n, double v[], size_t nv) {
       u->m.fresh = 1;
       v[k] = u->m.out[r[k] - SETTABLE];
     }
-#if MODEL_EXCHANGE
+#if STATES
     else if (r[k] <= SETTABLE + OUTPUTS + 2 * STATES + CONTACTS) v[k] = exchanged(u, r[k] - SETTABLE - OUTPUTS - 1);
 #endif
     else return ERROR;
@@ -245,7 +263,7 @@ API S fmi3GetDirectionalDerivative(I i, const VR unknown[], size_t nu, const VR 
       double scale = fmax(fabs(own), number > 0 ? SMALLEST / number * fabs(out[0][at]) : 0);
       for (int c = 1; c < EACH; c++) {
         double *one = u->m.row[slope * EACH], *other = u->m.row[slope * EACH + c];
-        double ratio = EQUAL_STEPS ? pow(one[CARRY + ACCEPTED] / other[CARRY + ACCEPTED], ORDER) : 0.5;
+        double ratio = ORDER ? pow(one[CARRY + ACCEPTED] / other[CARRY + ACCEPTED], ORDER) : 0.5;
         double off = fabs(out[c][OUTPUTS + at] - own) / fabs(ratio - 1);
         if (one[CARRY + ACCEPTED] > 0 && own == own && !(off <= TRUSTED * scale)) {
           say(u, WARNING, NOT_TRUSTED, u->m.time);
@@ -279,7 +297,7 @@ API S fmi3DeserializeFMUState(I i, const uint8_t b[], size_t n, void **s) {
   *s = 0;
   return fmi3GetFMUState((I)b, s);
 }
-#if MODEL_EXCHANGE
+#if STATES
 API S fmi3EnterEventMode(I i) { return OK; }
 API S fmi3EnterContinuousTimeMode(I i) { return OK; }
 /* A contact that touches takes its impact speed, one that parts forgets it. */
@@ -328,7 +346,7 @@ API S fmi3GetNumberOfEventIndicators(I i, size_t *n) { *n = CONTACTS; return OK;
 API S fmi3GetNumberOfContinuousStates(I i, size_t *n) { *n = STATES; return OK; }
 #endif
 #define NOT(f) API S f(void) { return ERROR; }
-#if !MODEL_EXCHANGE
+#if !STATES
 NOT(fmi3EnterEventMode) NOT(fmi3UpdateDiscreteStates) NOT(fmi3EnterContinuousTimeMode) NOT(fmi3CompletedIntegratorStep)
 NOT(fmi3SetTime) NOT(fmi3SetContinuousStates) NOT(fmi3GetContinuousStateDerivatives) NOT(fmi3GetEventIndicators)
 NOT(fmi3GetContinuousStates) NOT(fmi3GetNominalsOfContinuousStates) NOT(fmi3GetNumberOfEventIndicators)

@@ -22,6 +22,7 @@ from jaxclear.multibody import kinematics
 from jaxclear.multibody.assembly import assemble_arrays, is_sound, ready
 from jaxclear.multibody.mechanism import Mechanism, with_redundancy
 from jaxclear.multibody.state import unpack_motion
+from jaxclear.native.writer import LONGEST_IN_REGISTERS
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
 from jaxclear.simulation.invariants import (
@@ -56,6 +57,16 @@ class Flat(NamedTuple):
         return eqx.combine(jax.tree.unflatten(self.structure, leaves), self.static)
 
 
+def is_float(leaf: Any) -> bool:
+    """Whether an array has tangents."""
+    return jnp.issubdtype(leaf.dtype, jnp.floating)
+
+
+def is_table(leaf: Any) -> bool:
+    """Whether an array of the mechanism is read from memory, where it stays as it is."""
+    return leaf.size > LONGEST_IN_REGISTERS and is_float(leaf)
+
+
 class Functions:
     """The functions of a unit. `given`, `run` and `carry`: numbers as the user gives them, those of
     the steps, and what the first step is handed, for the mechanism as it is exported; `doubt`: a
@@ -83,6 +94,7 @@ class Functions:
         self.given = Flat.of((mechanism, integrator))
         first = self._begin(nominal.mechanism, nominal.start, jnp.zeros(()), integrator)
         self.run, self.carry = map(Flat.of, first)
+        self.packed = [i for i, x in enumerate(self.run.leaves) if not is_table(x)]
 
     def _begin(self, mechanism: Mechanism, start: Any, time: Any, integrator: Any) -> tuple:
         times = jnp.stack([time, time + self.duration])
@@ -96,8 +108,8 @@ class Functions:
         mechanism, integrator = self.given.tree(leaves)
         own = with_redundancy(integrator.formulation.seen(mechanism), self.redundancy)
         start = assemble_arrays(own, True, numbers[0], self.rough)
-        first = map(Flat.of, self._begin(own, start, numbers[0], integrator))
-        return [*(x for each in first for x in each.leaves), is_sound(own, start)]
+        steps, first = map(Flat.of, self._begin(own, start, numbers[0], integrator))
+        return [*(steps.leaves[i] for i in self.packed), *first.leaves, is_sound(own, start)]
 
     def step(self, leaves: Arrays, numbers: Arrays) -> Arrays:
         """What is handed on at the end of a communication step, from that at its beginning."""
@@ -179,22 +191,18 @@ class Slopes(NamedTuple):
     read: Callable
 
 
-def is_float(leaf: Any) -> bool:
-    """Whether an array has tangents."""
-    return jnp.issubdtype(leaf.dtype, jnp.floating)
-
-
 def make_slopes(own: Functions, along: list[int]) -> Slopes:
     """Of functions those with tangents along the given numbers of these places."""
-    count, handed = len(own.run.leaves), own.carry.leaves
+    count, handed = len(own.packed), own.carry.leaves
     program = jax.make_jaxpr(own.start)(own.given.leaves, [jnp.zeros(())]).jaxpr
     # A number of the steps that is given as it is moves with that one alone; any other may.
     still = [x for i, x in enumerate(program.invars) if i not in along]
-    moving = tuple(
-        i
-        for i, x in enumerate(program.outvars[:count])
-        if is_float(own.run.leaves[i]) and not any(x is one for one in still)
-    )
+    places = [
+        k
+        for k, x in enumerate(program.outvars[:count])
+        if is_float(own.run.leaves[own.packed[k]]) and not any(x is one for one in still)
+    ]
+    moving = tuple(own.packed[k] for k in places)
 
     def pushed(function: Callable, numbers: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
         """A function of a list of arrays, and tangents of those of its results that have some."""
@@ -219,7 +227,7 @@ def make_slopes(own: Functions, along: list[int]) -> Slopes:
             for place, value in zip(along, chosen, strict=True):
                 values[place] = value
             found = own.start(values, [time])
-            return [*(found[i] for i in moving), *found[count : count + len(handed)]]
+            return [*(found[k] for k in places), *found[count : count + len(handed)]]
 
         return pushed(of_chosen, [leaves[i] for i in along], weights)[1]
 

@@ -27,7 +27,7 @@ from jaxclear.formulations.joint_friction import friction_losses, rubbing
 from jaxclear.formulations.laws_over_step import PastSlip
 from jaxclear.formulations.midpoint_step import WarmStart
 from jaxclear.formulations.model import Instant, Model, State
-from jaxclear.formulations.permanent_reactions import REACTION, Reaction, slips_of, touching
+from jaxclear.formulations.permanent_reactions import REACTION, Reaction, sliding_rates, touching
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_grouped
 from jaxclear.ground.grouping import unstacked
@@ -84,11 +84,10 @@ def _work_rates(model: Model, time: Any, entries: list, mean: list) -> list:
     held = touching(system)
     if held:
         q, _ = unpack_motion(system, entries)
-        begun = rubbing(model, start, q, entries[layout.coordinates : layout.memory_start])
+        begun = rubbing(model, start, q)
+        change = sp.each(sp.sub, mean, entries[layout.coordinates : layout.memory_start])
         slips = [
-            sp.mul(one.joint.arm, slip.at(mean))
-            for one in held
-            for slip in slips_of(system, start.motions, one, mean)
+            rate.at(change) for one in held for rate in sliding_rates(system, start.motions, one)
         ]
         rubbed = sp.add(rubbed, friction_losses(held, begun.friction, slips)[0])
     # What a damper takes is of second degree: the mean is right to the square of the change.
@@ -138,7 +137,7 @@ class CompliantContact(AbstractFormulation):
         forces = self._of_contacts(instant)
         if not rubbing_joints(instant.model.system):
             return forces
-        return joint_friction.rubbing(instant.model, forces, instant.q, instant.speeds).forces
+        return joint_friction.rubbing(instant.model, forces, instant.q).forces
 
     def contact(self, instant: Instant, name: str) -> ContactReport:
         forces = self._of_contacts(instant)
@@ -173,8 +172,8 @@ class CompliantContact(AbstractFormulation):
         system, layout, entries = model.system, model.layout, model.entries(state)
         if shares is not None:
             flanks = shares[layout.joint_contacts :]
-        forces, q, v, speeds = _acting(model, time, entries, shares, flanks)
-        forces, solution, rubbing = joint_friction.solved(model, forces, q, speeds)
+        forces, q, v = _acting(model, time, entries, shares, flanks)
+        forces, solution, rubbing = joint_friction.solved(model, forces, q)
         reports = forces.reports
         normal = ([point.normal_force for point in own.points] for own in reports.values())
         pressing = map(sp.total, normal)
@@ -371,8 +370,8 @@ class CompliantContact(AbstractFormulation):
         slips = [
             x
             for point in points
-            for slip in point.rates[1 : point.active]
-            for x in PastSlip(0.0, slip, slip)
+            for slip in point.acting[1:]
+            for x in PastSlip(0.0, slip.value, slip.value)
         ]
         speeds = jnp.zeros(2 * model.layout.speeds)
         reactions = sp.stack(self._reactions(model, time, entries))
@@ -403,8 +402,8 @@ class CompliantContact(AbstractFormulation):
         """Numbers of the reactions of ideal joints that rub."""
         if not rubbing_joints(model.system):
             return []
-        forces, q, _, speeds = _acting(model, time, entries)
-        found = joint_friction.rubbing(model, forces, q, speeds).answer.reactions
+        forces, q, _ = _acting(model, time, entries)
+        found = joint_friction.rubbing(model, forces, q).answer.reactions
         return [x for own in found for part in own for x in part]
 
     def implicit_step(
@@ -469,16 +468,15 @@ def _flanks_of(pressing: dict[str, Pressing]) -> list:
 
 def _acting(
     model: Model, time: Any, entries: list, shares: Any = None, flanks: Any = None
-) -> tuple[Forces, tuple, tuple, list]:
-    """(what acts but friction in ideal joints, coordinates and speeds by link, flat speeds)."""
+) -> tuple[Forces, tuple, tuple]:
+    """(what acts but friction in ideal joints, coordinates and speeds by link)."""
     system, layout = model.system, model.layout
     q, v = unpack_motion(system, entries)
     motions = kinematics.link_motions(system, q, v, time)
     memories = _with_shares(unpack_memories(layout, entries), shares)
     reports = contact_reports(system, motions, memories, model.worn)
     followed = unpack_followed(layout, entries, flanks)
-    forces = forces_at(system, motions, reports, q, v, time, followed)
-    return forces, q, v, entries[layout.coordinates : layout.memory_start]
+    return forces_at(system, motions, reports, q, v, time, followed), q, v
 
 
 def _with_shares(memories: dict, shares: Any) -> dict:

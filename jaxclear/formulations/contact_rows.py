@@ -25,7 +25,8 @@ from jaxclear.multibody.constraints import ClosureEquations
 from jaxclear.multibody.contact_point import GapFunction, JointReport, PointState, Response
 from jaxclear.multibody.damped_stops import forces_at
 from jaxclear.multibody.forces import Forces, relative_motions
-from jaxclear.multibody.kinematics import JacobianRow, along
+from jaxclear.multibody.kinematics import JacobianRow
+from jaxclear.multibody.rows import LinearRate
 from jaxclear.multibody.state import Followed, component_count, unpack_followed, unpack_motion
 from jaxclear.multibody.system import System, coordinate_loads
 
@@ -53,14 +54,27 @@ class TimeStep(NamedTuple):
 
 
 class ContactPoint(NamedTuple):
-    """One possible contact at an instant: its laws, geometry, rates of its rows (indentation, then
-    slip), the rows, and how many of them carry a force (without friction only the first)."""
+    """One possible contact at an instant: its laws, geometry, rates of its indentation, then of its
+    slips, and how many of them carry a force (without friction only the first)."""
 
     laws: ContactLaws
     gap_function: GapFunction
-    rates: tuple
-    rows: tuple[JacobianRow, ...]
+    rates: tuple[LinearRate, ...]
     active: int
+
+    @property
+    def acting(self) -> tuple[LinearRate, ...]:
+        """The rates along which a force acts."""
+        return self.rates[: self.active]
+
+    @property
+    def rows(self) -> tuple[JacobianRow, ...]:
+        """The rows of its rates."""
+        return tuple(rate.row for rate in self.rates)
+
+    def rates_at(self, change: list | None = None) -> tuple:
+        """Its rates at speeds that differ by a change."""
+        return tuple(x.value if change is None else x.at(change) for x in self.rates)
 
 
 class FreeMotion(NamedTuple):
@@ -105,15 +119,6 @@ class MiddleOfStep(NamedTuple):
 def lightness(row: JacobianRow, diagonal: list) -> Any:
     """About the inverse of the mass that a force along a row moves [1/kg]."""
     return sp.total(entry * entry / diagonal[j] for j, entry in row.items())
-
-
-def combined(rows: Sequence[JacobianRow], weights: Sequence[Any]) -> JacobianRow:
-    """The sum of rows with these weights."""
-    out: JacobianRow = {}
-    for row, weight in zip(rows, weights, strict=True):
-        for j, entry in row.items():
-            out[j] = sp.add(out.get(j, 0), sp.mul(weight, entry))
-    return {j: entry for j, entry in out.items() if not sp.is_zero(entry)}
 
 
 def split(values: Any, counts: Sequence[int]) -> list[tuple]:
@@ -255,10 +260,8 @@ def contact_points(
         for laws, gap_function in zip(own_laws, gap_functions, strict=True):
             end = start + 1 + len(gap_function.candidate.tangents)
             active = 1 if laws.friction is None else end - start
-            own = slice(start, end)
-            points.append(
-                ContactPoint(laws, gap_function, rates[own], tuple(jacobian[own]), active)
-            )
+            linear = map(LinearRate, rates[start:end], jacobian[start:end])
+            points.append(ContactPoint(laws, gap_function, tuple(linear), active))
             start = end
     return poses, tuple(points)
 
@@ -326,18 +329,12 @@ def rigid_reports(
     without stiffness, at their rates with the speeds changed by `change`."""
     acting = []
     for contact, force in zip(contacts, forces, strict=True):
-        rates = contact.rates
-        if change is not None:
-            rates = tuple(
-                sp.add(rate, along(row, change))
-                for rate, row in zip(rates, contact.rows, strict=True)
-            )
         depth = jnp.maximum(contact.gap_function.indentation, _pressed(contact.laws, force[0]))
         acting.append(
             ActingContact(
                 contact.laws._replace(contact=Rigid()),
                 contact.gap_function._replace(indentation=depth),
-                rates,
+                contact.rates_at(change),
                 force[0],
                 tuple(force[1:]),
             )

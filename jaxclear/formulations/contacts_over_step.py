@@ -34,7 +34,6 @@ from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar
 from jaxclear.multibody.contact_point import PointState, impact_speed_now
 from jaxclear.multibody.damped_stops import forces_at
-from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.state import impact_speed_places, pack_memories, unpack_motion
 from jaxclear.multibody.system import System
 
@@ -72,13 +71,13 @@ class Step(NamedTuple):
             others = contact.point.active - 1
             out.append(self.averaging.reach)
             out += [contact.braking.reach] * others if others else []
-        out += [joint.reach for joint in self.joints for _ in joint.rows]
+        out += [joint.reach for joint in self.joints for _ in joint.rates]
         return out + [self.averaging.reach for _ in self.shafts]
 
     def per_joint(self, values: Any) -> list[tuple]:
         """One value per row with a force, as one tuple per ideal joint that rubs."""
         first = sum(contact.point.active for contact in self.contacts)
-        return split(values[first:], [len(joint.rows) for joint in self.joints])
+        return split(values[first:], [len(joint.rates) for joint in self.joints])
 
     def per_contact(self, values: Any) -> list[tuple]:
         """One value per row with a force, as one tuple per contact."""
@@ -112,7 +111,8 @@ def passive_rates_over(
     pressing = [sp.total(own) for own in by_joint(system, normal)]
     if not layout.wear and not layout.energies and not whole.joints:
         return [*followed_rates(system, layout, free_motion.forces), *pressing], ()
-    acting = _acting_contacts(whole, solution, ends, whole.middle.change_to(mean))
+    change = whole.middle.change_to(mean)
+    acting = _acting_contacts(whole, solution, ends, change)
     reports = joint_reports(system, free_motion.poses, acting)
     forces = free_motion.forces._replace(reports=reports)
     if layout.energies or whole.joints:
@@ -130,7 +130,7 @@ def passive_rates_over(
     total = link_accelerations(system, accelerations, tuple(multipliers))
     passive, reactions = Passive(), tuple[Reaction, ...]()
     if whole.joints:
-        found = friction(whole.joints, whole.per_joint(solution.forces), mean), mean
+        found = friction(whole.joints, whole.per_joint(solution.forces), change), change
         # The accelerations contain the joints' friction, so the power of a drive asks for it too.
         passive, reactions, forces = rubbed(model, whole.joints, forces, whole.middle, total, found)
     return passive_rates(system, layout, forces, total, passive, pressing), reactions
@@ -157,8 +157,7 @@ def _acting_contacts(
             speed = laws_over_step.wearing_speed(
                 point.laws, slip, positive_part(-forces[0]), forces[1:]
             )
-        idle = zip(point.rows[point.active :], point.rates[point.active :], strict=True)
-        slip += tuple(sp.add(rate, along(row, change)) for row, rate in idle)
+        slip += tuple(rate.at(change) for rate in point.rates[point.active :])
         end = contact.depth + whole.averaging.length * rates[0]
         depth = 0.5 * (positive_part(contact.depth) + positive_part(end))
         acting.append(

@@ -167,7 +167,7 @@ def implicit_contact(
     J^T p(unmoved), where these are no more than the rows; otherwise in the rows, (1 + S W S) z =
     sqrt(D / reach) (about - ...), S = sqrt(reach D).
     """
-    rows = [row for contact in free_motion.contacts for row in contact.rows[: contact.active]]
+    rows = [rate.row for contact in free_motion.contacts for rate in contact.acting]
     rows += further
     size = len(free_motion.right)
     if rows and not free_motion.closures.rows and len(rows) >= size:

@@ -21,7 +21,7 @@ from jaxclear.formulations.permanent_reactions import (
     friction_response,
     own_part,
     placed,
-    speeds_of,
+    sliding_speeds,
     touching,
     with_friction,
 )
@@ -66,8 +66,12 @@ def _carried(joints, response: FrictionResponse) -> Callable:
     return carried
 
 
-def set_valued_friction(held, slips, v, h, mass, response: FrictionResponse) -> JointFriction:
-    """Coulomb's law at the end of a step of length h [s] from the speeds v; `slips` of each joint.
+def set_valued_friction(
+    held, slips, before, ahead, h, mass, response: FrictionResponse
+) -> JointFriction:
+    """Coulomb's law at the end of a step of length h [s]; `slips` of each joint, `before` and
+    `ahead`: by how much the speeds at the step's start, and those at its end without friction,
+    differ from those at which they were read.
 
     A joint that slides is held back by kinetic friction, and caught by static friction where it
     would turn round.
@@ -77,7 +81,7 @@ def set_valued_friction(held, slips, v, h, mass, response: FrictionResponse) -> 
         if joint.friction is None:
             ratios.append(None)
             continue
-        law, slip = joint.friction.coulomb(), [joint.arm * each.at(v) for each in sliding]
+        law, slip = joint.friction.coulomb(), [each.at(before) for each in sliding]
         if joint.components > 1:
             ratios.append(Caught(joint.friction_ratio(law.bound(sp.norm(tuple(slip))))))
             continue
@@ -86,19 +90,18 @@ def set_valued_friction(held, slips, v, h, mass, response: FrictionResponse) -> 
             caught = joint.friction_ratio(law.bound(jnp.zeros_like(slip[0])))
         pair = (jnp.where(slip[0] > 0, against, caught), jnp.where(slip[0] < 0, against, caught))
         ratios.append(pair)
-    # Speeds at the step's end without friction, and what friction in each joint adds to each
-    # joint's slip.
-    end = [x + h * response.without.accelerations[j] for j, x in enumerate(v)]
-    rows = [(one.joint.arm, each) for one, own in zip(held, slips, strict=True) for each in own]
-    free = [arm * each.at(end) for arm, each in rows]
+    # What friction in each joint adds to each joint's slip at the step's end.
+    rates = [each for own in slips for each in own]
     delassus = [
-        [arm * h * along(each.row, unit.accelerations) for unit in response.units]
-        for arm, each in rows
+        [h * along(each.row, unit.accelerations) for unit in response.units] for each in rates
     ]
     # A joint that drives move slides whatever friction does (only rounding, of either sign,
     # answers): there it is full.
-    softest = [UNMOVED * h * arm**2 / mass for arm, _ in rows]
+    softest = [
+        UNMOVED * h * one.joint.arm**2 / mass for one in held for _ in range(one.joint.components)
+    ]
     carried = _carried([one.joint for one in held], response)
+    free = [each.at(ahead) for each in rates]
     return JointFriction(delassus, free, tuple(ratios), carried, softest, placed(held))
 
 
@@ -114,10 +117,10 @@ def with_rows_of_loads(
     how much the speeds at the start of a step of length h [s], and those at its end without
     friction and these loads, differ from those at which the loads were read. What runs into a stop
     in the step goes back at its end with the share of its speed that the stop gives back."""
-    rows, speeds = loads.rows, [one.opening for one in loads.stops]
-    speeds += [one.speed for one in loads.rubs]
-    free = [sp.add(x, along(row, ahead)) for x, row in zip(speeds, rows, strict=True)]
-    moves = [[h * along(row, unit.accelerations) for unit in response.units] for row in rows]
+    free = [rate.at(ahead) for rate in loads.rates]
+    moves = [
+        [h * along(rate.row, unit.accelerations) for unit in response.units] for rate in loads.rates
+    ]
     first, rules = problem.components(), list[Any]()
     for k, stop in enumerate(loads.stops):
         closed = stop.beyond - 0.5 * h * free[k] >= 0
@@ -126,7 +129,7 @@ def with_rows_of_loads(
         if stop.side.stop.restitution is None:
             followed, spring = stop.followed(lightness, h), stop.spring()
             low, high = jnp.where(followed, spring, low), jnp.where(followed, spring, high)
-        struck = jnp.minimum(stop.opening + along(rows[k], before), 0.0)
+        struck = jnp.minimum(stop.opening.at(before), 0.0)
         free[k] = free[k] + stop.restitution(lightness) * jnp.where(closed, struck, 0.0)
         rules.append(Between(low, high))
     rules += [(rub.bound, rub.bound) for rub in loads.rubs]
@@ -134,8 +137,8 @@ def with_rows_of_loads(
     alone = [(1.0, 0.0, 0.0)]
     carried = lambda k, *given: problem.carried(k, *given) if k < joints else alone
     places = [problem.place(k) for k in range(joints)]
-    places += [slice(first + k, first + k + 1) for k in range(len(rows))]
-    softest = [problem.softest[i] for i in range(first)] + [0.0] * len(rows)
+    places += [slice(first + k, first + k + 1) for k in range(len(moves))]
+    softest = [problem.softest[i] for i in range(first)] + [0.0] * len(moves)
     return JointFriction(
         [*problem.delassus, *moves],
         [*(problem.free_velocity[i] for i in range(first)), *free],
@@ -148,28 +151,29 @@ def with_rows_of_loads(
 
 def own_rows(loads: LoadsInStep, friction: Any) -> list:
     """The forces along the rows of loads, which are the last of all."""
-    first = len(friction) - len(loads.rows)
-    return [friction[first + k] for k in range(len(loads.rows))]
+    first = len(friction) - len(loads.rates)
+    return [friction[first + k] for k in range(len(loads.rates))]
 
 
 def moved_to_stops(
-    loads: LoadsInStep, end: LoadsInStep, response: FrictionResponse, forces: list, h: Any
+    loads: LoadsInStep, beyond: list, response: FrictionResponse, forces: list, h: Any
 ) -> tuple[list, Any]:
-    """Where coordinates at the `end` of a step of length h [s] are moved, in the metric of the
-    masses, so that those that rigid stops have pressed with these `forces` [N m, N] touch them; of
-    one with a stiffness as far beyond as that gives way under what presses all the time:
-    the way in terms of speeds, and the energy [J] that this took out."""
-    first = len(response.units) - len(loads.rows)
-    units, rows = response.units[first:], loads.rows[: len(loads.stops)]
+    """Where coordinates that are so far `beyond` stops [rad, m] at the end of a step of length h
+    [s] are moved, in the metric of the masses, so that those that rigid stops have pressed with
+    these `forces` [N m, N] touch them; of one with a stiffness as far beyond as that gives way
+    under what presses all the time: the way in terms of speeds, and the energy [J] that this took
+    out."""
+    units = response.units[len(response.units) - len(loads.rates) :]
+    rows = [stop.opening.row for stop in loads.stops]
     free = response.without.accelerations
-    matrix, rules, gaps = [], [], [-stop.beyond for stop in end.stops]
+    matrix, rules, gaps = [], [], [-x for x in beyond]
     for k, stop in enumerate(loads.stops):
         matrix.append([h * along(rows[k], unit.accelerations) for unit in units[: len(rows)]])
         held = forces[k] > 0
         if stop.side.stop.restitution is None:
             held = held & ~stop.followed(matrix[k][k] / h, h)
             back = 1 + stop.restitution(matrix[k][k] / h)
-            struck = back * positive_part(-stop.opening) / matrix[k][k]
+            struck = back * positive_part(-stop.opening.value) / matrix[k][k]
             gaps[k] = gaps[k] + positive_part(forces[k] - struck) / stop.side.stop.stiffness
         most = jnp.where(held, jnp.inf, 0.0)
         rules.append(Between(-most, most))
@@ -188,7 +192,7 @@ def regularised_friction(held, speeds, response: FrictionResponse) -> JointFrict
     """
     ratios: list[Any] = []
     for one, speed in zip(held, speeds, strict=True):
-        law, slip = one.joint.friction, [one.joint.arm * x for x in speed]
+        law, slip = one.joint.friction, speed
         if law is None:
             ratios.append(None)
             continue
@@ -229,30 +233,30 @@ class Rubbing(NamedTuple):
     slips: list
 
 
-def rubbing(model: Model, forces: Forces, q: tuple, v: list) -> Rubbing:
-    """The friction of ideal joints under these forces, at coordinates `q` and the flat speeds `v`.
+def rubbing(model: Model, forces: Forces, q: tuple) -> Rubbing:
+    """The friction of ideal joints under these forces, at coordinates `q`.
     It is no number where friction and reactions drive each other up without end (self-locking)."""
     system = model.system
     held = touching(system)
-    slips = [speeds_of(system, forces.motions, one, v) for one in held]
+    slips = [sliding_speeds(system, forces.motions, one) for one in held]
     response = friction_response(model, forces, q)
     problem = regularised_friction(held, slips, response)
     friction, left, _ = SETTINGS.solver().iterate(problem)
     friction = jnp.where(left > LOOSE, jnp.nan, friction)
     answer = response.at(friction)
     solution = link_accelerations(system, answer.accelerations, answer.multipliers)
-    speeds = [one.joint.arm * x for one, own in zip(held, slips, strict=True) for x in own]
+    speeds = [x for own in slips for x in own]
     return Rubbing(with_friction(system, forces, friction), solution, answer, friction, speeds)
 
 
-def solved(model: Model, forces: Forces, q: tuple, v: list) -> tuple[Forces, Solution, Passive]:
+def solved(model: Model, forces: Forces, q: tuple) -> tuple[Forces, Solution, Passive]:
     """(what acts, accelerations, what joints that rub wear and lose): the equations of motion
     solved, friction of ideal joints included."""
     held = touching(model.system)
     if not held:
         solution = dynamics.forward_dynamics(model.system, forces, model.stabilisation)
         return forces, solution, Passive()
-    found = rubbing(model, forces, q, v)
+    found = rubbing(model, forces, q)
     passive = passive_of(model, found.forces, q, found.answer, found.friction, found.slips)
     return found.forces, found.solution, passive
 
@@ -282,7 +286,7 @@ def friction_losses(held: tuple[PermanentJoint, ...], friction: Any, slips: list
 
 def contact(instant: Instant, forces: Forces, name: str) -> ContactReport:
     """How an ideal joint rubs at an instant, under the `forces` without its friction."""
-    found = rubbing(instant.model, forces, instant.q, instant.speeds)
+    found = rubbing(instant.model, forces, instant.q)
     joints = touching(instant.model.system)
     places = placed(joints)
     for k, held in enumerate(joints):

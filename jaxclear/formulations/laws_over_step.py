@@ -20,7 +20,6 @@ from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.laws.friction.base import Unhindered
 from jaxclear.multibody import contact_point
 from jaxclear.multibody.contact_point import PointState, slip_speed
-from jaxclear.multibody.kinematics import along
 
 
 class Braking(NamedTuple):
@@ -72,13 +71,7 @@ def slips(middle: MiddleOfStep, speeds: list) -> list[tuple]:
     speeds; () where nothing rubs."""
     change = middle.change_to(speeds)
     return [
-        tuple(
-            sp.add(rate, along(row, change))
-            for rate, row in zip(
-                point.rates[1 : point.active], point.rows[1 : point.active], strict=True
-            )
-        )
-        for point in middle.free_motion.contacts
+        tuple(rate.at(change) for rate in point.acting[1:]) for point in middle.free_motion.contacts
     ]
 
 

@@ -23,12 +23,11 @@ from jaxclear.ground.numerics import positive_part
 from jaxclear.laws.rebound import restitution_of
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.forces import Forces, as_pressed, read_coordinate
-from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.rows import ActingForces, Row, forces_on_drives
+from jaxclear.multibody.rows import ActingForces, Direction, LinearRate, Row, forces_on_drives
 from jaxclear.multibody.state import Followed, unpack_motion
-from jaxclear.multibody.system import System, Transmission, coordinate_loads
-from jaxclear.multibody.transmissions import Pressing, row_of, twist_direction, twist_of
+from jaxclear.multibody.system import System, coordinate_loads
+from jaxclear.multibody.transmissions import Pressing, twist_direction, twist_of
 from jaxclear.multibody.tree import Motion
 
 # Explicit steps h follow a spring up to h omega = 2 and a damper up to h d / m = 2; they are left
@@ -63,12 +62,34 @@ class OverStep(AbstractCoordinateLoad):
 
 class HeldCoordinate(NamedTuple):
     """What a step finds the force of: the coordinate `on` which it acts, of a joint, a motor, or
-    the twist of a coupling (then a `flank`), the sides at which it stops that, and its friction."""
+    the twist of a coupling (then of no `load`), and the sides at which it stops that."""
 
     on: str
     sides: tuple[Side, ...]
-    friction: Any
-    flank: bool = False
+    load: OverStep | None = None
+
+    @property
+    def rubs(self) -> bool:
+        """Whether it has dry friction."""
+        return self.load is not None and self.load.dry_friction() is not None
+
+    def reading(
+        self, system: System, motions: tuple[Motion, ...], followed: Followed
+    ) -> tuple[Any, Direction]:
+        """The coordinate [rad, m], and the direction of a force along it."""
+        if self.load is not None:
+            position, _, direction = read_coordinate(system, motions, self.on, followed)
+            return position, direction
+        flanks = system.flanks[self.on]
+        direction = twist_direction(motions, flanks).times(1 / flanks.scale)
+        return twist_of(system, motions, flanks).value, direction
+
+    def friction(
+        self, system: System, motions: tuple[Motion, ...], time: Any, followed: Followed
+    ) -> Any:
+        """Its largest dry friction [N m, N]."""
+        load: Any = self.load
+        return value_at(as_pressed(system, motions, load, time, followed).dry_friction(), time)
 
 
 def found_over_steps(system: System) -> System:
@@ -125,7 +146,7 @@ def held(system: System) -> dict[str, HeldCoordinate]:
     """What steps find the force of, by the name under which states hold its impulse: loads, then
     plays."""
     found = {
-        impulse_of(name): HeldCoordinate(load.connection, load.sides(), load.dry_friction())
+        impulse_of(name): HeldCoordinate(load.connection, load.sides(), load)
         for name, load in coordinate_loads(system)
         if isinstance(load, OverStep)
     }
@@ -133,7 +154,7 @@ def held(system: System) -> dict[str, HeldCoordinate]:
         play: Any = own.coupling.play
         middle, half = middle_of(play), 0.5 * play.play
         sides = Side(1.0, middle - half, play), Side(-1.0, middle + half, play)
-        found[play_of(name)] = HeldCoordinate(name, sides, None, True)
+        found[play_of(name)] = HeldCoordinate(name, sides)
     return found
 
 
@@ -157,50 +178,6 @@ def play_of(name: str) -> str:
     return f"play {name}"
 
 
-class Coordinate(NamedTuple):
-    """A coordinate at an instant: its `position` [rad, m] and `speed`, the row of its speed by the
-    speeds of the mechanism, and how much `friction` [N m, N] may hold it (None: none)."""
-
-    position: Any
-    speed: Any
-    row: JacobianRow
-    friction: Any = None
-
-
-def coordinates_of(
-    system: System, motions: tuple[Motion, ...], time: Any, followed: Followed
-) -> dict[str, Coordinate]:
-    """The coordinates of all that steps find the force of, by its name."""
-    found = {}
-    for name, load in coordinate_loads(system):
-        if isinstance(load, OverStep):
-            pressed = as_pressed(system, motions, load, time, followed)
-            friction = value_at(pressed.dry_friction(), time)
-            own = _coordinate(system, motions, load.connection, followed)
-            found[impulse_of(name)] = own._replace(friction=friction)
-    return found | {play_of(n): _twist(system, motions, own) for n, own in system.flanks.items()}
-
-
-def _twist(system: System, motions: tuple[Motion, ...], own: Transmission) -> Coordinate:
-    twist = twist_of(system, motions, own)
-    return Coordinate(twist.value, twist.rate, row_of(system, motions, own))
-
-
-def _coordinate(
-    system: System, motions: tuple[Motion, ...], name: str, followed: Followed
-) -> Coordinate:
-    position, speed, direction = read_coordinate(system, motions, name, followed)
-    return Coordinate(position, speed, direction.jacobian(system, motions))
-
-
-def coordinates_at(
-    model: Model, time: Any, entries: list, followed: Followed
-) -> dict[str, Coordinate]:
-    """The same at coordinates and speeds, one after the other."""
-    motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
-    return coordinates_of(model.system, motions, time, followed)
-
-
 def with_loads(system: System, forces: Forces, given: dict[str, Any]) -> Forces:
     """The forces with those `given` by what steps find the force of [N m, N], by its name."""
     every = held(system)
@@ -209,15 +186,12 @@ def with_loads(system: System, forces: Forces, given: dict[str, Any]) -> Forces:
     motions, pressing = forces.motions, dict(forces.pressing)
     acting = ActingForces(list(forces.wrenches), list(forces.coordinate_forces), [])
     for name, own in every.items():
-        if not own.flank:
-            reading = read_coordinate(system, motions, own.on, forces.followed)
-            acting.add(Row(own.on, reading.direction, given[name]))
-            continue
-        flanks, torque = system.flanks[own.on], -given[name]
-        acting.add(Row(own.on, twist_direction(motions, flanks), given[name] / flanks.scale))
-        twist, none = twist_of(system, motions, flanks), (0.0, 0.0)
-        torques = positive_part(torque), positive_part(-torque)
-        pressing[own.on] = Pressing(torque, None, 0.0, 0.0, twist, none, none, torques)
+        acting.add(Row(own.on, own.reading(system, motions, forces.followed)[1], given[name]))
+        if own.load is None:
+            torque, none = -given[name], (0.0, 0.0)
+            torques = positive_part(torque), positive_part(-torque)
+            twist = twist_of(system, motions, system.flanks[own.on])
+            pressing[own.on] = Pressing(torque, None, 0.0, 0.0, twist, none, none, torques)
     external = forces.external_power
     for link, force in forces_on_drives(motions, acting.rows).items():
         external = sp.sub(external, sp.mul(force, motions[link].speeds[0]))
@@ -238,17 +212,16 @@ def forces_of_means(instant: Instant) -> dict[str, Any]:
 
 class StopInStep(NamedTuple):
     """A side of a stop in a step: its load, how far the coordinate is beyond it in the middle [rad,
-    m], the rate by which that falls, and the row of this rate."""
+    m], and the rate by which that falls."""
 
     name: str
     side: Side
     beyond: Any
-    opening: Any
-    row: JacobianRow
+    opening: LinearRate
 
     def spring(self) -> Any:
         """Force [N m, N] of what gives way there."""
-        return self.side.stop.push(self.beyond, -self.opening)[0]
+        return self.side.stop.push(self.beyond, -self.opening.value)[0]
 
     def followed(self, lightness: Any, h: Any) -> Any:
         """Whether steps of length h [s] follow its spring and damper, which move an inertia of this
@@ -269,13 +242,12 @@ class StopInStep(NamedTuple):
 
 
 class RubInStep(NamedTuple):
-    """Dry friction on a coordinate in a step: its load, largest size [N m, N], the coordinate's
-    speed and its row."""
+    """Dry friction on a coordinate in a step: its load, largest size [N m, N], and the coordinate's
+    speed."""
 
     name: str
     bound: Any
-    speed: Any
-    row: JacobianRow
+    sliding: LinearRate
 
 
 class LoadsInStep(NamedTuple):
@@ -285,16 +257,14 @@ class LoadsInStep(NamedTuple):
     rubs: tuple[RubInStep, ...]
 
     @property
-    def rows(self) -> list[JacobianRow]:
-        """Their rows, those of stops signed as they open."""
-        return [*(one.row for one in self.stops), *(one.row for one in self.rubs)]
+    def rates(self) -> list[LinearRate]:
+        """Along their forces, those of stops as they open."""
+        return [*(one.opening for one in self.stops), *(one.sliding for one in self.rubs)]
 
     def lost(self, forces: Any, change: list) -> Any:
-        """Power [W] that these forces along the rows take at speeds that differ so from those at
-        which the loads were read."""
-        speeds = [*(one.opening for one in self.stops), *(one.speed for one in self.rubs)]
-        rates = [sp.add(x, along(row, change)) for x, row in zip(speeds, self.rows, strict=True)]
-        return sp.neg(sp.dot(forces, rates))
+        """Power [W] that these forces take at speeds that differ so from those at which the loads
+        were read."""
+        return sp.neg(sp.dot(forces, [rate.at(change) for rate in self.rates]))
 
     def by_load(self, system: System, values: Any) -> dict[str, Any]:
         """Forces or impulses along the rows, as sums by load."""
@@ -309,22 +279,36 @@ class LoadsInStep(NamedTuple):
 NO_LOADS = LoadsInStep((), ())
 
 
-def loads_in_step(system: System, at: dict[str, Coordinate]) -> LoadsInStep:
+def loads_in_step(
+    system: System, motions: tuple[Motion, ...], time: Any, followed: Followed
+) -> LoadsInStep:
     """The loads as a step finds their coordinates."""
     stops: list[StopInStep] = []
     rubs: list[RubInStep] = []
-    for name, load in held(system).items():
-        own = at[name]
-        if load.friction is not None:
-            rubs.append(RubInStep(name, own.friction, own.speed, own.row))
-        for side in load.sides:
-            row = {j: sp.mul(side.sign, entry) for j, entry in own.row.items()}
-            beyond, opening = side.beyond(own.position), side.sign * own.speed
-            stops.append(StopInStep(name, side, beyond, opening, row))
+    for name, own in held(system).items():
+        position, direction = own.reading(system, motions, followed)
+        speed = direction.linear_rate(system, motions)
+        if own.rubs:
+            rubs.append(RubInStep(name, own.friction(system, motions, time, followed), speed))
+        stops += [
+            StopInStep(name, side, side.beyond(position), speed.times(side.sign))
+            for side in own.sides
+        ]
     return LoadsInStep(tuple(stops), tuple(rubs))
+
+
+def beyond_stops(model: Model, time: Any, entries: list, followed: Followed) -> list:
+    """How far coordinates are beyond the sides of stops [rad, m] at coordinates and speeds, one
+    after the other."""
+    motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
+    found = []
+    for own in held(model.system).values():
+        position = own.reading(model.system, motions, followed)[0] if own.sides else None
+        found += [side.beyond(position) for side in own.sides]
+    return found
 
 
 def counts_of_rows(system: System) -> tuple[int, int]:
     """How many sides there are at which something is stopped, and how many loads rub."""
     every = held(system).values()
-    return sum(len(own.sides) for own in every), sum(own.friction is not None for own in every)
+    return sum(len(own.sides) for own in every), sum(own.rubs for own in every)

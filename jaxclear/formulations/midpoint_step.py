@@ -95,10 +95,11 @@ def step(
     averaging = Averaging(h, bias)
     accelerations = sp.each(lambda a, b: a + b, last.smooth, last.contact)
     middle = contact_rows.middle_of_step(model, time_step, entries, accelerations)
-    shafts, free_motion = shafts_over_step(model, middle.free_motion, middle.v, h)
+    shafts, free_motion = shafts_over_step(model, middle.free_motion, middle.change_to(middle.v), h)
     middle = middle._replace(free_motion=free_motion)
     joints = joints_over_step(model, middle, last.reactions, averaging)
-    further = [x for joint in joints for x in joint.rows] + [shaft.row for shaft in shafts]
+    further = [x.row for joint in joints for x in joint.rates]
+    further += [shaft.rate.row for shaft in shafts]
     equations = implicit_contact(middle.free_motion, further)
     contacts = _contacts_at_start(model, averaging, middle, equations.free, entries, last)
     whole = Step(model, time_step, averaging, middle, contacts, equations, joints, shafts)
@@ -123,7 +124,7 @@ def step(
             contacts, slid, whole.per_contact(solution.forces), strict=True
         )
     ]
-    faster = [h * along(contact.point.rows[0], last.surplus) for contact in contacts]
+    faster = [h * along(contact.point.rates[0].row, last.surplus) for contact in contacts]
     pressed = forces_at_start(model.system, contacts, faster)
     faster = surplus(bias, free, caused) if contacts else []
     return after, WarmStart(free, caused, depths, past, reactions, pressed, faster)
@@ -177,8 +178,8 @@ def _contacts_at_start(
     calls = [
         (
             averaging,
-            *(point.laws, point.gap_function.indentation, point.rates[0]),
-            tuple(read_by(row, back, free, diagonal) for row in point.rows[: point.active]),
+            *(point.laws, point.gap_function.indentation, point.rates[0].value),
+            tuple(read_by(rate.row, back, free, diagonal) for rate in point.acting),
             *own,
         )
         for point, *own in zip(points, last.depths, remembered, slips, last.slips, strict=True)
@@ -217,7 +218,7 @@ def _first_rates(whole: Step, last: list) -> tuple[list, list, list]:
         (
             *(whole.averaging, contact.point.laws, contact.depth, contact.approach),
             *(contact.mass, contact.braking, contact.slips),
-            tuple(read_by(x, free, last) for x in contact.point.rows[: contact.point.active]),
+            tuple(read_by(rate.row, free, last) for rate in contact.point.acting),
         )
         for contact in whole.contacts
     ]
@@ -226,17 +227,12 @@ def _first_rates(whole: Step, last: list) -> tuple[list, list, list]:
             unmoved.append(rate)
             first.append(begun)
             forces.append(force)
-    for joint in whole.joints:
-        moved = [joint.reach * along(row, free) for row in joint.rows]
-        unmoved += [sp.add(x, y) for x, y in zip(joint.begun, moved, strict=True)]
-        first += [
-            sp.add(x, joint.reach * along(row, last))
-            for x, row in zip(unmoved[len(first) :], joint.rows, strict=True)
-        ]
-        forces += [0.0] * len(joint.rows)
-    for shaft in whole.shafts:
-        unmoved.append(shaft.begun + 0.5 * h * along(shaft.row, free))
-        first.append(unmoved[-1] + whole.averaging.reach * along(shaft.row, last))
+    back = whole.middle.change_to(whole.middle.v)
+    further = [(rate, joint.reach, joint.reach) for joint in whole.joints for rate in joint.rates]
+    further += [(shaft.rate, 0.5 * h, whole.averaging.reach) for shaft in whole.shafts]
+    for rate, time, reach in further:
+        unmoved.append(sp.add(rate.at(back), time * along(rate.row, free)))
+        first.append(sp.add(unmoved[-1], reach * along(rate.row, last)))
         forces.append(0.0)
     return unmoved, first, forces
 
@@ -316,7 +312,7 @@ def _settle(whole: Step, solution: ContactSolution, q: list, v: list) -> tuple[l
         closed = (true > 0) | (assumed > 0)
         weights += [jnp.where(closed, STIFFNESS * contact.mass, 0.0), *others]
         unmoved += [true - assumed, *others]
-    further = [0.0] * (sum(len(joint.rows) for joint in whole.joints) + len(whole.shafts))
+    further = [0.0] * (sum(len(joint.rates) for joint in whole.joints) + len(whole.shafts))
     unmoved, weights = unmoved + further, weights + further
     nothing = [0.0] * len(unmoved)
     ones = [1.0] * len(unmoved)

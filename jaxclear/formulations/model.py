@@ -120,11 +120,6 @@ class Instant(NamedTuple):
         motion = (self.motions, reports, self.q, self.v, self.time)
         return forces_at(self.model.system, *motion, self.followed)
 
-    @property
-    def speeds(self) -> list:
-        """The speeds of all links, one after the other."""
-        return [speed for own in self.v for speed in own]
-
     def pose(self, name: str) -> Pose:
         """Pose of a clearance joint's journal in its bearing.
 

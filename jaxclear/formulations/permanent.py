@@ -30,9 +30,8 @@ from jaxclear.formulations.joint_friction import (
     with_rows_of_loads,
 )
 from jaxclear.formulations.loads_over_step import (
+    beyond_stops,
     check_found_over_steps,
-    coordinates_at,
-    coordinates_of,
     forces_of_means,
     found_over_steps,
     load_components,
@@ -46,7 +45,7 @@ from jaxclear.formulations.permanent_reactions import (
     friction_response,
     own_part,
     placed,
-    slips_of,
+    sliding_rates,
     touching,
     with_friction,
 )
@@ -215,26 +214,26 @@ class PermanentContact(AbstractFormulation):
         followed = unpack_followed(layout, entries)
         forces = applied_forces(system, motions, {}, *motion, time_step.middle, followed)
         held = touching(system)
-        slips = [slips_of(system, motions, one, middle) for one in held]
-        loads = loads_in_step(system, coordinates_of(system, motions, time_step.middle, followed))
+        slips = [sliding_rates(system, motions, one) for one in held]
+        loads = loads_in_step(system, motions, time_step.middle, followed)
         response = friction_response(model, forces, motion[0], loads)
+        before = [x - m for x, m in zip(v, middle, strict=True)]
+        free = response.without.accelerations
+        ahead = [x + h * free[j] for j, x in enumerate(before)]
         if self.regularised:
-            speeds = [[slip.at(middle) for slip in own] for own in slips]
+            speeds = [[slip.value for slip in own] for own in slips]
             problem = regularised_friction(held, speeds, response)
         else:
             mass = sp.total(link.mass for link in system.links)
-            problem = set_valued_friction(held, slips, v, h, mass, response)
-        if loads.rows:
-            free = response.without.accelerations
-            before = [x - m for x, m in zip(v, middle, strict=True)]
-            ahead = [x + h * free[j] for j, x in enumerate(before)]
+            problem = set_valued_friction(held, slips, before, ahead, h, mass, response)
+        if loads.rates:
             problem = with_rows_of_loads(problem, loads, response, before, ahead, h)
         friction, left, _ = settings.solver().iterate(problem)
         found = response.at(friction)
         after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
         mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]
-        pairs = list(zip(held, slips, strict=True))
-        sliding = [one.joint.arm * slip.at(mean) for one, own in pairs for slip in own]
+        change = [x - m for x, m in zip(mean, middle, strict=True)]
+        sliding = [slip.at(change) for own in slips for slip in own]
         ends = ends_that_wear(system, found, friction)
         centres = centres_of(system, ends)
         goes = _rates_of(centres, last[len(v) : -1], h)
@@ -245,19 +244,17 @@ class PermanentContact(AbstractFormulation):
             acting = [*reaction.force, *reaction.torque, *friction[place], pressed]
             gained += [h * x for x in acting]
         end, given = displace(system, q, mean, h), None
-        if loads.rows:
+        if loads.rates:
             own = own_rows(loads, friction)
             given = loads.by_load(system, own)
             gained += [h * force for force in given.values()]
-            at_end = coordinates_at(model, time_step.end, [*end, *after], followed)
-            reached = loads_in_step(system, at_end)
-            way, taken = moved_to_stops(loads, reached, response, own, h)
+            beyond = beyond_stops(model, time_step.end, [*end, *after], followed)
+            way, taken = moved_to_stops(loads, beyond, response, own, h)
             end = displace(system, end, way, 1.0)
         if layout.energies:
             rates = _powers(model, forces, found, friction, sliding, given)
             gained += [h * rate for rate in rates]
-        if loads.rows and layout.energies:
-            change = [x - m for x, m in zip(mean, middle, strict=True)]
+        if loads.rates and layout.energies:
             lost = taken + h * loads.lost(own, change)
             gained[layout.energies.index("damping_loss") - len(layout.energies)] += lost
         end = [*end, *after]

@@ -20,8 +20,14 @@ from jaxclear.ground.pose import FLIP, Pose
 from jaxclear.multibody import constraints, dynamics, kinematics
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
-from jaxclear.multibody.kinematics import JacobianRow, along
-from jaxclear.multibody.rows import ActingForces, Direction, OnClosure, OnLink, Row
+from jaxclear.multibody.rows import (
+    ActingForces,
+    Direction,
+    LinearRate,
+    OnClosure,
+    OnLink,
+    Row,
+)
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import Wrench
 
@@ -40,16 +46,6 @@ class PermanentJoint(NamedTuple):
     def driven(self) -> bool:
         """Whether a drive prescribes its motion, which friction then does not change."""
         return drive_of(self.joint) is not None
-
-
-class Slip(NamedTuple):
-    """Speed of such a joint, offset + row @ speeds; what drives prescribe is in the offset."""
-
-    row: JacobianRow
-    offset: Any
-
-    def at(self, speeds: Any) -> Any:
-        return sp.add(self.offset, along(self.row, speeds))
 
 
 def touching(system: System) -> tuple[PermanentJoint, ...]:
@@ -97,24 +93,6 @@ def slid(joint: AbstractRubbingJoint, slip: Any, place: sp.Vec, centre: sp.Vec =
     return sp.norm(sp.minus(surface, sp.scale(sp.dot(surface, normal), normal)))
 
 
-def speeds_of(system: System, motions: tuple, held: PermanentJoint, speeds: list) -> tuple:
-    """Speed of a joint, of a ball its angular velocity in the parent marker's axes, at the
-    mechanism's `speeds`."""
-    if held.driven:
-        twist = kinematics.joint_twist(system, motions, held.link)
-        (column,) = held.joint.columns(held.joint.home)
-        return (sp.add(sp.dot(column.linear, twist.linear), sp.dot(column.angular, twist.angular)),)
-    if held.loop is None:
-        own = tuple(speeds[system.topology.branches[held.link].speeds])
-        return own if len(own) == 1 else sp.apply(_turn(system, motions, held), own)
-    relative = kinematics.relative_motion(system.closures[held.loop], motions)[2]
-    return _rates(held, relative.pose, relative.velocity, relative.spin)
-
-
-def _rates(held: PermanentJoint, pose: Any, velocity: sp.Vec, spin: sp.Vec) -> tuple:
-    return held.joint.speeds_at(pose, velocity, spin) if held.joint.components == 1 else spin
-
-
 def _turn(system: System, motions: tuple, held: PermanentJoint) -> sp.Mat:
     """From the speeds of a ball of the tree to its angular velocity in the parent marker's axes."""
     if system.topology.branches[held.link].reversed:
@@ -127,26 +105,34 @@ def joint_pose(system: System, motions: tuple, held: PermanentJoint) -> Pose:
     return system.links[held.link].base.inverse().after(motions[held.link].relative)
 
 
-def slips_of(
-    system: System, motions: tuple, held: PermanentJoint, speeds: list
-) -> tuple[Slip, ...]:
-    """How a joint's speeds follow from the mechanism's `speeds`, at which the motions are taken."""
-    now = speeds_of(system, motions, held, speeds)
-    if held.driven:
-        return (Slip({}, now[0]),)
-    if held.loop is None:
-        start = system.topology.branches[held.link].speeds.start
-        if len(now) == 1:
-            return (Slip({start: 1}, 0),)
-        turn = _turn(system, motions, held)
-        kept = [{start + j: x for j, x in enumerate(r) if not sp.is_zero(x)} for r in turn]
-        return tuple(Slip(row, 0) for row in kept)
-    closure = system.closures[held.loop]
-    pose = kinematics.relative_motion(closure, motions)[1]
-    rows = kinematics.relative_jacobian(
-        system, motions, closure, pose, lambda *velocity: _rates(held, *velocity)
-    )
-    return tuple(Slip(row, sp.sub(x, along(row, speeds))) for row, x in zip(rows, now, strict=True))
+def sliding_directions(
+    system: System, motions: tuple, held: PermanentJoint
+) -> tuple[Direction, ...]:
+    """Those of the components of a joint's friction [N]: they move at its sliding speed [m/s], of a
+    ball that of its surface by the angular velocity in the parent marker's axes."""
+    joint, link, name = held.joint, held.link, held.name
+    if held.loop is not None:
+        closure = system.closures[held.loop]
+        pose = kinematics.relative_motion(closure, motions)[1]
+        units: Any = (1,) if joint.components == 1 else sp.IDENTITY
+        wrenches = [Wrench(*joint.friction_wrench(unit)) for unit in units]
+        return tuple(Direction((OnClosure(closure, pose, each, name),)) for each in wrenches)
+    if joint.components == 1:
+        return (Direction((OnLink(link, joint.arm),)),)
+    turn = _turn(system, motions, held)
+    parts = [[OnLink(link, sp.mul(joint.arm, x), j) for j, x in enumerate(row)] for row in turn]
+    return tuple(Direction(tuple(each)) for each in parts)
+
+
+def sliding_rates(system: System, motions: tuple, held: PermanentJoint) -> tuple[LinearRate, ...]:
+    """Components of a joint's sliding speed [m/s]."""
+    directions = sliding_directions(system, motions, held)
+    return tuple(each.linear_rate(system, motions) for each in directions)
+
+
+def sliding_speeds(system: System, motions: tuple, held: PermanentJoint) -> list:
+    """Components of a joint's sliding speed [m/s] as the links move."""
+    return [each.rate(motions) for each in sliding_directions(system, motions, held)]
 
 
 def with_friction(system: System, forces: Forces, friction: Any) -> Forces:
@@ -155,33 +141,15 @@ def with_friction(system: System, forces: Forces, friction: Any) -> Forces:
     every = list(forces.wrenches), list(forces.coordinate_forces), list(forces.rows)
     acting, joints = ActingForces(*every), touching(system)
     for held, place in zip(joints, placed(joints), strict=True):
-        for row in _friction_rows(system, forces.motions, held, own_part(friction, place)):
-            acting.add(row)
+        # What friction does to a joint that a drive moves, the drive takes.
+        directions = () if held.driven else sliding_directions(system, forces.motions, held)
+        for k, direction in enumerate(directions, place.start):
+            acting.add(Row(held.name, direction, friction[k]))
     return forces._replace(
         wrenches=tuple(acting.wrenches),
         coordinate_forces=tuple(acting.coordinate_forces),
         rows=tuple(acting.rows),
     )
-
-
-def _friction_rows(
-    system: System, motions: tuple, held: PermanentJoint, friction: Any
-) -> list[Row]:
-    """What friction [N] in a joint does; nothing where a drive prescribes its motion."""
-    joint, link, name = held.joint, held.link, held.name
-    if held.driven:
-        return []
-    if held.loop is not None:
-        closure = system.closures[held.loop]
-        pose = kinematics.relative_motion(closure, motions)[1]
-        place = OnClosure(closure, pose, Wrench(*joint.friction_wrench(friction)), name)
-        return [Row(name, Direction((place,)), 1)]
-    if joint.components == 1:
-        return [Row(name, Direction((OnLink(link),)), sp.mul(joint.arm, friction))]
-    turn = _turn(system, motions, held)
-    directions = [[OnLink(link, x, j) for j, x in enumerate(row)] for row in turn]
-    torques = sp.scale(joint.arm, friction)
-    return [Row(name, Direction(tuple(d)), x) for d, x in zip(directions, torques, strict=True)]
 
 
 # Numbers of a reaction: force and torque.
@@ -228,11 +196,11 @@ def friction_response(
     their rows, at coordinates `q`."""
     held = touching(model.system)
     count = sum(one.joint.components for one in held)
-    rest = jnp.zeros(count + len(loads.rows))
+    rest = jnp.zeros(count + len(loads.rates))
 
     def answer(friction):
         acting = with_friction(model.system, forces, friction)
-        given = loads.by_load(model.system, [friction[count + i] for i in range(len(loads.rows))])
+        given = loads.by_load(model.system, [friction[count + i] for i in range(len(loads.rates))])
         acting = with_loads(model.system, acting, given)
         solution = dynamics.forward_dynamics(model.system, acting, model.stabilisation)
         return sp.dense(answer_to(model.system, acting, q, held, solution))

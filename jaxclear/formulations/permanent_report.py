@@ -18,7 +18,7 @@ from jaxclear.formulations.permanent_reactions import (
     Reaction,
     own_part,
     slid,
-    speeds_of,
+    sliding_speeds,
     touching,
 )
 from jaxclear.ground import sparse as sp
@@ -86,8 +86,7 @@ def report(
     joint = held.joint
     ends = carrying_ends(held, reaction, own_part(friction, slice(0, len(friction))))
     found = sorted((c for end in ends for c in end.contacts), key=lambda c: c.number)
-    speeds = speeds_of(instant.model.system, instant.motions, held, instant.speeds)
-    slips = tuple(sp.mul(joint.arm, x) for x in speeds)
+    slips = tuple(sliding_speeds(instant.model.system, instant.motions, held))
     sliding = [slid(joint, slips if len(slips) > 1 else slips[0], c.place) for c in found]
     offset, axis = _offset_and_axis(ends)
     place = (instant.model.system, instant.motions, held.name, instant.time, instant.followed)

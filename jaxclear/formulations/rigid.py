@@ -26,7 +26,6 @@ from jaxclear.formulations.delassus import DelassusOperator, delassus_operator
 from jaxclear.formulations.loads_over_step import (
     LoadsInStep,
     check_found_over_steps,
-    coordinates_of,
     counts_of_rows,
     forces_of_means,
     found_over_steps,
@@ -182,7 +181,7 @@ class RigidContact(AbstractFormulation):
         return Strikes(
             asked.strikes,
             sp.stack([contact.depth for contact in contacts]),
-            sp.stack([sp.neg(contact.velocities[0]) for contact in contacts]),
+            sp.stack([sp.neg(contact.velocities[0].value) for contact in contacts]),
             asked.flying,
         )
 
@@ -211,12 +210,12 @@ class RigidContact(AbstractFormulation):
         h, count = time_step.length, model.layout.speeds
         entries, handed, middle, contacts, loads = _begun(model, time_step, state, last)
         joints = joints_in_step(model, middle)
-        rows = [row for contact in contacts for row in contact.rows]
-        rows += [row for joint in joints for row in joint.rows]
-        rows += [rub.row for rub in loads.rubs]
+        rates = [rate for contact in contacts for rate in contact.velocities]
+        rates += [rate for joint in joints for rate in joint.moved]
+        rows = [rate.row for rate in (*rates, *(rub.sliding for rub in loads.rubs))]
         delassus, known = delassus_operator(middle.free_motion, rows), handed[count:-1]
         impact, rubbed = Percussions([], [0] * count, (0,) * len(delassus.multipliers), 0.0), None
-        if joints or loads.rows:
+        if joints or loads.rates:
             contacts = with_laws_of_stops(contacts, loads, delassus, h)
             impact, rubbed = percussions_and_friction(
                 model, middle, contacts, joints, loads, delassus, known, h, settings
@@ -236,7 +235,7 @@ class RigidContact(AbstractFormulation):
         after = [*end.coordinates, *v, *entries[model.layout.memory_start : remembered]]
         over = None if rubbed is None else rubbed_over(model, middle, joints, rubbed, mean)
         given = None
-        if loads.rows and rubbed is not None:
+        if loads.rates and rubbed is not None:
             given = _given(model.system, loads, impact, rubbed, middle.change_to(mean), h)
         passive = _passive(model, time_step, middle, delassus, impact, mean, end, over, given)
         after += [x + change for x, change in zip(entries[len(after) :], passive, strict=True)]
@@ -259,8 +258,8 @@ def _begun(model: Model, time_step: TimeStep, state: State, last: Float[Array, "
     loads = LoadsInStep((), ())
     if held(model.system):
         forces = middle.free_motion.forces
-        at = coordinates_of(model.system, forces.motions, time_step.middle, forces.followed)
-        loads = loads_in_step(model.system, at)
+        at = forces.motions, time_step.middle, forces.followed
+        loads = loads_in_step(model.system, *at)
         first = count + sum(own for _, own in contact_components(model.system))
         contacts += stops_as_contacts(loads, handed[first:])
     return entries, handed, middle, contacts, loads

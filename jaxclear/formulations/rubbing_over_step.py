@@ -15,16 +15,15 @@ import jax.numpy as jnp
 
 from jaxclear.complementarity.joint_friction import across
 from jaxclear.components.clearance import carried_load
-from jaxclear.formulations.contact_rows import MiddleOfStep, combined, lightness
+from jaxclear.formulations.contact_rows import MiddleOfStep, lightness
 from jaxclear.formulations.joint_friction import passive_of
 from jaxclear.formulations.laws_over_step import Averaging
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import (
     PermanentJoint,
     Reaction,
-    Slip,
     answer_to,
-    slips_of,
+    sliding_rates,
     touching,
     with_friction,
 )
@@ -34,21 +33,19 @@ from jaxclear.ground.numerics import rounded_norm, safe_divide
 from jaxclear.multibody.contact_point import SLIP_ROUNDING
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
-from jaxclear.multibody.kinematics import JacobianRow
+from jaxclear.multibody.rows import LinearRate, combine_rates
 from jaxclear.multibody.state import unpack_motion
 
 
 class JointOverStep(NamedTuple):
     """A joint that touches all the time over a step: how it slides (`slips` by component), the
-    directions of its rows among these components, the rows [of the sliding speed by the speeds],
-    the sliding speed as the step begins along each [m/s], what it carried last [N], and after how
-    much of the step its friction is taken [s]."""
+    directions among these components in which friction moves it, the `rates` along these, what it
+    carried last [N], and after how much of the step its friction is taken [s]."""
 
     held: PermanentJoint
-    slips: tuple[Slip, ...]
+    slips: tuple[LinearRate, ...]
     directions: tuple[tuple, ...]
-    rows: tuple[JacobianRow, ...]
-    begun: tuple
+    rates: tuple[LinearRate, ...]
     load: Any
     reach: Any
 
@@ -61,20 +58,13 @@ def joints_over_step(
     system, motions = model.system, middle.free_motion.forces.motions
     found = []
     for held, reaction in zip(touching(system), reactions, strict=True):
-        slips, arm = slips_of(system, motions, held, middle.predicted), held.joint.arm
-        directions = _directions(held, reaction)
-        own = [slip.row for slip in slips]
-        weights = [tuple(sp.mul(arm, part) for part in direction) for direction in directions]
-        rows = tuple(combined(own, each) for each in weights)
-        begun = tuple(
-            sp.mul(arm, sp.dot(direction, [slip.at(middle.v) for slip in slips]))
-            for direction in directions
-        )
+        slips, directions = sliding_rates(system, motions, held), _directions(held, reaction)
+        rates = tuple(combine_rates(direction, slips) for direction in directions)
         ratio = 0.0 if held.joint.components == 1 else (0.0,) * held.joint.components
         load = carried_load(held.joint.carrying_ends(*reaction, ratio))
-        lightnesses = [lightness(row, diagonal) for row in rows]
+        lightnesses = [lightness(rate.row, diagonal) for rate in rates]
         reach = _taken_at(held, load, lightnesses, averaging)
-        found.append(JointOverStep(held, slips, directions, rows, begun, load, reach))
+        found.append(JointOverStep(held, slips, directions, rates, load, reach))
     return tuple(found)
 
 
@@ -111,9 +101,9 @@ def _share(held: PermanentJoint, rates: Any) -> Any:
     return held.joint.friction_ratio(held.joint.friction.coefficient(size)) / size
 
 
-def friction(joints: tuple[JointOverStep, ...], forces: list[tuple], mean: list) -> list:
+def friction(joints: tuple[JointOverStep, ...], forces: list[tuple], change: list) -> list:
     """Friction [N] of every component of every joint, from the forces along the rows; where a drive
-    has the say that of the `mean` speeds."""
+    has the say that of the mean speeds, a `change` from those in the middle."""
     out: list[Any] = []
     for joint, own in zip(joints, forces, strict=True):
         held = joint.held
@@ -122,7 +112,7 @@ def friction(joints: tuple[JointOverStep, ...], forces: list[tuple], mean: list)
         elif held.joint.friction is None:
             out += [0.0 * joint.load] * held.joint.components
         else:
-            slid = [sp.mul(held.joint.arm, slip.at(mean)) for slip in joint.slips]
+            slid = [slip.at(change) for slip in joint.slips]
             share = _share(held, slid)
             out += [-share * joint.load * x for x in slid]
     return out
@@ -138,14 +128,12 @@ def rubbed(
 ) -> tuple[Passive, tuple[Reaction, ...], Forces]:
     """(what the joints wear and lose over a step, their reactions in it, the forces with their
     friction) under the `forces` of contacts and loads, with these accelerations; `found`: (friction
-    of every component [N], the mean speeds)."""
-    system, (rubs, mean) = model.system, found
+    of every component [N], by how much the mean speeds differ from those in the middle)."""
+    system, (rubs, change) = model.system, found
     held = touching(system)
     q = unpack_motion(system, [*middle.halfway, *middle.predicted])[0]
     forces = with_friction(system, forces, sp.stack(rubs))
     answer = answer_to(system, forces, q, held, total)
-    slips = [
-        sp.mul(joint.held.joint.arm, slip.at(mean)) for joint in joints for slip in joint.slips
-    ]
+    slips = [slip.at(change) for joint in joints for slip in joint.slips]
     passive = passive_of(model, forces, q, answer, rubs, slips)
     return passive, answer.reactions, forces

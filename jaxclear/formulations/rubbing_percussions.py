@@ -30,10 +30,9 @@ from jaxclear.formulations.permanent_reactions import (
     Answer,
     PermanentJoint,
     Reaction,
-    Slip,
     answer_to,
     placed,
-    slips_of,
+    sliding_rates,
     touching,
     with_friction,
 )
@@ -50,25 +49,23 @@ from jaxclear.formulations.unilateral import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
-from jaxclear.multibody.kinematics import JacobianRow, along
-from jaxclear.multibody.rows import add_action_and_reaction
+from jaxclear.multibody.rows import LinearRate, add_action_and_reaction
 from jaxclear.multibody.state import unpack_motion
 
 
 class JointInStep(NamedTuple):
-    """A joint that touches all the time, in a step: how it slides (`slips` by component), the rows
-    [of the sliding speed by the speeds] of those components in which friction moves it, how fast it
-    slides as the step begins [m/s], and friction's largest share of its load (None without)."""
+    """A joint that touches all the time, in a step: how it slides (`slips` by component), how fast
+    it does as the step begins [m/s], and friction's largest share of its load (None without)."""
 
     held: PermanentJoint
-    slips: tuple[Slip, ...]
-    rows: list[JacobianRow]
+    slips: tuple[LinearRate, ...]
     begun: tuple
     share: Any
 
-    def sliding(self, speeds: list) -> list:
-        """Components of the sliding speed [m/s] at these speeds."""
-        return [sp.mul(self.held.joint.arm, slip.at(speeds)) for slip in self.slips]
+    @property
+    def moved(self) -> tuple[LinearRate, ...]:
+        """The components in which friction moves it."""
+        return () if self.share is None or self.held.driven else self.slips
 
     def ends(self, reaction: Reaction) -> tuple[CarryingEnd, ...]:
         """Where it carries a reaction."""
@@ -160,11 +157,11 @@ def _loaded(search: Search, met: tuple[Reaction, ...]) -> list[Loaded]:
     for joint, number, softest in each:
         load, force = search.h * carried_load(joint.ends(met[number])), met[number].force
         axes: tuple = ((1,),)
-        if len(joint.rows) > 1:
+        if len(joint.moved) > 1:
             size = sp.norm(force)
             axes = across(tuple(safe_divide(x, size) for x in force))
-        found.append(Loaded(len(joint.rows), joint.share, load, axes, place, softest))
-        place += len(joint.rows)
+        found.append(Loaded(len(joint.moved), joint.share, load, axes, place, softest))
+        place += len(joint.moved)
     for k, rub in enumerate(search.rubs):
         found.append(Loaded(1, 1.0, search.h * rub.bound, ((1,),), place + k, 0.0))
     return found
@@ -229,7 +226,7 @@ def _unsettled(
         ends = zip(joint.ends(met[number]), joint.ends(now[number]), strict=True)
         change = sp.total(sp.norm(sp.minus(b.force, a.force)) for a, b in ends)
         moved.append(search.h * joint.share * change * problem.delassus[k][k])
-        k += 1 + (1 if len(joint.rows) == 1 else 2)
+        k += 1 + (1 if len(joint.moved) == 1 else 2)
     return jnp.max(sp.stack([*moved, 0.0])) / jnp.where(largest > 0, largest, 1.0)
 
 
@@ -254,16 +251,14 @@ class RubbedOver(NamedTuple):
 def joints_in_step(model: Model, middle: MiddleOfStep) -> list[JointInStep]:
     """The joints that touch all the time, as a step begins with them."""
     system, motions = model.system, middle.free_motion.forces.motions
-    found = []
+    found, back = [], middle.change_to(middle.v)
     for held in touching(system):
-        slips, arm, law = slips_of(system, motions, held, middle.predicted), held.joint.arm, None
-        begun = tuple(sp.mul(arm, slip.at(middle.v)) for slip in slips)
+        slips, law = sliding_rates(system, motions, held), None
+        begun = tuple(slip.at(back) for slip in slips)
         if held.joint.friction is not None:
             law = held.joint.friction.coulomb()
         share = None if law is None else held.joint.friction_ratio(law.bound(sp.norm(begun)))
-        moved = () if share is None or held.driven else slips
-        rows = [{j: sp.mul(arm, entry) for j, entry in slip.row.items()} for slip in moved]
-        found.append(JointInStep(held, slips, rows, begun, share))
+        found.append(JointInStep(held, slips, begun, share))
     return found
 
 
@@ -285,7 +280,7 @@ def percussions_and_friction(
     own = sum(1 + len(contact.shares) for contact in contacts)
     counts = [*(joint.held.joint.components for joint in joints), len(loads.rubs)]
     *rubs, before = split(last[own:], counts)
-    kept = [x for joint, part in zip(joints, rubs, strict=True) if joint.rows for x in part]
+    kept = [x for joint, part in zip(joints, rubs, strict=True) if joint.moved for x in part]
     kept += before
     start = [*first_guess(contacts, last[:own]), *([sp.stack(kept)] if kept else [])]
     flat, residual = [], 0.0
@@ -293,7 +288,7 @@ def percussions_and_friction(
         search = _search(middle, contacts, joints, loads, delassus, h, settings)
         found, residual = searched(search, respond, jnp.concatenate(start), settings)
         flat = [found[i] for i in range(len(delassus.rows))]
-    touching_at = sum(len(contact.rows) for contact in contacts)
+    touching_at = sum(len(contact.velocities) for contact in contacts)
     by_contact = in_own_directions(contacts, flat[:touching_at])
     met = as_reactions(respond(sp.stack([x / h for x in flat]) if flat else jnp.zeros(0)))
     moved = [x / h for x in flat[touching_at:]]
@@ -308,7 +303,7 @@ def springs_of(contacts: list[UnilateralContact]) -> tuple[tuple[int, int, Sprin
     for k, contact in enumerate(contacts):
         if contact.spring is not None:
             found.append((row, k, contact.spring))
-        row += len(contact.rows)
+        row += len(contact.velocities)
     return tuple(found)
 
 
@@ -318,7 +313,8 @@ def rubbed_over(
     """What follows from what joints do in a step of these mean speeds."""
     system, forces, friction = model.system, middle.free_motion.forces, rubbed.friction
     q = unpack_motion(system, [*middle.halfway, *middle.predicted])[0]
-    slips = [x for joint in joints for x in joint.sliding(mean)]
+    change = middle.change_to(mean)
+    slips = [slip.at(change) for joint in joints for slip in joint.slips]
     answer = Answer((), (), rubbed.reactions)
     passive = passive_of(model, forces, q, answer, friction, slips)
     each = zip(rubbed.reactions, placed(touching(system)), passive.pressing, strict=True)
@@ -336,12 +332,12 @@ def _caused(delassus: DelassusOperator, flat: list) -> tuple[list, tuple]:
 def _friction(joints: list[JointInStep], met: tuple[Reaction, ...], moved: list) -> list:
     """Friction [N] of every component of every joint; `moved`: of those that it moves. A joint that
     a drive moves is rubbed as its load asks."""
-    own = iter(split(moved, [len(joint.rows) for joint in joints]))
+    own = iter(split(moved, [len(joint.moved) for joint in joints]))
     out: list[Any] = []
     for joint, reaction, part in zip(joints, met, own, strict=True):
         if joint.share is None:
             out += [0.0] * joint.held.joint.components
-        elif joint.rows:
+        elif joint.moved:
             out += part
         else:
             load = joint.share * carried_load(joint.ends(reaction))
@@ -363,7 +359,7 @@ def _reactions(
         return lambda forces: jnp.zeros(0)
     system, now, held = model.system, middle.free_motion, touching(model.system)
     q = unpack_motion(system, [*middle.halfway, *middle.predicted])[0]
-    counts = [sum(len(contact.rows) for contact in contacts), *(len(j.rows) for j in joints)]
+    counts = [sum(len(contact.velocities) for contact in contacts), *(len(j.moved) for j in joints)]
     counts.append(len(loads.rubs))
 
     def under(forces):
@@ -409,17 +405,17 @@ def _search(
     settings: MoreauJeanSettings,
 ) -> Search:
     """What a step's search starts from."""
-    numbers = [k for k, joint in enumerate(joints) if joint.rows]
+    numbers = [k for k, joint in enumerate(joints) if joint.moved]
     asked = demands(middle, contacts, delassus.free, h, settings) if contacts else None
-    end = [x + h * a for x, a in zip(middle.v, delassus.free, strict=True)]
-    free = [x for k in numbers for x in joints[k].sliding(end)]
-    ahead = middle.change_to(end)
-    free += [sp.add(rub.speed, along(rub.row, ahead)) for rub in loads.rubs]
+    ahead = middle.change_to([x + h * a for x, a in zip(middle.v, delassus.free, strict=True)])
+    free = [rate.at(ahead) for k in numbers for rate in joints[k].moved]
+    free += [rub.sliding.at(ahead) for rub in loads.rubs]
     diagonal = middle.free_motion.diagonal
     # A joint that drives move slides whatever friction does (only rounding, of either sign,
     # answers): there it is full.
     softest = [
-        UNMOVED * sp.total([lightness(row, diagonal) for row in joints[k].rows]) for k in numbers
+        UNMOVED * sp.total([lightness(rate.row, diagonal) for rate in joints[k].moved])
+        for k in numbers
     ]
     rubbing = [joints[k] for k in numbers]
     known = delassus.matrix(), free, softest, h, loads.rubs, springs_of(contacts)

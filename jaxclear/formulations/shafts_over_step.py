@@ -14,17 +14,16 @@ from jaxclear.formulations.contact_rows import FreeMotion
 from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import transmissions
-from jaxclear.multibody.kinematics import JacobianRow, along
+from jaxclear.multibody.rows import LinearRate
 from jaxclear.multibody.transmissions import Compliance, CouplingTwist
 
 
 class ShaftOverStep(NamedTuple):
-    """A coupling over a step of a `length` [s]: what lies between its sides, its row, its rate and
-    twist as the step begins, and where a shaft's far end is (None: it has none)."""
+    """A coupling over a step of a `length` [s]: what lies between its sides, its rate, its twist
+    as the step begins, and where a shaft's far end is (None: it has none)."""
 
     compliance: Compliance
-    row: JacobianRow
-    begun: Any
+    rate: LinearRate
     twist: Any
     end: Any
     length: Any
@@ -40,21 +39,20 @@ class ShaftOverStep(NamedTuple):
 
 
 def shafts_over_step(
-    model: Model, free_motion: FreeMotion, speeds: list, length: Any
+    model: Model, free_motion: FreeMotion, back: list, length: Any
 ) -> tuple[tuple[ShaftOverStep, ...], FreeMotion]:
-    """The couplings with stiffness over a step of this length [s] from these speeds, and the free
-    motion without them."""
+    """The couplings with stiffness over a step of this length [s], and the free motion without
+    them; `back`: by how much the speeds at its start differ from those in its middle."""
     system, forces = model.system, free_motion.forces
     found, right = [], list(free_motion.right)
     for name, own in system.transmissions.items():
         pressing = forces.pressing[name]
         known = forces.followed.states.get(name)
         end = known[0] if own.has_twist and known is not None else None
-        row = transmissions.row_of(system, forces.motions, own)
-        begun = along(row, speeds)
-        start = pressing.twist.value - 0.5 * length * begun
+        rate = LinearRate(pressing.twist.rate, transmissions.row_of(system, forces.motions, own))
+        start = pressing.twist.value - 0.5 * length * rate.at(back)
         compliance = transmissions.compliance_of(own)
-        found.append(ShaftOverStep(compliance, row, begun, start, end, length))
-        for j, entry in row.items():
+        found.append(ShaftOverStep(compliance, rate, start, end, length))
+        for j, entry in rate.row.items():
             right[j] = sp.add(right[j], sp.mul(pressing.torque, entry))
     return tuple(found), free_motion._replace(right=tuple(right)) if found else free_motion

@@ -28,17 +28,17 @@ from jaxclear.formulations.contact_rows import (
     ContactPoint,
     MiddleOfStep,
     TimeStep,
-    combined,
     split,
 )
 from jaxclear.formulations.delassus import DelassusOperator
-from jaxclear.formulations.loads_over_step import LoadsInStep, coordinates_at, loads_in_step
+from jaxclear.formulations.loads_over_step import LoadsInStep, beyond_stops
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.laws.friction import AbstractSetValuedFriction
-from jaxclear.multibody.kinematics import JacobianRow, along
+from jaxclear.multibody.kinematics import along
+from jaxclear.multibody.rows import LinearRate, combine_rates
 from jaxclear.multibody.state import unpack_motion
 
 # Share of a step by which contacts of a joint may touch apart and count as touching at once: far
@@ -89,13 +89,12 @@ class Spring(NamedTuple):
 
 
 class UnilateralContact(NamedTuple):
-    """A contact as percussions see it: its rows of G (opening, then two or fewer slips), the local
-    velocities at the predicted speeds, for each direction of the joint's own slip its shares in
-    these slips, its laws, its joint, its normal percussion in the step before, and its indentation
-    [m] in the middle; of a side of a stop what gives way there (None: it is rigid)."""
+    """A contact as percussions see it: its local velocities (opening, then two or fewer slips), for
+    each direction of the joint's own slip its shares in these slips, its laws, its joint, its
+    normal percussion in the step before, and its indentation [m] in the middle; of a side of a stop
+    what gives way there (None: it is rigid)."""
 
-    rows: list[JacobianRow]
-    velocities: list
+    velocities: list[LinearRate]
     shares: list[list]
     restitution: Any
     friction: AbstractSetValuedFriction | None
@@ -106,10 +105,7 @@ class UnilateralContact(NamedTuple):
 
     def velocities_at(self, change: list) -> list:
         """Local velocities where the speeds are changed from the predicted ones."""
-        return [
-            sp.add(value, along(row, change))
-            for value, row in zip(self.velocities, self.rows, strict=True)
-        ]
+        return [velocity.at(change) for velocity in self.velocities]
 
 
 class Percussions(NamedTuple):
@@ -132,17 +128,14 @@ def unilateral_contacts(
     for point, joint in zip(points, joints, strict=True):
         friction = None if point.laws.friction is None else point.laws.friction.coulomb()
         slips = [] if friction is None else _slip_directions(point)
-        rows = [{j: sp.neg(entry) for j, entry in point.rows[0].items()}]
-        velocities = [sp.neg(point.rates[0])]
-        for weights in slips:
-            rows.append(combined(point.rows[1:], weights))
-            velocities.append(sp.dot(weights, point.rates[1:]))
-        own = 0 if friction is None else len(point.rows) - 1
+        velocities = [point.rates[0].times(-1)]
+        velocities += [combine_rates(weights, point.rates[1:]) for weights in slips]
+        own = 0 if friction is None else len(point.rates) - 1
         shares = [[weights[k] for weights in slips] for k in range(own)]
         law = point.laws.contact
         laws = law.restitution, friction
         own_last, depth = last[first], point.gap_function.indentation
-        contacts.append(UnilateralContact(rows, velocities, shares, *laws, joint, own_last, depth))
+        contacts.append(UnilateralContact(velocities, shares, *laws, joint, own_last, depth))
         first += 1 + own
     return contacts
 
@@ -152,7 +145,6 @@ def stops_as_contacts(loads: LoadsInStep, last: list) -> list[UnilateralContact]
     the step before. Of their laws nothing is told yet."""
     return [
         UnilateralContact(
-            [one.row],
             [one.opening],
             [],
             0.0 if one.side.stop.restitution is None else one.side.stop.restitution,
@@ -172,7 +164,7 @@ def with_laws_of_stops(
     h [s]: the inertia along their rows tells whether the step follows their spring, and what they
     give back where it does not."""
     found = list(contacts)
-    first = sum(len(contact.rows) for contact in contacts) - len(loads.stops)
+    first = sum(len(contact.velocities) for contact in contacts) - len(loads.stops)
     for k, one in enumerate(loads.stops):
         if one.side.stop.restitution is not None:
             continue
@@ -186,9 +178,10 @@ def with_laws_of_stops(
 def _slip_directions(point: ContactPoint) -> list[tuple]:
     """Weights of the joint's slip directions in each direction that percussions use: those that can
     move; of a whole basis the two across the normal."""
-    count = len(point.rows) - 1
+    rows = point.rows[1:]
+    count = len(rows)
     if count < 3:
-        return [tuple(int(i == k) for i in range(count)) for k in range(count) if point.rows[1 + k]]
+        return [tuple(int(i == k) for i in range(count)) for k in range(count) if rows[k]]
     normal = tuple(jnp.asarray(x, float) for x in point.gap_function.candidate.normal)
     steep = jnp.abs(normal[0]) > 0.7
     aside = (jnp.where(steep, 0.0, 1.0), jnp.where(steep, 1.0, 0.0), 0)
@@ -230,7 +223,7 @@ def demands(
         0 if contact.friction is None else contact.friction.bound(size(velocities[1:]))
         for contact, velocities in zip(contacts, before, strict=True)
     ]
-    sizes = tuple(len(contact.rows) for contact in contacts)
+    sizes = tuple(len(contact.velocities) for contact in contacts)
     lifted = []
     for contact, (normal, *slips), (u, *_) in zip(contacts, unhindered, before, strict=True):
         lifted += [normal + contact.restitution * u, *slips]
@@ -287,7 +280,7 @@ def in_own_directions(contacts: list[UnilateralContact], flat: list) -> list[tup
     return [
         (normal, *[sp.dot(shares, slips) for shares in contact.shares])
         for contact, (normal, *slips) in zip(
-            contacts, split(flat, [len(contact.rows) for contact in contacts]), strict=True
+            contacts, split(flat, [len(contact.velocities) for contact in contacts]), strict=True
         )
     ]
 
@@ -299,7 +292,7 @@ def first_guess(contacts: list[UnilateralContact], last: list) -> list:
     for contact, (normal, *own) in zip(contacts, split(last, counts), strict=True):
         slips = [
             sp.dot([shares[k] for shares in contact.shares], own)
-            for k in range(len(contact.rows) - 1)
+            for k in range(len(contact.velocities) - 1)
         ]
         out.append(sp.stack([normal, *slips]))
     return out
@@ -312,9 +305,8 @@ def _stops_beyond(
     way."""
     if not stops:
         return []
-    followed = middle.free_motion.forces.followed
-    found = loads_in_step(model.system, coordinates_at(model, time, end, followed)).stops
-    each = [(one.beyond, own.spring) for one, own in zip(found, stops, strict=True)]
+    found = beyond_stops(model, time, end, middle.free_motion.forces.followed)
+    each = [(x, own.spring) for x, own in zip(found, stops, strict=True)]
     return [x if own is None else jnp.where(own.acts, 0.0, x) for x, own in each]
 
 
@@ -345,15 +337,15 @@ def project(
     motion = unpack_motion(model.system, [*q, *v])
     depths = contact_rows.indentations(model, time_step.end, *motion)
     depths += _stops_beyond(model, time_step.end, [*q, *v], middle, contacts[len(depths) :])
-    responses = split(delassus.responses, [len(contact.rows) for contact in contacts])
+    responses = split(delassus.responses, [len(contact.velocities) for contact in contacts])
     normals = DelassusOperator(
-        [contact.rows[0] for contact in contacts],
+        [contact.velocities[0].row for contact in contacts],
         delassus.free,
         delassus.multipliers,
         [own[0] for own in responses],
     )
     change = middle.change_to(v)
-    opening = sp.stack([sp.add(c.velocities[0], along(c.rows[0], change)) for c in contacts])
+    opening = sp.stack([contact.velocities[0].at(change) for contact in contacts])
     # What a contact gains in closing speed within a step if nothing holds it.
     pressed = h * sp.stack(
         [positive_part(sp.neg(along(row, delassus.free))) for row in normals.rows]

@@ -48,7 +48,13 @@ RENAMED = {
     "jaxclear.heated": "apply_thermal_expansion",
 }
 
-RENAMED_ARGUMENTS = {"most_steps": "max_steps", "most_sweeps": "max_sweeps", "way": "path"}
+RENAMED_ARGUMENTS = {
+    "both_ways": "reverse_loads",
+    "found": "result",
+    "most_steps": "max_steps",
+    "most_sweeps": "max_sweeps",
+    "way": "path",
+}
 
 
 def with_new_arguments(owner: str, known: Container[str], given: dict) -> dict:

@@ -7,12 +7,14 @@ JSON.
 Which programs compute here: what numbers are kept with, so that they can be had again.
 """
 
+import csv
 import datetime
 import json
 import math
 import platform
 from collections.abc import Iterable, Mapping
 from importlib import metadata
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -70,6 +72,27 @@ def dataset(
         {name: _variable(column) for name, column in (coordinates or {}).items()},
         attributes,
     )
+
+
+def write_csv(data: Any, path: Any) -> Path:
+    """Write a Dataset as a table: a row for each place along the first dimension of its first
+    variable, names with units in the head. What does not begin with that dimension is left out."""
+    along = next(own.dims[0] for own in data.data_vars.values() if own.dims)
+    columns: dict[str, list[Any]] = {}
+    for name, own in [*data.coords.items(), *data.data_vars.items()]:
+        if own.dims[:1] == (along,):
+            unit = own.attrs.get("units", "1")
+            values = own.values
+            for place in np.ndindex(values.shape[1:]):
+                labels = [data[dim].values[k] for dim, k in zip(own.dims[1:], place, strict=True)]
+                head = ".".join(map(str, [name, *labels]))
+                columns[head if unit == "1" else f"{head} [{unit}]"] = values[:, *place].tolist()
+    path = Path(path)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+    return path
 
 
 def provenance() -> dict[str, str]:

@@ -13,7 +13,13 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxclear.components.beam import Beam, Piece, parts_of_beams, with_pieces
+from jaxclear.components.beam import (
+    Beam,
+    Piece,
+    parts_of_beams,
+    with_pieces,
+    without_pieces,
+)
 from jaxclear.components.body import Body, Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import AbstractCoupling
@@ -121,27 +127,27 @@ _register(Bodies)
 AS_NEEDED = "as the integrator needs it: by Projection where its steps open them, else by Baumgarte"
 
 
+def parts_as_drawn(mechanism: Any) -> dict[str, dict[str, Any]]:
+    """Bodies, connections and loads by part, in which beams are whole."""
+    parts = mechanism.bodies, mechanism.connections, mechanism.loads
+    return dict(zip(PARTS, without_pieces(*parts, None), strict=False))
+
+
 def in_words(mechanism: Any) -> str:
     """What it has in the first line; bodies, connections, loads, start and speeds, a line each."""
-    hidden = parts_of_beams(mechanism.loads)
-
-    def shown(part):
-        parts = dict.items(getattr(mechanism, part))
-        return {n: x for n, x in parts if not isinstance(x, Piece) and n not in hidden}
-
-    parts = ((part, shown(part)) for part in ("bodies", "connections", "loads", "couplings"))
-    counts = [_counted(part, names) for part, names in parts if names]
+    parts = parts_as_drawn(mechanism) | {"couplings": mechanism.couplings}
+    counts = [_counted(part, names) for part, names in parts.items() if names]
     lines = [f"Mechanism: {', '.join(counts)}"]
     for part, entry in (
         ("bodies", lambda name, body: _numbers(body)),
-        ("connections", lambda name, connection: _connection(mechanism, name)),
+        ("connections", lambda name, connection: _connection(mechanism, name, connection)),
         ("loads", lambda name, load: _load(mechanism, load)),
         ("couplings", lambda name, coupling: _coupling(mechanism, coupling)),
         ("start", lambda name, values: _coordinates(mechanism, name, values, "")),
         ("guess", lambda name, values: _coordinates(mechanism, name, values, "")),
         ("speeds", lambda name, values: _coordinates(mechanism, name, values, "/s")),
     ):
-        if given := shown(part):
+        if given := parts.get(part, getattr(mechanism, part)):
             width = max(map(len, given))
             lines += [part, *(f"  {n:<{width}}  {entry(n, x)}".rstrip() for n, x in given.items())]
     if mechanism.topology.loops and mechanism.stabilisation is not None:
@@ -167,8 +173,7 @@ def _coupling(mechanism: Any, coupling: Any) -> str:
     return f"{public_name(type(coupling))} {_numbers(coupling, moves_along(mechanism, coupling))}"
 
 
-def _connection(mechanism: Any, name: str) -> str:
-    connection = mechanism.connections[name]
+def _connection(mechanism: Any, name: str, connection: Connection) -> str:
     joint = connection.joint
     ends = f"{in_a_line(connection.parent)} to {in_a_line(connection.child)}"
     along = slides(mechanism, name)

@@ -11,10 +11,37 @@ from typing import Any, NamedTuple
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import Pose
 from jaxclear.multibody import kinematics, tree
-from jaxclear.multibody.kinematics import JacobianRow
+from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
+
+
+class LinearRate(NamedTuple):
+    """A rate that is linear in the free speeds: its `value` at those at which the motions are
+    taken, and its row of the Jacobian."""
+
+    value: Any
+    row: JacobianRow
+
+    def at(self, change: Any) -> Any:
+        """Its value at speeds that differ by a `change`."""
+        return sp.add(self.value, along(self.row, change))
+
+    def times(self, factor: Any) -> "LinearRate":
+        """So many times the rate."""
+        row = {j: sp.mul(factor, entry) for j, entry in self.row.items()}
+        return LinearRate(sp.mul(factor, self.value), row)
+
+
+def combine_rates(weights: Iterable[Any], rates: Iterable[LinearRate]) -> LinearRate:
+    """The sum of rates with these weights."""
+    value, row = 0, dict[int, Any]()
+    for rate in (rate.times(weight) for weight, rate in zip(weights, rates, strict=True)):
+        value = sp.add(value, rate.value)
+        for j, entry in rate.row.items():
+            row[j] = sp.add(row.get(j, 0), entry)
+    return LinearRate(value, {j: entry for j, entry in row.items() if not sp.is_zero(entry)})
 
 
 class OnLink(NamedTuple):
@@ -23,6 +50,10 @@ class OnLink(NamedTuple):
     link: int
     factor: Any = 1
     component: int = 0
+
+    def unit_rate(self, motions: tuple[Motion, ...]) -> Any:
+        """Speed of the coordinate."""
+        return motions[self.link].speeds[self.component]
 
 
 class OnClosure(NamedTuple):
@@ -36,6 +67,11 @@ class OnClosure(NamedTuple):
     joint: str | None = None
     factor: Any = 1
 
+    def unit_rate(self, motions: tuple[Motion, ...]) -> Any:
+        """Power of the wrench."""
+        _, velocity, spin = kinematics.relative_motion(self.closure, motions)[2]
+        return _power(self.wrench, velocity, spin)
+
 
 class Direction(NamedTuple):
     """A unit force: what it is at each place where it acts."""
@@ -47,6 +83,14 @@ class Direction(NamedTuple):
         return Direction(
             tuple(place._replace(factor=sp.mul(factor, place.factor)) for place in self.places)
         )
+
+    def rate(self, motions: tuple[Motion, ...]) -> Any:
+        """Its rate as the links move."""
+        return sp.total(sp.mul(place.factor, place.unit_rate(motions)) for place in self.places)
+
+    def linear_rate(self, system: System, motions: tuple[Motion, ...]) -> LinearRate:
+        """Its rate, and that by the free speeds."""
+        return LinearRate(self.rate(motions), self.jacobian(system, motions))
 
     def jacobian(self, system: System, motions: tuple[Motion, ...]) -> JacobianRow:
         """Its rate by the free speeds; none of a coordinate that a drive prescribes."""

@@ -11,7 +11,7 @@ from typing import Any
 import equinox as eqx
 import jax
 
-from jaxclear.components.beam import beam_of
+from jaxclear.components.beam import beam_of, wholes
 from jaxclear.components.body import GROUND, Body, Marker
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.ground.argument_errors import answering
@@ -45,7 +45,7 @@ def apply_thermal_expansion(mechanism: Mechanism, rise: Any, expansion: Any) -> 
     """
     expect(mechanism, Mechanism, "what expands", "a jaxclear.Mechanism")
     check_number("rise of apply_thermal_expansion", rise, "K")
-    known = [GROUND, *(n for n in mechanism.bodies if beam_of(mechanism.bodies, n) == n)]
+    known = [GROUND, *wholes(mechanism.bodies)]
     if isinstance(expansion, Mapping):
         for name, value in expansion.items():
             check_name("body", name, known, " in this mechanism")

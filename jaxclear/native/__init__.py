@@ -9,11 +9,11 @@ The boundary is ten functions, five that tell of the program, and three for Ctrl
 
 - `while_loop(condition, body, first)` in the place of `jax.lax.while_loop`;
 - `scan(turn, first, rows)` in the place of `jax.lax.scan(turn, first, rows)`: loops within its
-  turns are part of the same kernel; by `Kept` parts of what turns leave go to tables of their own,
-  each turn's to a place that is chosen beforehand, or nowhere;
+  turns are part of the same kernel; by `TableLayout` parts of what turns leave go to tables of
+  their own, each turn's to a place that is chosen beforehand, or nowhere;
 - `over_rows(function, *rows)` in the place of `jax.vmap(function)(*rows)`, `through_rows` where
   rows are few and arrays are long, `one_row(function, *numbers)` and `in_one` in the place of the
-  function itself, and `once`, which makes a kernel of a short one too;
+  function itself, and `as_kernel`, which makes a kernel of a short one too;
 - `one_by_one(function)`: a function through whose batches XLA goes sample by sample;
 - `with_fast_loops(function)`: a function whose outermost loops a library has written;
 - `by_columns(function, *arguments)`: backwards as many derivatives forwards as numbers move;
@@ -40,6 +40,7 @@ On its way a loop passes through these files:
 - `writer`: the text under construction, and the registry of rules. An array is a NumPy array of
   register names, so reshaping costs nothing and a sum of three numbers is two instructions.
 - `kernel`: the loop compiled by LLVM, and what it writes; `dispatch`: how XLA calls it.
+- `standalone`: a function as machine code for any system, which needs neither JAX nor this process.
 - `check`: one turn of a kernel on random numbers against JAX, operation by operation: a switch.
 - `gpu`: the same kernels on an NVIDIA GPU, a thread a sample: off unless JAXCLEAR_GPU_KERNELS=1.
 - `verdicts`: which loops became kernels, and why others did not.
@@ -87,8 +88,8 @@ from jaxclear.native.verdicts import calls_lapack as calls_lapack
 from jaxclear.native.verdicts import explain as explain
 from jaxclear.native.verdicts import only_kernels as only_kernels
 from jaxclear.native.verdicts import verdict as verdict
-from jaxclear.native.while_loops import Kept as Kept
-from jaxclear.native.while_loops import once as once
+from jaxclear.native.while_loops import TableLayout as TableLayout
+from jaxclear.native.while_loops import as_kernel as as_kernel
 from jaxclear.native.while_loops import scan as scan
 from jaxclear.native.while_loops import while_loop as while_loop
 from jaxclear.native.while_loops import with_fast_loops as with_fast_loops

@@ -10,21 +10,21 @@ import numpy as np
 
 from jaxclear.native.writer import (
     FLOAT,
+    INT,
     TRUTH,
-    WHOLE,
     Unsupported,
     Writer,
     each,
+    is_num,
     kind_of,
     kinds_of,
-    known,
     number_of,
     rule,
 )
 
 # By primitive: the instruction for floats, for whole numbers, and the same on known numbers.
 _FLOAT_OPS = {"add": "fadd", "add_any": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
-_WHOLE_OPS = {
+_INT_OPS = {
     "add": "add",
     "add_any": "add",
     "sub": "sub",
@@ -47,10 +47,10 @@ def _arithmetic(writer, equation, a, b):
     name, kind = equation.primitive.name, kinds_of(equation)[0]
 
     def one(x, y):
-        if known(x, y):
-            if kind == WHOLE and name == "div":
+        if is_num(x, y):
+            if kind == INT and name == "div":
                 return int(x / y) if y != 0 else -1
-            if kind == WHOLE and name == "rem" and y == 0:
+            if kind == INT and name == "rem" and y == 0:
                 return x
             with np.errstate(all="ignore"):
                 return number_of(_ON_NUMBERS[name](np.asarray(x), np.asarray(y)))
@@ -58,9 +58,9 @@ def _arithmetic(writer, equation, a, b):
             if name == "rem":
                 return writer.library("fmod", x, y)
             return writer.operate(f"{_FLOAT_OPS[name]} contract {{type}} {{0}}, {{1}}", kind, x, y)
-        if name in ("div", "rem") and not (known(y) and y not in (0, -1)):
+        if name in ("div", "rem") and not (is_num(y) and y not in (0, -1)):
             return _guarded_quotient(writer, name, x, y)
-        return writer.operate(f"{_WHOLE_OPS[name]} {{type}} {{0}}, {{1}}", kind, x, y)
+        return writer.operate(f"{_INT_OPS[name]} {{type}} {{0}}, {{1}}", kind, x, y)
 
     return each(one, a, b)
 
@@ -68,12 +68,12 @@ def _arithmetic(writer, equation, a, b):
 def _guarded_quotient(writer, name, x, y):
     """A quotient or remainder of whole numbers where the processor would stop: by 0 it is -1 or x,
     as JAX has it; by -1 the smallest number has no quotient, so that is a change of sign."""
-    by_zero, by_minus = compare(writer, "eq", WHOLE, y, 0), compare(writer, "eq", WHOLE, y, -1)
-    safe = writer.choose(by_minus, 1, writer.choose(by_zero, 1, y, WHOLE), WHOLE)
-    found = writer.operate(f"{_WHOLE_OPS[name]} {{type}} {{0}}, {{1}}", WHOLE, x, safe)
-    turned = writer.operate("sub {type} {0}, {1}", WHOLE, 0, x) if name == "div" else 0
-    found = writer.choose(by_minus, turned, found, WHOLE)
-    return writer.choose(by_zero, -1 if name == "div" else x, found, WHOLE)
+    by_zero, by_minus = compare(writer, "eq", INT, y, 0), compare(writer, "eq", INT, y, -1)
+    safe = writer.choose(by_minus, 1, writer.choose(by_zero, 1, y, INT), INT)
+    quotient = writer.operate(f"{_INT_OPS[name]} {{type}} {{0}}, {{1}}", INT, x, safe)
+    negated = writer.operate("sub {type} {0}, {1}", INT, 0, x) if name == "div" else 0
+    quotient = writer.choose(by_minus, negated, quotient, INT)
+    return writer.choose(by_zero, -1 if name == "div" else x, quotient, INT)
 
 
 @rule("neg")
@@ -81,14 +81,14 @@ def _negate(writer, equation, a):
     kind = kinds_of(equation)[0]
 
     def one(x):
-        if known(x):
+        if is_num(x):
             return -x
         return writer.operate(
             "fneg {type} {0}" if kind == FLOAT else "sub {type} zeroinitializer, {0}", kind, x
         )
 
-    if kind == WHOLE and writer.lanes == 1:
-        return each(lambda x: -x if known(x) else writer.operate("sub {type} 0, {0}", kind, x), a)
+    if kind == INT and writer.lanes == 1:
+        return each(lambda x: -x if is_num(x) else writer.operate("sub {type} 0, {0}", kind, x), a)
     return each(one, a)
 
 
@@ -103,9 +103,9 @@ def _clamp(writer, equation, low, a, high):
     kind = kind_of(equation.invars[1].aval.dtype)
 
     def one(lo, x, hi):
-        if kind == WHOLE:
-            x = writer.choose(compare(writer, "lt", WHOLE, x, lo), lo, x, kind)
-            return writer.choose(compare(writer, "gt", WHOLE, x, hi), hi, x, kind)
+        if kind == INT:
+            x = writer.choose(compare(writer, "lt", INT, x, lo), lo, x, kind)
+            return writer.choose(compare(writer, "gt", INT, x, hi), hi, x, kind)
         x = writer.choose(compare(writer, "lt", FLOAT, x, lo), lo, x, kind)
         return writer.choose(compare(writer, "gt", FLOAT, x, hi), hi, x, kind)
 
@@ -125,12 +125,12 @@ _COMPARISONS = {
 def compare(writer: Writer, name: str, kind: str, x: Any, y: Any) -> Any:
     """The truth value of a comparison, named as the primitive ("lt")."""
     floats, wholes, numbers = _COMPARISONS[name]
-    if known(x, y):
+    if is_num(x, y):
         return bool(numbers(x, y))
     form = (
         f"fcmp {floats}"
         if kind == FLOAT
-        else f"icmp {wholes if kind == WHOLE else wholes.replace('s', 'u', 1)}"
+        else f"icmp {wholes if kind == INT else wholes.replace('s', 'u', 1)}"
     )
     return writer.operate(form + " {type} {0}, {1}", kind, x, y)
 
@@ -144,7 +144,7 @@ def _compare(writer, equation, a, b):
 
 
 # Of numbers without a sign only the bits are known here, kept as those of a whole number.
-_BITS = {np.dtype(np.float64): FLOAT, np.dtype(np.int64): WHOLE, np.dtype(np.uint64): WHOLE}
+_BITS = {np.dtype(np.float64): FLOAT, np.dtype(np.int64): INT, np.dtype(np.uint64): INT}
 
 
 @rule("bitcast_convert_type")
@@ -157,7 +157,7 @@ def _bits(writer, equation, a):
     def one(x):
         if before == after:
             return x
-        if known(x):
+        if is_num(x):
             plain = np.float64 if before == FLOAT else np.int64
             return plain(x).view(np.float64 if after == FLOAT else np.int64).item()
         return writer.put(f"bitcast {writer.wide(before)} {x} to {writer.wide(after)}")
@@ -168,10 +168,10 @@ def _bits(writer, equation, a):
 @rule("and", "or", "xor")
 def _logic(writer, equation, a, b):
     dtype, name = equation.invars[0].aval.dtype, equation.primitive.name
-    kind = WHOLE if dtype == np.uint64 else kinds_of(equation)[0]
+    kind = INT if dtype == np.uint64 else kinds_of(equation)[0]
 
     def one(x, y):
-        if known(x, y):
+        if is_num(x, y):
             return {"and": x & y, "or": x | y, "xor": x ^ y}[name]
         return writer.operate(name + " {type} {0}, {1}", kind, x, y)
 
@@ -184,7 +184,7 @@ def _not(writer, equation, a):
     if kind != TRUTH:
         raise Unsupported("the complement of whole numbers")
     return each(
-        lambda x: (not x) if known(x) else writer.operate("xor {type} {0}, {1}", kind, x, True), a
+        lambda x: (not x) if is_num(x) else writer.operate("xor {type} {0}, {1}", kind, x, True), a
     )
 
 
@@ -202,61 +202,61 @@ def _convert(writer, equation, a):
     wide_old, wide_new = writer.wide(old), writer.wide(new)
 
     def one(x):
-        if known(x):
-            return {FLOAT: float, WHOLE: int, TRUTH: bool}[new](x)
+        if is_num(x):
+            return {FLOAT: float, INT: int, TRUTH: bool}[new](x)
         if old == new:
             return x
         if new == TRUTH:
             return compare(writer, "ne", old, x, 0.0 if old == FLOAT else 0)
         if old == FLOAT:
-            return _to_whole(writer, x)
-        instruction = "sitofp" if old == WHOLE else ("uitofp" if new == FLOAT else "zext")
+            return _to_int(writer, x)
+        instruction = "sitofp" if old == INT else ("uitofp" if new == FLOAT else "zext")
         return writer.put(f"{instruction} {wide_old} {x} to {wide_new}")
 
     return each(one, a)
 
 
-def _to_whole(writer, x):
+def _to_int(writer, x):
     """The whole number towards zero, the nearest there is beyond all of these, 0 of nan: as
     `llvm.fptosi.sat` has it, which LLVM writes number by number where there are several lanes."""
     if writer.lanes == 1:
         writer.needs.add("declare i64 @llvm.fptosi.sat.i64.f64(double)")
         return writer.put(f"call i64 @llvm.fptosi.sat.i64.f64(double {x})")
     most = 2.0**63
-    found = writer.put(f"fptosi {writer.wide(FLOAT)} {x} to {writer.wide(WHOLE)}")
+    integer = writer.put(f"fptosi {writer.wide(FLOAT)} {x} to {writer.wide(INT)}")
     high = writer.operate("fcmp oge {type} {0}, {1}", FLOAT, x, most)
-    found = writer.choose(high, 2**63 - 1, found, WHOLE)
+    integer = writer.choose(high, 2**63 - 1, integer, INT)
     low = writer.operate("fcmp olt {type} {0}, {1}", FLOAT, x, -most)
-    found = writer.choose(low, -(2**63), found, WHOLE)
+    integer = writer.choose(low, -(2**63), integer, INT)
     none = writer.operate("fcmp uno {type} {0}, {1}", FLOAT, x, x)
-    return writer.choose(none, 0, found, WHOLE)
+    return writer.choose(none, 0, integer, INT)
 
 
 def combine(writer: Writer, name: str, kind: str, x: Any, y: Any) -> Any:
     """Sum, product, extremum, and, or of two numbers."""
     if kind == FLOAT and name in ("sum", "prod"):
-        if known(x, y):
+        if is_num(x, y):
             return x + y if name == "sum" else x * y
         return writer.operate(
             ("fadd" if name == "sum" else "fmul") + " contract {type} {0}, {1}", kind, x, y
         )
     if kind == TRUTH:
-        if known(x, y):
+        if is_num(x, y):
             return (x or y) if name in ("or", "max") else (x and y)
         return writer.operate(
             ("or" if name in ("or", "max") else "and") + " {type} {0}, {1}", kind, x, y
         )
     if name in ("max", "min"):
-        if known(x, y):
+        if is_num(x, y):
             return number_of(np.maximum(x, y) if name == "max" else np.minimum(x, y))
         # A first operand that is not a number is passed on; a second one is too, because then
         # neither comparison holds.
         first = compare(writer, "gt" if name == "max" else "lt", kind, x, y)
         if kind == FLOAT and isinstance(x, str):
-            lost = writer.operate("fcmp uno {type} {0}, {0}", kind, x)
-            first = writer.operate("or {type} {0}, {1}", TRUTH, first, lost)
+            is_nan = writer.operate("fcmp uno {type} {0}, {0}", kind, x)
+            first = writer.operate("or {type} {0}, {1}", TRUTH, first, is_nan)
         return writer.choose(first, x, y, kind)
-    if kind == WHOLE and name in ("sum", "prod"):
+    if kind == INT and name in ("sum", "prod"):
         return writer.operate(("add" if name == "sum" else "mul") + " {type} {0}, {1}", kind, x, y)
     raise Unsupported(f"the reduction {name}")
 
@@ -278,9 +278,9 @@ def _reduce(writer, equation, a):
     for index in np.ndindex(*out.shape):
         row = list(rows[index])
         if not row:
-            if kind == WHOLE and name in ("max", "min"):
+            if kind == INT and name in ("max", "min"):
                 raise Unsupported(f"a {name} over no whole numbers")
-            out[index] = {FLOAT: float, WHOLE: int, TRUTH: bool}[kind](_NEUTRAL[name])
+            out[index] = {FLOAT: float, INT: int, TRUTH: bool}[kind](_NEUTRAL[name])
             continue
         total = row[0]
         for value in row[1:]:
@@ -291,14 +291,14 @@ def _reduce(writer, equation, a):
 
 @rule("dot_general")
 def _dot(writer, equation, a, b):
-    (left, right), (batch_left, batch_right) = equation.params["dimension_numbers"]
+    (lhs, right), (batch_lhs, batch_right) = equation.params["dimension_numbers"]
     if kind_of(equation.outvars[0].aval.dtype) != FLOAT:
         raise Unsupported("a product of whole matrices")
-    free_a = [i for i in range(a.ndim) if i not in (*left, *batch_left)]
+    free_a = [i for i in range(a.ndim) if i not in (*lhs, *batch_lhs)]
     free_b = [i for i in range(b.ndim) if i not in (*right, *batch_right)]
-    a = a.transpose([*batch_left, *free_a, *left])
+    a = a.transpose([*batch_lhs, *free_a, *lhs])
     b = b.transpose([*batch_right, *free_b, *right])
-    batch = a.shape[: len(batch_left)]
+    batch = a.shape[: len(batch_lhs)]
     shape_a, shape_b = (
         a.shape[len(batch) : len(batch) + len(free_a)],
         b.shape[len(batch) : len(batch) + len(free_b)],
@@ -311,7 +311,7 @@ def _dot(writer, equation, a, b):
                 for x, y in zip(a[index + i].flat, b[index + j].flat, strict=True):
                     product = writer.operate("fmul contract {type} {0}, {1}", FLOAT, x, y)
                     total = (
-                        product if known(total) else combine(writer, "sum", FLOAT, total, product)
+                        product if is_num(total) else combine(writer, "sum", FLOAT, total, product)
                     )
                 out[index + i + j] = total
     return out

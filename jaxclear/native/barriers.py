@@ -13,7 +13,7 @@ from typing import Any
 import jax
 from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 
-from jaxclear.native.program import applied, known_first, read, replayed, traced
+from jaxclear.native.program import applied, evaluate_constants, read, replayed, traced
 
 # A piece ends where one of its numbers takes so many operations, those done anew included. Of 64,
 # 128 and 512, 128 was the fastest on an H200 (4096 slider-cranks, two integrators).
@@ -28,7 +28,7 @@ MOVING = ("cumsum", "gather", "rev", "transpose")
 # These work out where to read for each number that they read: what is more than so many operations
 # is stored before.
 SOUGHT, LITTLE = ("dynamic_slice", "dynamic_update_slice", "gather", "scatter", "scatter-add"), 8
-APART = ("cholesky", "cond", "jaxclear_loop", "scan", "sort", "triangular_solve", "while")
+SEPARATE = ("cholesky", "cond", "jaxclear_loop", "scan", "sort", "triangular_solve", "while")
 
 
 def in_pieces(program: ClosedJaxpr) -> Callable[..., list]:
@@ -43,7 +43,7 @@ def _cut(program: ClosedJaxpr) -> ClosedJaxpr:
 
 
 def _with_barriers(program: ClosedJaxpr, *arguments: Any) -> list:
-    jaxpr, values = program.jaxpr, known_first(program, arguments)
+    jaxpr, values = program.jaxpr, evaluate_constants(program, arguments)
     last = {v: i for i, e in enumerate(jaxpr.eqns) for v in _variables(e.invars)}
     last |= dict.fromkeys(_variables(jaxpr.outvars), len(jaxpr.eqns))
     # Of what the piece has worked out: the operations that one number takes, by their indices.
@@ -57,8 +57,8 @@ def _with_barriers(program: ClosedJaxpr, *arguments: Any) -> list:
         inputs, turn = read(equation.invars, values), TURNS.get(name)
         if turn is not None:
             parameters = parameters | {turn: _cut(parameters[turn])}
-        found = applied(equation, inputs, parameters)
-        values |= dict(zip(equation.outvars, found, strict=True))
+        results = applied(equation, inputs, parameters)
+        values |= dict(zip(equation.outvars, results, strict=True))
         work = _work(equation, i, piece)
         piece |= dict.fromkeys(equation.outvars, work)
         if sum(work.values()) >= WORK:
@@ -69,8 +69,8 @@ def _with_barriers(program: ClosedJaxpr, *arguments: Any) -> list:
 def _handed_on(piece: dict, needed: list, values: dict) -> dict:
     """The piece after one that ends here: what is `needed` of that is stored, in `values`."""
     if needed:
-        held = jax.lax.optimization_barrier(read(needed, values))
-        values |= dict(zip(needed, held, strict=True))
+        barriered = jax.lax.optimization_barrier(read(needed, values))
+        values |= dict(zip(needed, barriered, strict=True))
     return {}
 
 
@@ -78,7 +78,7 @@ def _work(equation: Any, index: int, piece: dict[Any, dict[int, int]]) -> dict[i
     """Operations for one number of what an equation gives: those at the same place are done once,
     whoever reads them."""
     name, out = equation.primitive.name, equation.outvars[0].aval
-    if name in APART:
+    if name in SEPARATE:
         return {}
     before = [piece[v] for v in _variables(equation.invars) if v in piece]
     shapes = [v.aval.shape for v in equation.invars if not isinstance(v, Literal)]

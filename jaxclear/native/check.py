@@ -55,7 +55,7 @@ ABSURD = 1e60
 LONGEST_LOOP = 1000
 
 
-def is_wanted() -> bool:
+def is_check_enabled() -> bool:
     """Whether kernels are checked in this process."""
     return os.environ.get("JAXCLEAR_CHECK_KERNELS", "0") not in ("", "0")
 
@@ -65,8 +65,8 @@ def is_wanted() -> bool:
 Turn = Callable[[list], np.ndarray]
 
 
-def check(program: Program, found_by: Turn, wanted_by: Turn, beside: str = "JAX") -> None:
-    """One turn of a kernel on random numbers `beside` another evaluation of it. Raises
+def check(program: Program, kernel: Turn, reference: Turn, other: str = "JAX") -> None:
+    """One turn of a kernel on random numbers `other` another evaluation of it. Raises
     `Unsupported` where they differ.
 
     Where a difference of like numbers is exactly zero in one order of operations and rounding in
@@ -76,13 +76,13 @@ def check(program: Program, found_by: Turn, wanted_by: Turn, beside: str = "JAX"
     """
     looks: list[tuple[Judgement, bool]] = []
     for draw in DRAWS:
-        looks.append(compared(program, found_by, wanted_by, draw))
+        looks.append(compared(program, kernel, reference, draw))
         if sum(not usual.agrees for usual, _ in looks) > 1:
             break
         agreed = sum(usual == Judgement(True, True) for usual, _ in looks)
         if agreed >= 2 and any(anywhere for _, anywhere in looks):
             return
-    raise Unsupported(f"a loop whose kernel does not agree with {beside}")
+    raise Unsupported(f"a loop whose kernel does not agree with {other}")
 
 
 class Judgement(NamedTuple):
@@ -90,25 +90,23 @@ class Judgement(NamedTuple):
     tells."""
 
     agrees: bool
-    tells: bool
+    is_conclusive: bool
 
 
-def compared(
-    program: Program, found_by: Turn, wanted_by: Turn, draw: int
-) -> tuple[Judgement, bool]:
+def compared(program: Program, kernel: Turn, reference: Turn, draw: int) -> tuple[Judgement, bool]:
     """The kernel on a draw's random numbers, beside the other evaluation."""
     constants, state = avals_of(program)
-    samples = [_within_tables(program, own) for own in random_values(constants, state, draw)]
-    found = found_by(samples)
-    wanted, changed = wanted_by(samples), wanted_by([nudged(sample) for sample in samples])
-    first = np.zeros(found.shape)
+    samples = [_within_tables(program, sample) for sample in random_values(constants, state, draw)]
+    results = kernel(samples)
+    expected, changed = reference(samples), reference([nudged(sample) for sample in samples])
+    first = np.zeros(results.shape)
     before = np.array([packed(s[len(constants) :]) for s in samples])
     first[:, : before.shape[1]] = before
     # What a turn leaves of a long array as it was tells nothing.
     long = np.repeat([i in program.long for i in range(len(state))], list(map(_size, state)))
-    asked = np.any((wanted != first) | (found != first), axis=0)
-    asked[: len(long)] |= ~long
-    parts = [(a[:1, asked], a[1:, asked]) for a in (found, wanted, changed, first)]
+    is_compared = np.any((expected != first) | (results != first), axis=0)
+    is_compared[: len(long)] |= ~long
+    parts = [(a[:1, is_compared], a[1:, is_compared]) for a in (results, expected, changed, first)]
     usual, others = (judged(*part) for part in zip(*parts, strict=True))
     return usual, others.agrees
 
@@ -119,10 +117,10 @@ def turn_by_jax(program: Program, samples: list) -> np.ndarray:
     state = len(avals_of(program)[1])
 
     def by_jax(sample):
-        given = sample[program.condition_constants :]
-        out = evaluated(program.body, given)
+        body_arguments = sample[program.condition_constants :]
+        out = evaluated(program.body, body_arguments)
         rows = zip(program.tables, out[state:], strict=True)
-        return packed([*out, *(_first_row(table, row, given) for table, row in rows)])
+        return packed([*out, *(_first_row(table, row, body_arguments) for table, row in rows)])
 
     with jax.ensure_compile_time_eval():
         rows = [by_jax(samples[0])]
@@ -165,14 +163,14 @@ def _one(equation: Any, inputs: list) -> Sequence[Any]:
 
 def _scan(p: dict, inputs: list) -> list:
     fixed, carried = scan_counts(p)
-    carry, rows, given = inputs[fixed:][:carried], inputs[fixed + carried :], []
+    carry, rows, outputs = inputs[fixed:][:carried], inputs[fixed + carried :], []
     turns = range(p["length"])
     for i in reversed(turns) if p["reverse"] else turns:
-        found = evaluated(p["jaxpr"], [*inputs[:fixed], *carry, *[row[i] for row in rows]])
-        carry = found[:carried]
-        given.append(found[carried:])
-    given = given[::-1] if p["reverse"] else given
-    return [*carry, *[jnp.stack(parts) for parts in zip(*given, strict=True)]]
+        results = evaluated(p["jaxpr"], [*inputs[:fixed], *carry, *[row[i] for row in rows]])
+        carry = results[:carried]
+        outputs.append(results[carried:])
+    outputs = outputs[::-1] if p["reverse"] else outputs
+    return [*carry, *[jnp.stack(parts) for parts in zip(*outputs, strict=True)]]
 
 
 def _size(aval: Any) -> int:
@@ -181,10 +179,10 @@ def _size(aval: Any) -> int:
 
 def turn_by_kernel(program: Program, address: int, samples: list) -> np.ndarray:
     """What a turn gives, by the kernel at an address, which takes but one."""
-    kept = in_memory(program)
-    rows = [packed([v for v, k in zip(s, kept, strict=True) if not k]) for s in samples]
-    given = np.ascontiguousarray(rows)
-    big = [np.ascontiguousarray([s[i] for s in samples]) for i, k in enumerate(kept) if k]
+    is_long = in_memory(program)
+    rows = [packed([v for v, k in zip(s, is_long, strict=True) if not k]) for s in samples]
+    flat = np.ascontiguousarray(rows)
+    big = [np.ascontiguousarray([s[i] for s in samples]) for i, k in enumerate(is_long) if k]
     out = np.zeros((len(samples), floats_in(packed_state(program))))
     long = [np.zeros((len(samples), _size(aval))) for aval in changing(program)]
     tables = [
@@ -192,7 +190,7 @@ def turn_by_kernel(program: Program, address: int, samples: list) -> np.ndarray:
         for table, aval in zip(program.tables, row_of(program), strict=True)
     ]
     big += [*long, *tables]
-    data = (ctypes.c_void_p * (1 + len(big)))(given.ctypes.data, *[b.ctypes.data for b in big])
+    data = (ctypes.c_void_p * (1 + len(big)))(flat.ctypes.data, *[b.ctypes.data for b in big])
     call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
     call(address)(ctypes.cast(data, ctypes.c_void_p), out.ctypes.data, len(samples))
     short = np.split(out, np.cumsum(list(map(_size, packed_state(program))))[:-1], axis=1)
@@ -219,7 +217,7 @@ def _first_row(table: Table, row: Any, constants: list[np.ndarray]) -> Any:
     """What stands in the first row of a table after a turn that leaves this one as the last."""
     if table.height == 1:
         return row
-    return np.broadcast_to(0.0 if table.begins is None else constants[table.begins], row.shape)
+    return np.broadcast_to(0.0 if table.start is None else constants[table.start], row.shape)
 
 
 def random_values(constants: list, state: list, draw: int) -> list[list[np.ndarray]]:
@@ -234,7 +232,7 @@ def random_values(constants: list, state: list, draw: int) -> list[list[np.ndarr
         size = rng.uniform(0.1, 1.0, aval.shape)
         return size * (rng.integers(0, 2, aval.shape) * 2 - 1) if draw in SIGNED else size
 
-    known, first = ([np.asarray(one(a)) for a in avals] for avals in (constants, state))
+    fixed_values, first = ([np.asarray(one(a)) for a in avals] for avals in (constants, state))
     rng = np.random.default_rng(0)
     signs = [rng.integers(0, 2, value.shape) * 2 - 1 for value in first]
 
@@ -242,7 +240,7 @@ def random_values(constants: list, state: list, draw: int) -> list[list[np.ndarr
         pairs = zip(first, signs, strict=True)
         return [value * size * sign if value.dtype == float else value for value, sign in pairs]
 
-    return [[*known, *(first if size == 1.0 else resized(size))] for size in SIZES]
+    return [[*fixed_values, *(first if size == 1.0 else resized(size))] for size in SIZES]
 
 
 def nudged(sample: list[np.ndarray]) -> list[np.ndarray]:
@@ -258,17 +256,17 @@ def nudged(sample: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def judged(
-    found: np.ndarray, wanted: np.ndarray, changed: np.ndarray, first: np.ndarray
+    results: np.ndarray, expected: np.ndarray, changed: np.ndarray, first: np.ndarray
 ) -> Judgement:
     """What a kernel found, beside what is wanted, as far as `changed` (for nudged numbers) lets one
     tell. `first` is what the turn began with: a sum that cancels it rounds like it."""
     with np.errstate(all="ignore"):
         # Where numbers overflow, inf or nan is a matter of the order of operations.
-        finite = np.isfinite(wanted) & np.isfinite(changed)
-        doubt = MARGIN * np.where(finite, np.abs(changed - wanted), np.inf)
-        size = np.abs(wanted) + np.abs(first) + AGREEMENT
+        finite = np.isfinite(expected) & np.isfinite(changed)
+        doubt = MARGIN * np.where(finite, np.abs(changed - expected), np.inf)
+        size = np.abs(expected) + np.abs(first) + AGREEMENT
         # A division by what is exactly zero in one order of operations and rounding in another.
-        absurd = np.abs(found) > ABSURD
-        close = ~finite | absurd | (np.abs(found - wanted) <= AGREEMENT * size + doubt)
+        absurd = np.abs(results) > ABSURD
+        close = ~finite | absurd | (np.abs(results - expected) <= AGREEMENT * size + doubt)
         telling = finite & ~absurd & (doubt <= VAGUE * size)
     return Judgement(bool(close.all()), bool(telling.mean() >= 0.5))

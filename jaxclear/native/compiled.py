@@ -37,7 +37,7 @@ from jaxclear.native.verdicts import NoKernel, only_kernels
 AROUND_A_KERNEL = {"xla_cpu_use_fusion_emitters": False}
 # What runs once is not optimised either: assemblies compile three times as fast and take no longer.
 # A loop that XLA goes through itself takes two to three times as long so.
-ONCE = {
+QUICK = {
     **AROUND_A_KERNEL,
     "xla_backend_optimization_level": 0,
     "xla_llvm_disable_expensive_passes": True,
@@ -57,7 +57,7 @@ SETTINGS = (
     "jax_numpy_rank_promotion",
 )
 # JAX records this where it finds a program that an earlier process has compiled.
-FOUND_BY_JAX = "/jax/compilation_cache/cache_hits"
+CACHE_HIT_EVENT = "/jax/compilation_cache/cache_hits"
 # Programs that a process has at hand take so much of its memory [B], as far as their operations
 # tell: of slider-crank and four-bar a program takes 3 kB an operation beside 0.5 MB.
 AT_HAND = 50e6
@@ -66,14 +66,14 @@ A_PROGRAM, AN_OPERATION = 0.5e6, 3e3
 
 @dataclass(frozen=True)
 class Place:
-    """Stands for an array of a program's results, that of a number; `given`: for its argument of
+    """Stands for an array of a program's results, that of a number; `is_input`: for its argument of
     this number, as it was given."""
 
     number: int
-    given: bool = False
+    is_input: bool = False
 
 
-class _Found:
+class _Compiled:
     """A compiled program over a list of arrays, whether it calls `lapack`, how many `operations` it
     writes out, and what its results are put together to: things that are no arrays, and `Place`s
     for those that are."""
@@ -82,24 +82,24 @@ class _Found:
         self.program, self.lapack, self.operations = program, lapack, operations
         self.leaves, self.structure = leaves, structure
         places = [(i, x) for i, x in enumerate(leaves) if type(x) is Place]
-        self.own = [(i, place.number) for i, place in places if not place.given]
-        self.given = [(i, place.number) for i, place in places if place.given]
+        self.call_defined = [(i, place.number) for i, place in places if not place.is_input]
+        self.passed_through = [(i, place.number) for i, place in places if place.is_input]
 
     def __call__(self, arrays: Sequence[Any]) -> Any:
-        found, out = self.program(*arrays), self.leaves.copy()
-        for i, number in self.own:
-            out[i] = found[number]
-        for i, number in self.given:
+        results, out = self.program(*arrays), self.leaves.copy()
+        for i, number in self.call_defined:
+            out[i] = results[number]
+        for i, number in self.passed_through:
             array = arrays[number]
             out[i] = array if isinstance(array, jax.Array) else jnp.asarray(array)
         return jax.tree.unflatten(self.structure, out)
 
 
-_AT_HAND: Latest[_Found] = Latest(AT_HAND)
+_AT_HAND: Latest[_Compiled] = Latest(AT_HAND)
 
 
 def compiled_quickly(
-    function: Callable[..., Any], options: dict[str, Any] = ONCE
+    function: Callable[..., Any], options: dict[str, Any] = QUICK
 ) -> Callable[..., Any]:
     """As `equinox.filter_jit`, compiled with these options of XLA's. Within another program it is
     part of that one, and compiled as that one is."""
@@ -109,7 +109,7 @@ def compiled_quickly(
 
     @functools.cache
     def quick(unknown: frozenset[str]) -> Callable[..., Any]:
-        return compiled(function, compiler_options=_known(options, unknown))
+        return compiled(function, compiler_options=_supported(options, unknown))
 
     @functools.wraps(function)
     def call(*arguments):
@@ -120,9 +120,9 @@ def compiled_quickly(
         while True:
             unknown = frozenset(_unknown)
             try:
-                found = _found(function, _known(options, unknown), leaves, tree)
-                if found is not None:
-                    return found([leaf for leaf in leaves if eqx.is_array(leaf)])
+                program = _find(function, _supported(options, unknown), leaves, tree)
+                if program is not None:
+                    return program([leaf for leaf in leaves if eqx.is_array(leaf)])
                 with uncollected():
                     return quick(unknown)(*arguments)
             except jax.errors.JaxRuntimeError as error:
@@ -145,29 +145,29 @@ def prepared(function: Callable[..., Any], *arguments: Any) -> Prepared | None:
     """A function of what is like the last of these arguments, an array, the others being these:
     they are looked at once, so that a call costs little. None where programs are JAX's to keep."""
     leaves, tree = jax.tree.flatten(arguments)
-    found = _found(function, {}, leaves, tree)
-    if found is None:
+    program = _find(function, {}, leaves, tree)
+    if program is None:
         return None
     arrays = [jax.device_put(leaf) for leaf in leaves[:-1] if eqx.is_array(leaf)]
-    return Prepared(lambda last: found([*arrays, last]), found.lapack)
+    return Prepared(lambda last: program([*arrays, last]), program.lapack)
 
 
-def _known(options: dict[str, Any], unknown: frozenset[str]) -> dict[str, Any]:
+def _supported(options: dict[str, Any], unknown: frozenset[str]) -> dict[str, Any]:
     return {name: value for name, value in options.items() if name not in unknown}
 
 
-def _found(function: Callable, options: dict[str, Any], leaves: list, tree: Any) -> _Found | None:
+def _find(function: Callable, options: dict[str, Any], leaves: list, tree: Any) -> _Compiled | None:
     """The program of such arguments; None where it is JAX's to keep."""
-    if not _are_kept():
+    if not _is_cache_usable():
         return None
     kinds = tuple(_kind_of(x) if eqx.is_array(x) else (type(x), x) for x in leaves)
     settings = tuple(getattr(jax.config, name) for name in SETTINGS)
     form = function, tuple(options), tree, kinds, settings
-    found = _AT_HAND.get(form)
-    if found is None:
-        found = _kept_or_compiled(function, options, leaves, tree)
-        _AT_HAND.keep(form, found, A_PROGRAM + AN_OPERATION * found.operations)
-    return found
+    program = _AT_HAND.get(form)
+    if program is None:
+        program = _load_or_compile(function, options, leaves, tree)
+        _AT_HAND.keep(form, program, A_PROGRAM + AN_OPERATION * program.operations)
+    return program
 
 
 def _kind_of(array: Any) -> Any:
@@ -175,28 +175,28 @@ def _kind_of(array: Any) -> Any:
     return array.aval if isinstance(array, jax.Array) else jax.typeof(array)
 
 
-def _are_kept() -> bool:
+def _is_cache_usable() -> bool:
     """Whether programs are kept at all: those of one processor, of which nothing special is asked
     that JAX alone does."""
     settings: Any = jax.config
-    asked = settings.jax_debug_nans or settings.jax_debug_infs or settings.jax_disable_jit
-    if asked or cache_folder.place() is None or check.is_wanted():
+    is_debugging = settings.jax_debug_nans or settings.jax_debug_infs or settings.jax_disable_jit
+    if is_debugging or cache_folder.place() is None or check.is_check_enabled():
         return False
     return jax.default_backend() == "cpu" and jax.local_device_count() == 1
 
 
-def _kept_or_compiled(
+def _load_or_compile(
     function: Callable, options: dict[str, Any], leaves: list, tree: Any
-) -> _Found:
+) -> _Compiled:
     key = _key(function, options, leaves, tree)
-    found = None if key is None else _from_disk(key)
-    return _compiled(function, options, leaves, tree, key) if found is None else found
+    program = None if key is None else _from_disk(key)
+    return _compiled(function, options, leaves, tree, key) if program is None else program
 
 
 def _key(function: Callable, options: dict[str, Any], leaves: list, tree: Any) -> str | None:
     """Under which a program is kept on disk; None where no other process could use it."""
     try:
-        told = function_in_text(function), str(options), tree_in_text(tree)
+        description = function_in_text(function), str(options), tree_in_text(tree)
         around = surroundings()
         kinds = [
             f"{leaf.shape}{leaf.dtype}{jax.typeof(leaf).weak_type}"
@@ -206,17 +206,17 @@ def _key(function: Callable, options: dict[str, Any], leaves: list, tree: Any) -
         ]
     except Untold:
         return None
-    return cache_folder.key_of(*told, *kinds, around)
+    return cache_folder.key_of(*description, *kinds, around)
 
 
-def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: Any) -> _Found:
+def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: Any) -> _Compiled:
     """Traces and compiles a program, and leaves it on disk under its key, if it has one."""
     form: list[Any] = []
 
     def flat(*arrays):
-        own = iter(arrays)
-        given = [next(own) if eqx.is_array(leaf) else leaf for leaf in leaves]
-        out, structure = jax.tree.flatten(function(*jax.tree.unflatten(tree, given)))
+        array_iterator = iter(arrays)
+        values = [next(array_iterator) if eqx.is_array(leaf) else leaf for leaf in leaves]
+        out, structure = jax.tree.flatten(function(*jax.tree.unflatten(tree, values)))
         form[:] = out, structure
         return [leaf for leaf in out if eqx.is_array(leaf)]
 
@@ -225,21 +225,21 @@ def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: A
     with uncollected(), _reported_if_long(function):
         traced = jax.jit(flat).trace(*arrays)
         lowered, places = _lowered(traced, arrays, flat.__name__)
-        left, (out, structure) = iter(places), form
-        out = [next(left) if eqx.is_array(leaf) else leaf for leaf in out]
+        place_iterator, (out, structure) = iter(places), form
+        out = [next(place_iterator) if eqx.is_array(leaf) else leaf for leaf in out]
         lapack = verdicts.any_lapack(lowered.compiler_ir().operation)
-        count, before = operations_of(traced.jaxpr.jaxpr), _found_by_jax()
-        found = _Found(lowered.compile(compiler_options=options), lapack, count, out, structure)
+        count, before = operations_of(traced.jaxpr.jaxpr), _count_cache_hits()
+        made = _Compiled(lowered.compile(compiler_options=options), lapack, count, out, structure)
     # One that XLA has read and writes again lacks its functions, and fails when it is called.
-    if key is None or _found_by_jax() > before:
-        return found
+    if key is None or _count_cache_hits() > before:
+        return made
     try:
-        content = pickle.dumps((_packed(found), lapack, count, verdicts.SENTENCES))
+        content = pickle.dumps((_packed(made), lapack, count, verdicts.SENTENCES))
     except Exception:
         # Not every program can be kept: one that calls back into Python, for one.
-        return found
+        return made
     cache_folder.write(cache_folder.PROGRAM, key, content)
-    return found
+    return made
 
 
 @contextmanager
@@ -265,13 +265,13 @@ def _listens() -> None:
     """This process counts what JAX finds on disk, by threads."""
 
     def count(event: str, **_: Any) -> None:
-        if event == FOUND_BY_JAX:
+        if event == CACHE_HIT_EVENT:
             _HITS.count = getattr(_HITS, "count", 0) + 1
 
     jax.monitoring.register_event_listener(count)
 
 
-def _found_by_jax() -> int:
+def _count_cache_hits() -> int:
     """How many programs JAX has found on disk in this thread."""
     _listens()
     return getattr(_HITS, "count", 0)
@@ -284,17 +284,18 @@ def _lowered(traced: Any, arrays: list, name: str) -> tuple[Any, list[Place]]:
     origins = [_origin(traced.jaxpr.jaxpr, result) for result in results]
     # Numbers that come from NumPy are JAX's by being results.
     origins = [x if x is None or isinstance(arrays[x], jax.Array) else None for x in origins]
-    own = [i for i, origin in enumerate(origins) if origin is None]
+    computed = [i for i, origin in enumerate(origins) if origin is None]
     places = [
-        Place(own.index(i)) if x is None else Place(x, given=True) for i, x in enumerate(origins)
+        Place(computed.index(i)) if x is None else Place(x, is_input=True)
+        for i, x in enumerate(origins)
     ]
-    if len(own) == len(results):
+    if len(computed) == len(results):
         return traced.lower(), places
-    whole = jaxpr_as_fun(traced.jaxpr)
+    all_results = jaxpr_as_fun(traced.jaxpr)
 
     def without(*arrays):
-        found = whole(*arrays)
-        return [found[i] for i in own]
+        results = all_results(*arrays)
+        return [results[i] for i in computed]
 
     without.__name__ = without.__qualname__ = name
     return jax.jit(without).lower(*arrays), places
@@ -323,28 +324,28 @@ def _origin(program: Jaxpr, result: Any) -> int | None:
     return None
 
 
-def _packed(found: _Found) -> tuple[bytes, int, int, Any]:
-    program, given, taken = serialize_executable.serialize(found.program)
-    whole = jax.tree.unflatten(found.structure, found.leaves)
-    return program, given.num_leaves, taken.num_leaves, whole
+def _packed(program_found: _Compiled) -> tuple[bytes, int, int, Any]:
+    program, inputs, taken = serialize_executable.serialize(program_found.program)
+    result = jax.tree.unflatten(program_found.structure, program_found.leaves)
+    return program, inputs.num_leaves, taken.num_leaves, result
 
 
-def _from_disk(key: str) -> _Found | None:
+def _from_disk(key: str) -> _Compiled | None:
     content = cache_folder.read(cache_folder.PROGRAM, key)
     if content is None:
         return None
     try:
-        (program, given, taken, whole), lapack, count, sentences = pickle.load(io.BytesIO(content))
-        dispatch.known_to_xla()
+        (program, args, taken, result), lapack, count, sentences = pickle.load(io.BytesIO(content))
+        dispatch.register_with_xla()
         if lapack:
             _begin_lapack()
-        trees = jax.tree.structure(((0,) * given, {})), jax.tree.structure([0] * taken)
+        trees = jax.tree.structure(((0,) * args, {})), jax.tree.structure([0] * taken)
         loaded = serialize_executable.deserialize_and_load(program, *trees)
     except Exception:
         # Of another version, or without its kernels: as if it were not there.
         return None
     verdicts.SENTENCES.update(sentences)
-    return _Found(loaded, lapack, count, *jax.tree.flatten(whole))
+    return _Compiled(loaded, lapack, count, *jax.tree.flatten(result))
 
 
 @functools.cache
@@ -355,9 +356,9 @@ def _begin_lapack() -> None:
 
 
 def compiled_for_kernels(function: Callable[..., Any]) -> Callable[..., Any]:
-    """As `equinox.filter_jit`, compiled as what runs `ONCE` if its time loops are kernels, and
+    """As `equinox.filter_jit`, compiled as what runs `QUICK` if its time loops are kernels, and
     otherwise `AROUND_A_KERNEL`: XLA then goes through them itself."""
-    soon = compiled_quickly(function, ONCE)
+    soon = compiled_quickly(function, QUICK)
     return kernels_or(soon, compiled_quickly(function, AROUND_A_KERNEL))
 
 

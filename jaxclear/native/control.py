@@ -13,10 +13,10 @@ from jaxclear.native.long_arrays import carried_in_memory, mapped, put_back, row
 from jaxclear.native.program import CALLS, called, numbers_in, scan_counts, size_of
 from jaxclear.native.writer import (
     FLOAT,
+    INT,
     LONGEST_IN_REGISTERS,
     STOP_FLAG,
     TRUTH,
-    WHOLE,
     InMemory,
     Long,
     Unsupported,
@@ -67,19 +67,19 @@ def loop(
     # A turn may change them, so that as they were before the loop they can be read no more.
     rooms = carried_in_memory(writer, carry, kinds)
     long = [
-        writer.renewed(a) if isinstance(a, InMemory) else room and room.array()
-        for a, room in zip(carry, rooms, strict=True)
+        writer.renewed(a) if isinstance(a, InMemory) else buffer and buffer.array()
+        for a, buffer in zip(carry, rooms, strict=True)
     ]
     head, inside, behind = (writer.fresh(word)[1:] for word in ("head", "inside", "behind"))
     flat = _numbers(carry, kinds, long)
-    begun = writer.lane(flat[0][0], WHOLE, 0) if together else "0"
+    start = writer.lane(flat[0][0], INT, 0) if together else "0"
     before = writer.block
     writer.say(f"br label %{head}")
     writer.start(head)
     registers, places = [writer.fresh("s") for _ in flat], len(writer.lines)
     turn = writer.fresh("turn")
     region, outer = writer.enter(), writer.active
-    state = _of_the_turn(writer, registers, turn, begun) if together else registers
+    state = _of_the_turn(writer, registers, turn, start) if together else registers
     truth = condition(_shaped(state, carry, long))
     go, truth, stopped = _bounded(writer, truth, turn, outermost)
     writer.say(f"br i1 {go}, label %{inside}, label %{behind}")
@@ -90,14 +90,14 @@ def loop(
     writer.depth -= 1
     put_back(writer, rooms, after)
     long = [_same_place(writer, *pair) for pair in zip(long, after, strict=True)]
-    found = _numbers(after, kinds, long)
+    entries = _numbers(after, kinds, long)
     if writer.active is not None:
-        pairs = zip(found, registers, strict=True)
-        found = [(writer.choose(truth, new, old, kind), kind) for (new, kind), old in pairs]
+        pairs = zip(entries, registers, strict=True)
+        entries = [(writer.choose(truth, new, old, kind), kind) for (new, kind), old in pairs]
     writer.active = outer
     writer.leave(region)
     ends, following = (before, writer.block), writer.put(f"add i64 {turn}, 1")
-    values = zip(registers, found, flat, strict=True)
+    values = zip(registers, entries, flat, strict=True)
     phis = [phi(writer, name, k, (old, new), ends) for name, (new, _), (old, k) in values]
     writer.lines[places:places] = [*phis, phi_of_turns(turn, following, ends)]
     writer.say(f"br label %{head}")
@@ -109,7 +109,7 @@ def loop(
 def _numbers(arrays: Any, kinds: list[str], long: list[Any]) -> list[tuple[Any, str]]:
     """(value, kind) of all entries of arrays that do not stand in memory, as `long` ones do."""
     each = zip(arrays, kinds, long, strict=True)
-    return [(value, k) for a, k, own in each if own is None for value in in_registers(a).flat]
+    return [(value, k) for a, k, part in each if part is None for value in in_registers(a).flat]
 
 
 def _same_place(writer: Writer, before: Any, after: Any) -> InMemory | Long | None:
@@ -138,18 +138,18 @@ def _spoilt_entries(writer: Writer, stopped: Any, array: Any) -> Any:
     return Long(array.shape, FLOAT, entry)
 
 
-def _of_the_turn(writer, registers, turn, begun):
-    """The state of samples that take the same turns, the first of which has the number `begun`."""
-    writer.turn = writer.put(f"add i64 {begun}, {turn}")
-    return [writer.spread(writer.turn, WHOLE), *registers[1:]]
+def _of_the_turn(writer, registers, turn, start):
+    """The state of samples that take the same turns, the first of which has the number `start`."""
+    writer.turn = writer.put(f"add i64 {start}, {turn}")
+    return [writer.spread(writer.turn, INT), *registers[1:]]
 
 
 def _shaped(values, like, long):
     """Single values as arrays of the shapes of others, `long` ones among them."""
     values, out = iter(values), []
-    for array, own in zip(like, long, strict=True):
-        if own is not None:
-            out.append(own)
+    for array, long_array in zip(like, long, strict=True):
+        if long_array is not None:
+            out.append(long_array)
             continue
         out.append(array_of(None, array.shape))
         for index in np.ndindex(*array.shape):
@@ -228,9 +228,9 @@ def _cond(writer, equation, which, *arguments):
         raise Unsupported("a choice among more than two")
     results = [write_closed(writer, branch, arguments) for branch in branches]
     refuse_memory(*results[0], *results[1])
-    results = [list(map(in_registers, found)) for found in results]
+    results = [list(map(in_registers, branch_results)) for branch_results in results]
     kind = kind_of(equation.invars[0].aval.dtype)
-    truth = which.item() if kind == TRUTH else compare(writer, "gt", WHOLE, which.item(), 0)
+    truth = which.item() if kind == TRUTH else compare(writer, "gt", INT, which.item(), 0)
     out = []
     for atom, no, yes in zip(equation.outvars, *results, strict=True):
         kind = kind_of(atom.aval.dtype)
@@ -267,11 +267,11 @@ def _scan(writer, equation, *arguments):
     collected: list[list] = []
     turns = range(p["length"])
     for turn in reversed(turns) if p["reverse"] else turns:
-        found = write_closed(
+        results = write_closed(
             writer, p["jaxpr"], [*fixed, *carry, *[array_of(r[turn], r.shape[1:]) for r in rows]]
         )
-        carry = found[:carried]
-        collected.append(found[carried:])
+        carry = results[:carried]
+        collected.append(results[carried:])
     if p["reverse"]:
         collected.reverse()
     kinds = [kind_of(atom.aval.dtype) for atom in equation.outvars[carried:]]
@@ -286,27 +286,27 @@ def _counted_loop(writer, body, fixed, carry, rows, length, kinds):
     head, behind = writer.fresh("turns")[1:], writer.fresh("done")[1:]
     carried = kinds[len(fixed) :][: len(carry)]
     rooms = carried_in_memory(writer, carry, carried)
-    carry = [in_registers(c) if room is None else c for c, room in zip(carry, rooms, strict=True)]
+    carry = [in_registers(c) if space is None else c for c, space in zip(carry, rooms, strict=True)]
     before = writer.block
     writer.say(f"br label %{head}")
     writer.start(head)
     turn, places = writer.fresh("turn"), len(writer.lines)
     state = [
-        each(lambda _: writer.fresh("s"), c) if room is None else room.array()
-        for c, room in zip(carry, rooms, strict=True)
+        each(lambda _: writer.fresh("s"), c) if space is None else space.array()
+        for c, space in zip(carry, rooms, strict=True)
     ]
     region = writer.enter()
     picked = [
         _row_of_the_turn(writer, row, turn, kind)
         for row, kind in zip(rows, kinds[len(fixed) + len(carry) :], strict=True)
     ]
-    found = write_closed(writer, body, [*fixed, *state, *picked])
-    put_back(writer, rooms, found)
-    found = [x if r is None else r.array() for x, r in zip(found, rooms, strict=True)]
+    results = write_closed(writer, body, [*fixed, *state, *picked])
+    put_back(writer, rooms, results)
+    results = [x if r is None else r.array() for x, r in zip(results, rooms, strict=True)]
     writer.leave(region)
     ends = before, writer.block
     phis = []
-    for names, olds, news, kind in zip(state, carry, found, carried, strict=True):
+    for names, olds, news, kind in zip(state, carry, results, carried, strict=True):
         if isinstance(names, Long):
             continue
         for name, old, new in zip(names.flat, olds.flat, in_registers(news).flat, strict=True):
@@ -317,21 +317,21 @@ def _counted_loop(writer, body, fixed, carry, rows, length, kinds):
     more = writer.put(f"icmp slt i64 {following}, {length}")
     writer.say(f"br i1 {more}, label %{head}, label %{behind}")
     writer.start(behind)
-    return found
+    return results
 
 
 def _row_of_the_turn(writer, row, turn, kind):
     """row[turn], chosen among all rows."""
 
     def one(*options):
-        found = options[0]
+        chosen = options[0]
         for number, option in enumerate(options[1:], 1):
-            if option != found or number > 1:
+            if option != chosen or number > 1:
                 here = writer.put(f"icmp eq i64 {turn}, {number}")
                 wide = writer.wide(kind)
-                yes, no = writer.text(option, kind), writer.text(found, kind)
-                found = writer.put(f"select i1 {here}, {wide} {yes}, {wide} {no}")
-        return found
+                yes, no = writer.text(option, kind), writer.text(chosen, kind)
+                chosen = writer.put(f"select i1 {here}, {wide} {yes}, {wide} {no}")
+        return chosen
 
     return each(one, *[array_of(row[k], row.shape[1:]) for k in range(len(row))])
 
@@ -350,11 +350,11 @@ def _while(writer, equation, *arguments):
 def _time_loop(writer, equation, *arguments):
     """A loop of this room within another one: as that, it ends when all kernels are stopped."""
     program, rank = equation.params["program"], equation.params["rank"]
-    if program.once and rank == 1 and all(isinstance(a, np.ndarray) for a in arguments):
+    if program.single_turn and rank == 1 and all(isinstance(a, np.ndarray) for a in arguments):
         return _row_by_row(writer, program, arguments, equation.outvars)
     if rank or program.length:
         raise Unsupported("a batch of loops within a loop")
-    if program.once:
+    if program.single_turn:
         return write_closed(writer, program.body, arguments[program.condition_constants :])
     counts = program.condition_constants, program.body_constants
     programs = program.condition, program.body

@@ -19,7 +19,7 @@ from jaxclear.native.program import Narrow, Program, avals_of
 from jaxclear.native.tangent import widened
 
 
-class Asked(NamedTuple):
+class Needs(NamedTuple):
     """Which of a loop's constants, of both programs, parts of its state and tables are needed."""
 
     of_condition: list[bool]
@@ -45,33 +45,33 @@ def without_the_unasked(function: Any, *numbers: Any) -> list:
     return jaxpr_as_fun(_closed(jaxpr, program))(*numbers)
 
 
-def without_results(program: ClosedJaxpr, kept: Sequence[bool]) -> ClosedJaxpr:
-    """A program with as many inputs, and only the results that are `kept`."""
-    return _cut(program, kept, [True] * len(program.in_avals))
+def without_results(program: ClosedJaxpr, retained: Sequence[bool]) -> ClosedJaxpr:
+    """A program with as many inputs, and only the results that are `retained`."""
+    return _cut(program, retained, [True] * len(program.in_avals))
 
 
 def _closed(jaxpr: Jaxpr, like: ClosedJaxpr) -> ClosedJaxpr:
     return ClosedJaxpr(jaxpr, like.consts)
 
 
-def asked(program: Program, used: Sequence[bool]) -> Asked:
+def find_needs(program: Program, used: Sequence[bool]) -> Needs:
     """What the results that are `used` need, in a loop with tangents and in its motion alone."""
-    wanted = _asked(program, used)
+    needed = _trace_needs(program, used)
     motion = program.motion
     if motion is None or program.within:
-        return wanted
+        return needed
     while True:
         # A derivative of its own asks for more where it is still to be taken.
-        needs = _asked(motion, _of_motion(wanted, motion).results)
-        pairs = zip(wanted, needs, strict=True)
-        both = Asked(*([*_either(own, more), *own[len(more) :]] for own, more in pairs))
-        if both == wanted:
-            return wanted
-        now = _asked(program, both.results)
-        wanted = Asked(*(_either(*each) for each in zip(both, now, strict=True)))
+        needs = _trace_needs(motion, _of_motion(needed, motion).results)
+        pairs = zip(needed, needs, strict=True)
+        both = Needs(*([*_either(flags, more), *flags[len(more) :]] for flags, more in pairs))
+        if both == needed:
+            return needed
+        now = _trace_needs(program, both.results)
+        needed = Needs(*(_either(*each) for each in zip(both, now, strict=True)))
 
 
-def _asked(program: Program, used: Sequence[bool]) -> Asked:
+def _trace_needs(program: Program, used: Sequence[bool]) -> Needs:
     c, b, count = program.condition_constants, program.body_constants, len(avals_of(program)[1])
     state, tables = list(used[:count]), list(used[count:])
     _, tests = pe.dce_jaxpr(program.condition.jaxpr, True)
@@ -85,57 +85,57 @@ def _asked(program: Program, used: Sequence[bool]) -> Asked:
             break
         state = now
     fixed = list(inputs[:b])
-    for table, wanted in zip(program.tables, tables, strict=True):
-        for place in (table.places, table.begins):
-            if wanted and place is not None:
+    for table, is_needed in zip(program.tables, tables, strict=True):
+        for place in (table.places, table.start):
+            if is_needed and place is not None:
                 fixed[place] = True
-    return Asked(list(tests[:c]), fixed, state, tables)
+    return Needs(list(tests[:c]), fixed, state, tables)
 
 
 def _either(these: Sequence[bool], those: Sequence[bool]) -> list[bool]:
     return [a or b for a, b in zip(these, those, strict=False)]
 
 
-def _of_motion(wanted: Asked, motion: Program) -> Asked:
+def _of_motion(needs: Needs, motion: Program) -> Needs:
     """What of it is the motion's: that comes first everywhere."""
-    return Asked(
-        wanted.of_condition,
-        wanted.of_body[: motion.body_constants],
-        wanted.state[: len(avals_of(motion)[1])],
-        wanted.tables[: len(motion.tables)],
+    return Needs(
+        needs.of_condition,
+        needs.of_body[: motion.body_constants],
+        needs.state[: len(avals_of(motion)[1])],
+        needs.tables[: len(motion.tables)],
     )
 
 
-def reduced(program: Program, wanted: Asked) -> Program:
+def reduced(program: Program, needs: Needs) -> Program:
     """The loop with nothing but these. One within another is not asked for its motion alone."""
-    places = _places([*wanted.of_body, *wanted.state])
-    everywhere, of_state = _places(wanted.inputs), _places(wanted.state)
+    places = _places([*needs.of_body, *needs.state])
+    everywhere, of_state = _places(needs.inputs), _places(needs.state)
     tables = [
-        t._replace(places=places[t.places], begins=None if t.begins is None else places[t.begins])
-        for t, own in zip(program.tables, wanted.tables, strict=True)
-        if own
+        t._replace(places=places[t.places], start=None if t.start is None else places[t.start])
+        for t, need in zip(program.tables, needs.tables, strict=True)
+        if need
     ]
     motion = None if program.within else program.motion
     return program._replace(
-        condition=_cut(program.condition, [True], [*wanted.of_condition, *wanted.state]),
-        body=_cut(program.body, wanted.results, [*wanted.of_body, *wanted.state]),
-        condition_constants=sum(wanted.of_condition),
-        body_constants=sum(wanted.of_body),
-        tangents=_found(program.tangents, places),
-        motion=None if motion is None else reduced(motion, _of_motion(wanted, motion)),
+        condition=_cut(program.condition, [True], [*needs.of_condition, *needs.state]),
+        body=_cut(program.body, needs.results, [*needs.of_body, *needs.state]),
+        condition_constants=sum(needs.of_condition),
+        body_constants=sum(needs.of_body),
+        tangents=_renumber(program.tangents, places),
+        motion=None if motion is None else reduced(motion, _of_motion(needs, motion)),
         tables=tuple(tables),
-        shared=_found(program.shared, everywhere),
-        long=_found(program.long, of_state),
+        shared=_renumber(program.shared, everywhere),
+        long=_renumber(program.long, of_state),
     )
 
 
-def _found(numbers: frozenset[int], places: dict[int, int]) -> frozenset[int]:
+def _renumber(numbers: frozenset[int], places: dict[int, int]) -> frozenset[int]:
     return frozenset(places[i] for i in numbers if i in places)
 
 
-def _places(kept: Sequence[bool]) -> dict[int, int]:
+def _places(mask: Sequence[bool]) -> dict[int, int]:
     """Where what is kept stands afterwards."""
-    return {old: new for new, old in enumerate(i for i, own in enumerate(kept) if own)}
+    return {old: new for new, old in enumerate(i for i, flag in enumerate(mask) if flag)}
 
 
 def _cut(program: ClosedJaxpr, results: Sequence[bool], inputs: Sequence[bool]) -> ClosedJaxpr:
@@ -149,29 +149,29 @@ def _rule(used: list[bool], equation: Any) -> tuple[list[bool], Any]:
         return [False] * len(equation.invars), None
     program = equation.params["program"]
     narrow = program.narrow
-    wanted = asked(program if narrow is None else narrow.program, used)
-    inputs, results = wanted.inputs, wanted.results
+    needs = find_needs(program if narrow is None else narrow.program, used)
+    inputs, results = needs.inputs, needs.results
     # Tangents that are unknown, nan whatever moves, depend on none, and still there are several.
     lone = narrow is not None and not any(np.logical_and(narrow.batched, inputs))
     if lone or (all(inputs) and all(results)):
         return [True] * len(inputs), equation
     if narrow is None:
-        program = reduced(program, wanted)
+        program = reduced(program, needs)
     else:
-        shared = _found(program.shared, _places(inputs))
-        program = widened(_reduced_narrow(narrow, wanted), narrow.tangents)._replace(shared=shared)
-    kept = lambda own, wanted: [v for v, w in zip(own, wanted, strict=True) if w]
+        shared = _renumber(program.shared, _places(inputs))
+        program = widened(_reduced_narrow(narrow, needs), narrow.tangents)._replace(shared=shared)
+    select_needed = lambda values, needs: [v for v, w in zip(values, needs, strict=True) if w]
     return inputs, equation.replace(
-        invars=kept(equation.invars, inputs),
-        outvars=kept(equation.outvars, results),
+        invars=select_needed(equation.invars, inputs),
+        outvars=select_needed(equation.outvars, results),
         params=equation.params | {"program": program},
     )
 
 
-def _reduced_narrow(narrow: Narrow, wanted: Asked) -> Narrow:
-    program = reduced(narrow.program, wanted)
-    batched = tuple(b for b, own in zip(narrow.batched, wanted.inputs, strict=True) if own)
-    moving = tuple(m for m, own in zip(narrow.moving, wanted.results, strict=True) if own)
+def _reduced_narrow(narrow: Narrow, needs: Needs) -> Narrow:
+    program = reduced(narrow.program, needs)
+    batched = tuple(b for b, need in zip(narrow.batched, needs.inputs, strict=True) if need)
+    moving = tuple(m for m, need in zip(narrow.moving, needs.results, strict=True) if need)
     return narrow._replace(program=program, batched=batched, moving=moving)
 
 

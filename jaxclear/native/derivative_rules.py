@@ -43,12 +43,12 @@ def _product(*numbers: Any, columns: int, maps: tuple[Map, ...]) -> list:
     """Columns times tangents."""
 
     def one(matrices, tangents):
-        way = jnp.concatenate([jnp.ravel(each) for each in tangents])
-        shaped = lambda m: way.reshape(-1, *[1] * (m.ndim - 1))
+        flat_tangent = jnp.concatenate([jnp.ravel(each) for each in tangents])
+        shaped = lambda m: flat_tangent.reshape(-1, *[1] * (m.ndim - 1))
         return [jnp.sum(heard(m, shaped(m)), axis=0) for m in matrices]
 
-    for own in maps:
-        one = jax.vmap(one, (list(own.values), list(own.tangents)))
+    for batch_map in maps:
+        one = jax.vmap(one, (list(batch_map.values), list(batch_map.tangents)))
     return one(list(numbers[:columns]), list(numbers[columns:]))
 
 
@@ -59,15 +59,15 @@ def _apply(*numbers, **params):
 
 @applied_p.def_abstract_eval
 def _shapes_applied(*avals, **params):
-    given = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals]
-    found = jax.eval_shape(functools.partial(_product, **params), *given)
-    return [jax.core.ShapedArray(each.shape, each.dtype) for each in found]
+    shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals]
+    result_shapes = jax.eval_shape(functools.partial(_product, **params), *shapes)
+    return [jax.core.ShapedArray(each.shape, each.dtype) for each in result_shapes]
 
 
 def _batch_applied(numbers, dims, *, columns, maps):
     size = samples_in(numbers, dims)
-    own = Map(size, tuple(dims[:columns]), tuple(dims[columns:]))
-    out = applied_p.bind(*numbers, columns=columns, maps=(*maps, own))
+    batch_map = Map(size, tuple(dims[:columns]), tuple(dims[columns:]))
+    out = applied_p.bind(*numbers, columns=columns, maps=(*maps, batch_map))
     return out, [0] * len(out)
 
 
@@ -79,28 +79,28 @@ def _differentiate_applied(numbers, tangents, **params):
 def _backwards(cotangents, *numbers, columns, maps):
     """What the results' cotangents make of the tangents'."""
     heeded = [i for i, each in enumerate(cotangents) if not isinstance(each, ad.Zero)]
-    ways = numbers[columns:]
-    avals = [way.aval if ad.is_undefined_primal(way) else jax.typeof(way) for way in ways]
+    tangents = numbers[columns:]
+    avals = [t.aval if ad.is_undefined_primal(t) else jax.typeof(t) for t in tangents]
     shapes = [list(aval.shape) for aval in avals]
-    for own in reversed(maps):
-        for shape, axis in zip(shapes, own.tangents, strict=True):
+    for batch_map in reversed(maps):
+        for shape, axis in zip(shapes, batch_map.tangents, strict=True):
             if axis is not None:
                 del shape[axis]
     splits = np.cumsum([math.prod(shape) for shape in shapes])[:-1]
 
-    def one(matrices, asked):
-        parts = [heard(m, a[None]) for m, a in zip(matrices, asked, strict=True)]
+    def one(matrices, cotangents_of_results):
+        parts = [heard(m, a[None]) for m, a in zip(matrices, cotangents_of_results, strict=True)]
         total = sum(jnp.sum(each.reshape(each.shape[0], -1), axis=1) for each in parts)
         return [p.reshape(s) for p, s in zip(jnp.split(total, splits), shapes, strict=True)]
 
-    for own in maps:
-        axes = [own.values[i] for i in heeded]
-        one = _gathered(jax.vmap(one, (axes, 0)), own.tangents)
+    for batch_map in maps:
+        axes = [batch_map.values[i] for i in heeded]
+        one = _gathered(jax.vmap(one, (axes, 0)), batch_map.tangents)
     if not heeded:
         return [None] * len(numbers)
-    found = one([numbers[i] for i in heeded], [cotangents[i] for i in heeded])
-    unknown = map(ad.is_undefined_primal, ways)
-    return [None] * columns + [f if u else None for f, u in zip(found, unknown, strict=True)]
+    products = one([numbers[i] for i in heeded], [cotangents[i] for i in heeded])
+    unknown = map(ad.is_undefined_primal, tangents)
+    return [None] * columns + [f if u else None for f, u in zip(products, unknown, strict=True)]
 
 
 def _gathered(mapped: Callable, axes: Sequence[int | None]) -> Callable:
@@ -132,25 +132,27 @@ def by_columns(function: Callable, *arguments: Any) -> Any:
     reverse mode by these is made of as many in forward mode as there are such numbers that move."""
     leaves, structure = jax.tree.flatten(arguments)
     places = [i for i, leaf in enumerate(leaves) if isinstance(leaf, jax.core.Tracer)]
-    kept: list[Any] = []
+    shapes: list[Any] = []
 
-    def of_leaves(*given):
-        out, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, given)))
-        found = [i for i, leaf in enumerate(out) if isinstance(leaf, jax.core.Tracer)]
-        kept.append((shape, found, [None if i in found else leaf for i, leaf in enumerate(out)]))
-        return [out[i] for i in found]
+    def of_leaves(*leaves_of_arguments):
+        out, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves_of_arguments)))
+        traced = [i for i, leaf in enumerate(out) if isinstance(leaf, jax.core.Tracer)]
+        shapes.append(
+            (shape, traced, [None if i in traced else leaf for i, leaf in enumerate(out)])
+        )
+        return [out[i] for i in traced]
 
     numbers = [leaves[i] for i in places]
     of_traced = of_moving(of_leaves, leaves, places)
     program = jax.make_jaxpr(of_traced)(*numbers) if places else None
     if program is None or program.jaxpr.effects:
         return function(*arguments)
-    shape, found, out = kept[0]
+    shape, traced, out = shapes[0]
     constants = program.consts
     answers = columns_p.bind(
         *constants, *numbers, program=constants_first(program), moving=(), maps=()
     )
-    for place, answer in zip(found, answers, strict=True):
+    for place, answer in zip(traced, answers, strict=True):
         out[place] = answer
     return jax.tree.unflatten(shape, out)
 
@@ -177,10 +179,10 @@ def _reference(*numbers: Any, program: ClosedJaxpr, moving: tuple, maps: tuple[M
             return list(jaxpr_as_fun(program)(*values)), []
         return _pushed(program, moving, values, tangents)
 
-    for own in maps:
+    for batch_map in maps:
         # None: the same for all tangents, and known to be.
-        axis = None if the_same(own.values) else 0
-        one = jax.vmap(one, (list(own.values), list(own.tangents)), (axis, 0))
+        axis = None if the_same(batch_map.values) else 0
+        one = jax.vmap(one, (list(batch_map.values), list(batch_map.tangents)), (axis, 0))
     out, moved = one(list(numbers[:count]), list(numbers[count:]))
     return [*out, *moved]
 
@@ -208,35 +210,35 @@ def _without(used, equation):
     """The same without results that nobody asks for, nor their tangents."""
     program = equation.params["program"]
     count, floats = len(program.out_avals), _floats(program)
-    kept = list(used[:count])
-    for i, wanted in zip(floats, used[count:], strict=False):
-        kept[i] = kept[i] or wanted
-    if not any(kept):
+    mask = list(used[:count])
+    for i, is_used in zip(floats, used[count:], strict=False):
+        mask[i] = mask[i] or is_used
+    if not any(mask):
         return [False] * len(equation.invars), None
-    whole = [*kept, *(kept[i] for i in floats)][: len(used)]
-    out = [v for v, own in zip(equation.outvars, whole, strict=True) if own]
-    params = equation.params | {"program": without_results(program, kept)}
+    all_used = [*mask, *(mask[i] for i in floats)][: len(used)]
+    out = [v for v, flag in zip(equation.outvars, all_used, strict=True) if flag]
+    params = equation.params | {"program": without_results(program, mask)}
     return [True] * len(equation.invars), equation.replace(outvars=out, params=params)
 
 
 def _batch(numbers, dims, *, program, moving, maps):
     size = samples_in(numbers, dims)
     count, results = len(program.in_avals), len(program.out_avals)
-    own = Map(size, tuple(dims[:count]), tuple(dims[count:]))
-    out = columns_p.bind(*numbers, program=program, moving=moving, maps=(*maps, own))
-    axis = None if the_same(own.values) else 0
+    batch_map = Map(size, tuple(dims[:count]), tuple(dims[count:]))
+    out = columns_p.bind(*numbers, program=program, moving=moving, maps=(*maps, batch_map))
+    axis = None if the_same(batch_map.values) else 0
     return out, [axis] * results + [0] * (len(out) - results)
 
 
 def _differentiate(values, tangents, *, program, moving, maps):
     moved = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero))
-    given = [tangents[i] for i in moved]
+    moving_tangents = [tangents[i] for i in moved]
     if moving:
         params = {"program": program, "moving": moving, "maps": maps}
-        return _of_second_order(values, moved, given, params)
+        return _of_second_order(values, moved, moving_tangents, params)
     maps = tuple(m._replace(tangents=tuple(m.values[i] for i in moved)) for m in maps)
-    found = columns_p.bind(*values, *given, program=program, moving=moved, maps=maps)
-    out, slopes = found[: len(program.out_avals)], iter(found[len(program.out_avals) :])
+    results = columns_p.bind(*values, *moving_tangents, program=program, moving=moved, maps=maps)
+    out, slopes = results[: len(program.out_avals)], iter(results[len(program.out_avals) :])
     have = set(_floats(program))
     return out, [next(slopes) if i in have else still(each) for i, each in enumerate(out)]
 
@@ -257,47 +259,47 @@ def _with_columns(*values: Any, program: ClosedJaxpr, moving: tuple, maps: tuple
     count = sum(sizes)
     portions = max(1, -(-count // TOGETHER))
     together = -(-count // portions)
-    ways = np.eye(portions * together, count).reshape(portions, together, count)
+    unit_tangents = np.eye(portions * together, count).reshape(portions, together, count)
 
     def one(values):
-        def push(way):
-            parts = jnp.split(way, np.cumsum(sizes)[:-1])
-            own = [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
-            return _pushed(program, moving, values, own)
+        def push(flat_tangent):
+            parts = jnp.split(flat_tangent, np.cumsum(sizes)[:-1])
+            tangent_parts = [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
+            return _pushed(program, moving, values, tangent_parts)
 
         if count == 0:
             out = jaxpr_as_fun(program)(*values)
             return list(out), [jnp.zeros((0, *out[i].shape)) for i in _floats(program)]
         side_by_side = jax.vmap(push, out_axes=(None, 0))
         if portions == 1:
-            return side_by_side(jnp.asarray(ways[0]))
-        out, columns = jax.lax.map(side_by_side, jnp.asarray(ways))
+            return side_by_side(jnp.asarray(unit_tangents[0]))
+        out, columns = jax.lax.map(side_by_side, jnp.asarray(unit_tangents))
         return [o[0] for o in out], [c.reshape(-1, *c.shape[2:])[:count] for c in columns]
 
-    for own in maps:
-        if not the_same(own.values):
-            one = jax.vmap(one, (list(own.values),))
+    for batch_map in maps:
+        if not the_same(batch_map.values):
+            one = jax.vmap(one, (list(batch_map.values),))
     return one(list(values))
 
 
-def _known_first(trace, *tracers, program, moving, maps):
+def _partial_evaluation(trace, *tracers, program, moving, maps):
     """What is linearised about known values: these go through the function once, together with
     the columns; what is left is their product with the tangents."""
     count = len(program.in_avals)
     values, tangents = tracers[:count], tracers[count:]
-    known = all(each.pval.is_known() for each in values)
-    if not known or all(each.pval.is_known() for each in tangents):
+    all_known = all(each.pval.is_known() for each in values)
+    if not all_known or all(each.pval.is_known() for each in tangents):
         params = {"program": program, "moving": moving, "maps": maps}
         return trace.default_process_primitive(columns_p, tracers, params)
     run = functools.partial(_with_columns, program=program, moving=moving, maps=maps)
     out, columns = jax.jit(run)(*(each.pval.get_known() for each in values))
-    own = tuple(
+    inner_maps = tuple(
         Map(m.size, tuple(None if the_same(m.values) else 0 for _ in columns), m.tangents)
         for m in maps
     )
-    given = [*map(trace.new_const, columns), *tangents]
-    params = {"columns": len(columns), "maps": own}
-    moved = trace.default_process_primitive(applied_p, given, params)
+    traced_inputs = [*map(trace.new_const, columns), *tangents]
+    params = {"columns": len(columns), "maps": inner_maps}
+    moved = trace.default_process_primitive(applied_p, traced_inputs, params)
     return [*map(trace.new_const, out), *moved]
 
 
@@ -305,7 +307,7 @@ batching.primitive_batchers[columns_p] = _batch
 mlir.register_lowering(columns_p, mlir.lower_fun(_lowered, multiple_results=True))
 drop_by(columns_p, _without)
 ad.primitive_jvps[columns_p] = _differentiate
-pe.custom_partial_eval_rules[columns_p] = _known_first
+pe.custom_partial_eval_rules[columns_p] = _partial_evaluation
 
 
 _forwards_p = Primitive("jaxclear_forwards_only")

@@ -35,7 +35,7 @@ TABLE = (ctypes.c_int64 * (2 * PLACES))()
 CALLS = (ctypes.c_int64 * PLACES)()
 # The number of a place while another kernel takes it.
 CHANGING = -1
-GONE = b"jaxclear: the kernel of this program has been dropped; compile the program again."
+DROPPED = b"jaxclear: the kernel of this program has been dropped; compile the program again."
 # Code of an internal error in XLA's foreign function interface.
 INTERNAL = 13
 
@@ -51,7 +51,7 @@ FUNCTION = template("function")
 
 
 @functools.cache
-def known_to_xla() -> Any:
+def register_with_xla() -> Any:
     """Makes the function known to XLA, once; gives the engine that holds it."""
     major, minor = interface_version()
     text = FUNCTION.format(
@@ -62,8 +62,8 @@ def known_to_xla() -> Any:
         calls=ctypes.addressof(CALLS),
         changing=CHANGING,
         mask=PLACES - 1,
-        length=len(GONE) + 1,
-        message=GONE.decode(),
+        length=len(DROPPED) + 1,
+        message=DROPPED.decode(),
         error=ERROR,
     )
     engine = object_code.compiled(text)
@@ -78,20 +78,20 @@ def register(platform: str, engine: Any) -> None:
         ctypes.py_object,
         [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p],
     )
-    found = capsule(engine.get_function_address(TARGET), None, None)
-    jax.ffi.register_ffi_target(TARGET, found, platform=platform, api_version=1)
+    function_capsule = capsule(engine.get_function_address(TARGET), None, None)
+    jax.ffi.register_ffi_target(TARGET, function_capsule, platform=platform, api_version=1)
 
 
 def _place(number: int) -> int:
     """Where a number stands in the table, or else the first place that is free for it."""
     place, free = number % PLACES, None
     for _ in range(PLACES):
-        found, address = TABLE[2 * place], TABLE[2 * place + 1]
-        if found == number:
+        stored_number, address = TABLE[2 * place], TABLE[2 * place + 1]
+        if stored_number == number:
             return place
         if free is None and address == 0:
             free = place
-        if found == 0:
+        if stored_number == 0:
             break
         place = (place + 1) % PLACES
     if free is None:
@@ -129,7 +129,7 @@ def _pair(place: int) -> int:
 
 def _ordered(what: str, *types: Any) -> Any:
     """A function of machine code that changes the table in an order that other threads see too."""
-    return ctypes.CFUNCTYPE(*types)(known_to_xla().get_function_address(f"{TARGET}.{what}"))
+    return ctypes.CFUNCTYPE(*types)(register_with_xla().get_function_address(f"{TARGET}.{what}"))
 
 
 def size() -> int:
@@ -183,8 +183,8 @@ def interface_version() -> tuple[int, int]:
     plain = interface()
     if not all(part in plain for part in STRUCTURES):
         raise Unsupported("XLA's foreign function interface of this jaxlib")
-    found = [re.search(rf"#define XLA_FFI_API_{part} (\d+)", plain) for part in ("MAJOR", "MINOR")]
-    major, minor = (int(match[1]) for match in found if match)
+    parts = [re.search(rf"#define XLA_FFI_API_{part} (\d+)", plain) for part in ("MAJOR", "MINOR")]
+    major, minor = (int(match[1]) for match in parts if match)
     return major, minor
 
 
@@ -215,9 +215,9 @@ def frame(
     loads, pointers = [], []
     read, in_memory = len(in_memory), [*in_memory, *tables]
     for i in range(1 + len(in_memory)):
-        given = f"%arguments, i64 {i}" if i <= read else f"%results, i64 {i - read}"
+        buffer_operands = f"%arguments, i64 {i}" if i <= read else f"%results, i64 {i - read}"
         loads += [
-            f"  %a{i} = getelementptr ptr, ptr {given}",
+            f"  %a{i} = getelementptr ptr, ptr {buffer_operands}",
             f"  %b{i} = load ptr, ptr %a{i}",
             f"  %c{i} = getelementptr i8, ptr %b{i}, i64 24",
             f"  %d{i} = load ptr, ptr %c{i}",

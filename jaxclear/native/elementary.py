@@ -11,14 +11,14 @@ import numpy as np
 from jaxclear.native.arithmetic import compare
 from jaxclear.native.writer import (
     FLOAT,
+    INT,
     PURE,
     TRUTH,
-    WHOLE,
     Unsupported,
     Writer,
     each,
+    is_num,
     kinds_of,
-    known,
     rule,
 )
 
@@ -95,19 +95,19 @@ def sincos(lanes: int) -> tuple[list[str], set[str]]:
     odd, half = [
         w.operate(
             "icmp ne {type} {0}, {1}",
-            WHOLE,
-            w.operate("and {type} {0}, {1}", WHOLE, quadrant, bit),
+            INT,
+            w.operate("and {type} {0}, {1}", INT, quadrant, bit),
             0,
         )
         for bit in (1, 2)
     ]
-    above = w.operate("add {type} {0}, {1}", WHOLE, quadrant, 1)
-    turned = w.operate(
-        "icmp ne {type} {0}, {1}", WHOLE, w.operate("and {type} {0}, {1}", WHOLE, above, 2), 0
+    above = w.operate("add {type} {0}, {1}", INT, quadrant, 1)
+    negated = w.operate(
+        "icmp ne {type} {0}, {1}", INT, w.operate("and {type} {0}, {1}", INT, above, 2), 0
     )
     s, c = w.choose(odd, cosine, sine, FLOAT), w.choose(odd, sine, cosine, FLOAT)
     s = w.choose(half, _float(w, "fneg {type} {0}", s), s, FLOAT)
-    c = w.choose(turned, _float(w, "fneg {type} {0}", c), c, FLOAT)
+    c = w.choose(negated, _float(w, "fneg {type} {0}", c), c, FLOAT)
     _give(w, s, c)
     w.start("far")
     _give(w, w.library("sin", "%x"), w.library("cos", "%x"))
@@ -149,7 +149,7 @@ def atan2(lanes: int) -> tuple[list[str], set[str]]:
     rest = _float(w, "fsub {type} {0}, {1}", HALF_PI[1], arc)
     arc = w.choose(steep, _float(w, "fadd {type} {0}, {1}", HALF_PI[0], rest), arc, FLOAT)
     behind = w.put(f"bitcast {wide} %x to {w.wide('i64')}")
-    negative = w.operate("icmp slt {type} {0}, {1}", WHOLE, behind, 0)
+    negative = w.operate("icmp slt {type} {0}, {1}", INT, behind, 0)
     rest = _float(w, "fsub {type} {0}, {1}", 2 * HALF_PI[1], arc)
     arc = w.choose(negative, _float(w, "fadd {type} {0}, {1}", 2 * HALF_PI[0], rest), arc, FLOAT)
     w.say(f"ret {wide} {w.call('copysign', arc, '%y')}")
@@ -157,7 +157,7 @@ def atan2(lanes: int) -> tuple[list[str], set[str]]:
     return [head, "entry:", *w.lines, "}"], w.needs
 
 
-OWN = {"sincos": sincos, "atan2": atan2}
+DEFINITIONS = {"sincos": sincos, "atan2": atan2}
 
 
 # The least float above 0.
@@ -172,22 +172,22 @@ def _intrinsic(writer, equation, a):
     name, kind = equation.primitive.name, kinds_of(equation)[0]
     if kind != FLOAT:
         if name == "abs":
-            return each(lambda x: abs(x) if known(x) else _absolute(writer, x), a)
+            return each(lambda x: abs(x) if is_num(x) else _absolute(writer, x), a)
         raise Unsupported(f"{name} of whole numbers")
     return each(lambda x: writer.call(_INTRINSICS[name], x), a)
 
 
 def _absolute(writer, x):
     return writer.choose(
-        compare(writer, "lt", WHOLE, x, 0),
-        writer.operate("sub {type} {1}, {0}", WHOLE, x, 0),
+        compare(writer, "lt", INT, x, 0),
+        writer.operate("sub {type} {1}, {0}", INT, x, 0),
         x,
-        WHOLE,
+        INT,
     )
 
 
 # Sum, difference and product.
-_PIECES = {FLOAT: ("fadd contract", "fsub contract", "fmul contract"), WHOLE: ("add", "sub", "mul")}
+_PIECES = {FLOAT: ("fadd contract", "fsub contract", "fmul contract"), INT: ("add", "sub", "mul")}
 
 # fmt: off
 _LIBRARY = (
@@ -212,7 +212,7 @@ def _power(writer, equation, a, b):
 @rule("sin", "cos")
 def _sine(writer, equation, a):
     def one(x):
-        pair = writer.own("sincos", x)
+        pair = writer.call_defined("sincos", x)
         wide = writer.wide(FLOAT)
         return writer.put(
             f"extractvalue {{{wide}, {wide}}} {pair}, {int(equation.primitive.name == 'cos')}"
@@ -223,12 +223,12 @@ def _sine(writer, equation, a):
 
 @rule("atan2")
 def _angle(writer, equation, a, b):
-    return each(lambda y, x: writer.own("atan2", y, x), a, b)
+    return each(lambda y, x: writer.call_defined("atan2", y, x), a, b)
 
 
 @rule("atan")
 def _arctangent(writer, equation, a):
-    return each(lambda x: writer.own("atan2", x, 1.0), a)
+    return each(lambda x: writer.call_defined("atan2", x, 1.0), a)
 
 
 @rule("rsqrt")
@@ -261,20 +261,20 @@ def _neighbour(writer, equation, a, b):
     """Floats in order of size are in order as whole numbers too, without their sign."""
 
     def one(x, y):
-        if known(x, y):
+        if is_num(x, y):
             return float(np.nextafter(x, y))
         up, below = compare(writer, "gt", FLOAT, y, x), compare(writer, "lt", FLOAT, x, 0.0)
         away = writer.operate("xor {type} {0}, {1}", TRUTH, up, below)
-        step = writer.choose(away, 1, -1, WHOLE)
-        floats, wholes = writer.wide(FLOAT), writer.wide(WHOLE)
+        step = writer.choose(away, 1, -1, INT)
+        floats, wholes = writer.wide(FLOAT), writer.wide(INT)
         bits = writer.put(f"bitcast {floats} {writer.text(x, FLOAT)} to {wholes}")
-        bits = writer.operate("add {type} {0}, {1}", WHOLE, bits, step)
+        bits = writer.operate("add {type} {0}, {1}", INT, bits, step)
         moved = writer.put(f"bitcast {wholes} {bits} to {floats}")
         tiny = writer.choose(up, SMALLEST, -SMALLEST, FLOAT)
         moved = writer.choose(compare(writer, "eq", FLOAT, x, 0.0), tiny, moved, FLOAT)
         moved = writer.choose(compare(writer, "eq", FLOAT, x, y), y, moved, FLOAT)
-        lost = writer.operate("fcmp uno {type} {0}, {1}", FLOAT, x, y)
-        return writer.choose(lost, float("nan"), moved, FLOAT)
+        is_nan = writer.operate("fcmp uno {type} {0}, {1}", FLOAT, x, y)
+        return writer.choose(is_nan, float("nan"), moved, FLOAT)
 
     return each(one, a, b)
 
@@ -297,7 +297,7 @@ def _square(writer, equation, a):
     kind = kinds_of(equation)[0]
     word = "fmul contract" if kind == FLOAT else "mul"
     return each(
-        lambda x: x * x if known(x) else writer.operate(word + " {type} {0}, {0}", kind, x), a
+        lambda x: x * x if is_num(x) else writer.operate(word + " {type} {0}, {0}", kind, x), a
     )
 
 
@@ -309,7 +309,7 @@ def _one_minus_square(writer, equation, a):
     one = 1.0 if kind == FLOAT else 1
 
     def both(x):
-        if known(x):
+        if is_num(x):
             return (one + x) * (one - x)
         more = writer.operate(f"{add} {{type}} {{0}}, {{1}}", kind, one, x)
         less = writer.operate(f"{sub} {{type}} {{0}}, {{1}}", kind, one, x)
@@ -341,12 +341,12 @@ def _integer_power(writer, equation, a):
         raise Unsupported("a power of whole numbers")
 
     def one(x):
-        result, square, left = None, x, abs(count)
-        while left:
-            if left & 1:
+        result, square, remaining_power = None, x, abs(count)
+        while remaining_power:
+            if remaining_power & 1:
                 result = square if result is None else _product(writer, result, square)
-            left >>= 1
-            square = _product(writer, square, square) if left else square
+            remaining_power >>= 1
+            square = _product(writer, square, square) if remaining_power else square
         result = 1.0 if result is None else result
         return writer.operate("fdiv {type} {0}, {1}", FLOAT, 1.0, result) if count < 0 else result
 

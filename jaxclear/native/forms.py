@@ -20,15 +20,15 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxclear.native import as_written, object_code
+from jaxclear.native import object_code, source_check
 
 # What is told by its name: its version is told beside it.
 LIBRARIES = ("jax", "jaxlib", "numpy", "equinox", "diffrax", "optimistix", "lineax", "jaxlie")
-OWN = ("jaxclear", "builtins", *LIBRARIES)
+TRUSTED = ("jaxclear", "builtins", *LIBRARIES)
 # How the names of variables begin that say how programs are compiled.
 VARIABLES = ("JAXCLEAR_PLAIN", "XLA_", "JAX_")
 # Settings of JAX that no program hangs on have one of these in their names.
-APART = ("cache", "log", "explain", "traceback", "dump")
+IGNORED = ("cache", "log", "explain", "traceback", "dump")
 
 
 class Untold(Exception):
@@ -45,8 +45,8 @@ def _nodes(tree: Any) -> Iterator[str]:
     if data is None:
         yield "*"
         return
-    kind, held = data
-    yield f"{_named(kind)}[{in_text(held)}]("
+    kind, content = data
+    yield f"{_named(kind)}[{in_text(content)}]("
     for child in tree.children():
         yield from _nodes(child)
         yield ","
@@ -75,8 +75,8 @@ def in_text(thing: Any) -> str:
     if isinstance(thing, np.dtype):
         return f"kind {thing.str}"
     if fields := getattr(type(thing), "__dataclass_fields__", ()):
-        held = (f"{name}={in_text(getattr(thing, name))}" for name in fields)
-        return f"{_named(type(thing))}({','.join(held)})"
+        field_texts = (f"{name}={in_text(getattr(thing, name))}" for name in fields)
+        return f"{_named(type(thing))}({','.join(field_texts)})"
     if callable(thing):
         return function_in_text(thing)
     if not getattr(thing, "__dict__", True) or type(thing).__module__.startswith("equinox."):
@@ -89,10 +89,10 @@ def function_in_text(function: Callable) -> str:
     """A function of a module, by the name under which it, or what is made of it, is there."""
     name = _named(function)
     module, path = name.split(":")
-    found: Any = sys.modules.get(module)
+    resolved: Any = sys.modules.get(module)
     for part in path.split("."):
-        found = getattr(found, part, None)
-    if found is not function and getattr(found, "__wrapped__", None) is not function:
+        resolved = getattr(resolved, part, None)
+    if resolved is not function and getattr(resolved, "__wrapped__", None) is not function:
         raise Untold(name)
     return name
 
@@ -100,7 +100,7 @@ def function_in_text(function: Callable) -> str:
 def _named(thing: Any) -> str:
     """The name of a class or function of a library."""
     module, name = getattr(thing, "__module__", None), getattr(thing, "__qualname__", "<")
-    if not isinstance(module, str) or module.partition(".")[0] not in OWN or "<" in name:
+    if not isinstance(module, str) or module.partition(".")[0] not in TRUSTED or "<" in name:
         raise Untold(name)
     return f"{module}:{name}"
 
@@ -115,13 +115,13 @@ def _array(values: np.ndarray) -> str:
 def surroundings() -> str:
     """All beside its arguments that a program hangs on: versions, the processor, settings. Raises
     `Untold` where this package is not what its files say."""
-    if not as_written.is_as_written():
+    if not source_check.is_unmodified():
         raise Untold("a package that was changed in this process")
-    given = {name: value for name, value in os.environ.items() if name.startswith(VARIABLES)}
+    environment = {name: value for name, value in os.environ.items() if name.startswith(VARIABLES)}
     settings: Any = jax.config
-    names = [name for name in sorted(settings.values) if not any(part in name for part in APART)]
-    told = [(name, str(getattr(settings, name, settings.values[name]))) for name in names]
-    return f"{_installed()}{sorted(given.items())}{told}"
+    names = [name for name in sorted(settings.values) if not any(part in name for part in IGNORED)]
+    setting_values = [(name, str(getattr(settings, name, settings.values[name]))) for name in names]
+    return f"{_installed()}{sorted(environment.items())}{setting_values}"
 
 
 @functools.cache
@@ -136,11 +136,11 @@ def _installed() -> str:
 def _files(root: Path) -> str:
     """A digest of all files of a package. Raises `Untold` where one is younger than this process:
     another may have been read before."""
-    told = hashlib.sha256()
+    digest = hashlib.sha256()
     for path in sorted([*root.rglob("*.py"), *root.rglob("*.ll")]):
-        own, content = path.stat(), path.read_bytes()
+        status, content = path.stat(), path.read_bytes()
         # A copy may carry an older date; when it came here is told beside it.
-        if max(own.st_mtime, own.st_ctime) > as_written.BEGUN:
+        if max(status.st_mtime, status.st_ctime) > source_check.READ_BEFORE:
             raise Untold(f"{path}, edited since it was read")
-        told.update(f"{path.relative_to(root)} {len(content)} ".encode() + content)
-    return told.hexdigest()
+        digest.update(f"{path.relative_to(root)} {len(content)} ".encode() + content)
+    return digest.hexdigest()

@@ -48,13 +48,13 @@ def is_ready() -> bool:
     """Whether this process has a GPU, with a driver, that kernels are written for."""
     try:
         gpu_ptx.processor_of(gpu_driver.driver().capability)
-        gpu_call.known_to_xla()
+        gpu_call.register_with_xla()
     except (Unsupported, ImportError):
         return False
     return True
 
 
-def known() -> list[GpuKernel]:
+def list_kernels() -> list[GpuKernel]:
     """The kernels of this process, those that took one turn for a comparison among them."""
     return list(_KERNELS.values())
 
@@ -62,23 +62,23 @@ def known() -> list[GpuKernel]:
 def build(program: Program, call: Call) -> GpuKernel:
     """Compile, compare where the machine does not know it yet, and make known. Raises
     `Unsupported`."""
-    gpu_call.known_to_xla()
+    gpu_call.register_with_xla()
     text = gpu_threads.text_of(program)
     if text.count("\n") > MOST_LINES:
         raise Unsupported("a program this long on a GPU")
     with _BUILDING:
-        known = _KERNELS.get(_number(text, program))
-        if known is None:
+        cached = _KERNELS.get(_number(text, program))
+        if cached is None:
             key = _key(text, program)
             ptx = cache_folder.read(cache_folder.KERNEL, key)
-            if ptx is None or check.is_wanted():
+            if ptx is None or check.is_check_enabled():
                 _compare(program, call)
-                known = _loaded(text, program)
-                # Kept is what has passed.
+                cached = _loaded(text, program)
+                # Cached is what has passed.
                 cache_folder.write(cache_folder.KERNEL, key, _ptx(text, program).encode())
             else:
-                known = _loaded(text, program, ptx.decode())
-        return known
+                cached = _loaded(text, program, ptx.decode())
+        return cached
 
 
 def _compare(program: Program, call: Call) -> None:
@@ -86,17 +86,17 @@ def _compare(program: Program, call: Call) -> None:
     one = _loaded(gpu_threads.text_of(program, checked=True), program)
 
     def turn(samples):
-        given = [
+        inputs = [
             np.asarray(samples[0][i]) if i in program.shared else np.stack([s[i] for s in samples])
             for i in range(len(samples[0]))
         ]
         with jax.ensure_compile_time_eval():
             run = lambda *values: call(*values, program=program, rank=1, number=one.number)
-            found = [np.asarray(each, float) for each in jax.jit(run)(*map(jnp.asarray, given))]
+            outputs = [np.asarray(each, float) for each in jax.jit(run)(*map(jnp.asarray, inputs))]
         state = len(avals_of(program)[1])
         flat = lambda each: each.reshape(len(samples), -1)
-        tables = found[state:]
-        parts = [*found[:state], *(each[:, -1] for each in tables), *(t[:, 0] for t in tables)]
+        tables = outputs[state:]
+        parts = [*outputs[:state], *(each[:, -1] for each in tables), *(t[:, 0] for t in tables)]
         return np.hstack(list(map(flat, parts)))
 
     check.check(program, turn, kernels.turn_of(program, 1), "the processor's, on a GPU")

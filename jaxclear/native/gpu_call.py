@@ -32,12 +32,12 @@ HANDLER = dispatch.template("gpu_frame")
 
 
 @functools.cache
-def known_to_xla() -> None:
+def register_with_xla() -> None:
     """Makes the function that finds kernels known to XLA on CUDA. Raises `Unsupported` for another
     interface of XLA."""
     if not all(part in dispatch.interface() for part in STRUCTURES):
         raise Unsupported("XLA's foreign function interface of this jaxlib, on a GPU")
-    dispatch.register("CUDA", dispatch.known_to_xla())
+    dispatch.register("CUDA", dispatch.register_with_xla())
 
 
 def handler_text(

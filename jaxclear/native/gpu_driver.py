@@ -63,18 +63,18 @@ class Driver:
         keys = (ctypes.c_int * 2)(ERROR_LOG, ERROR_LOG_SIZE)
         values = (ctypes.c_void_p * 2)(ctypes.addressof(log), LOG_BYTES)
         with self._within(context):
-            given = ctypes.byref(module), ctypes.c_char_p(ptx.encode()), 2, keys, values
-            self._call("cuModuleLoadDataEx", *given, log=log)
+            load_arguments = ctypes.byref(module), ctypes.c_char_p(ptx.encode()), 2, keys, values
+            self._call("cuModuleLoadDataEx", *load_arguments, log=log)
             self._call("cuModuleGetFunction", ctypes.byref(function), module, name.encode())
             # What a thread puts aside goes through this cache, and blocks share nothing.
             self.library.cuFuncSetCacheConfig(function, PREFER_L1)
-            asked = [self._asked(function, what) for what in (REGISTERS, LOCAL_BYTES)]
-        return Loaded(context, function.value or 0, *asked)
+            attributes = [self._get_attribute(function, what) for what in (REGISTERS, LOCAL_BYTES)]
+        return Loaded(context, function.value or 0, *attributes)
 
-    def _asked(self, function: Any, what: int) -> int:
-        found = ctypes.c_int()
-        self._call("cuFuncGetAttribute", ctypes.byref(found), what, function)
-        return found.value
+    def _get_attribute(self, function: Any, what: int) -> int:
+        value = ctypes.c_int()
+        self._call("cuFuncGetAttribute", ctypes.byref(value), what, function)
+        return value.value
 
     def _device(self, ordinal: int) -> int:
         device = ctypes.c_int()
@@ -87,10 +87,10 @@ class Driver:
         return context.value or 0
 
     def _capability(self, device: int) -> tuple[int, int]:
-        found = ctypes.c_int(), ctypes.c_int()
-        for number, what in zip(found, (MAJOR, MINOR), strict=True):
+        capability = ctypes.c_int(), ctypes.c_int()
+        for number, what in zip(capability, (MAJOR, MINOR), strict=True):
             self._call("cuDeviceGetAttribute", ctypes.byref(number), what, device)
-        return found[0].value, found[1].value
+        return capability[0].value, capability[1].value
 
     @contextmanager
     def _within(self, context: int) -> Iterator[None]:
@@ -101,12 +101,12 @@ class Driver:
         finally:
             self.library.cuCtxPopCurrent_v2(ctypes.byref(ctypes.c_void_p()))
 
-    def _call(self, name: str, *given: Any, log: Any = None) -> None:
-        error = getattr(self.library, name)(*given)
+    def _call(self, name: str, *call_arguments: Any, log: Any = None) -> None:
+        error = getattr(self.library, name)(*call_arguments)
         if error:
-            said = "" if log is None else " ".join(log.value.decode(errors="replace").split())
-            said = f" ({said[:LONGEST_MESSAGE]})" if said else ""
-            raise Unsupported(f"a GPU whose driver answers {name} by error {error}{said}")
+            log_text = "" if log is None else " ".join(log.value.decode(errors="replace").split())
+            log_text = f" ({log_text[:LONGEST_MESSAGE]})" if log_text else ""
+            raise Unsupported(f"a GPU whose driver answers {name} by error {error}{log_text}")
 
 
 @functools.cache

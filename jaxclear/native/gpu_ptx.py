@@ -40,8 +40,8 @@ def libdevice() -> Path | None:
     roots = [Path(os.environ[name]) for name in VARIABLES if os.environ.get(name)]
     roots += [folder for each in packages for folder in sorted(each.glob("*"))]
     for root in [*roots, Path(USUAL)]:
-        for found in sorted(root.glob(LIBDEVICE), reverse=True):
-            return found
+        for candidate in sorted(root.glob(LIBDEVICE), reverse=True):
+            return candidate
     return None
 
 

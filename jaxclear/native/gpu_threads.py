@@ -27,7 +27,7 @@ MOST_ARRAYS = 500
 _ENTRY = re.compile(r"  (%\S+) = getelementptr (\w+), ptr ([%@]\S+), i64 (\S+)")
 _SLOT = re.compile(r"  (%\S+) = getelementptr ptr, ptr %big, i64 (\d+)")
 _START = re.compile(r"  (%\S+) = load ptr, ptr (%\S+)")
-_OWN = re.compile(r"  (%\S+) = alloca .*")
+_ALLOCATION = re.compile(r"  (%\S+) = alloca .*")
 _USE = re.compile(r"  (?:%\S+ = load \w+|store \w+ \S+), ptr ([%@][^\s,]+)(?:, [^%]*)?")
 _CALL = re.compile(r"  call void @NAME\.\w+\((ptr [%@]\S+(?:, ptr [%@]\S+)*)\)")
 _COPY = re.compile(
@@ -38,7 +38,7 @@ _FLAG = re.compile(rf"  (%\S+) = load volatile i64, ptr {STOP_FLAG}")
 _HEAD = "define internal void @NAME.loop("
 
 # Numbers that stand apart by so many, copied, and made nan.
-APART = [
+ARRAY_FUNCTIONS = [
     kernels.over_numbers(
         "copy(ptr %to, i64 %far, ptr %from, i64 %wide, i64 %count)",
         "%count",
@@ -103,10 +103,10 @@ class Arrays(NamedTuple):
 def arrays_of(program: Program) -> Arrays:
     """What the kernel of a loop is handed."""
     constants, state = avals_of(program)
-    kept = list(enumerate(zip([*constants, *state], in_memory(program), strict=True)))
-    read = [0 if i in program.shared else floats_in([a]) for i, (a, long) in kept if long]
+    array_shapes = list(enumerate(zip([*constants, *state], in_memory(program), strict=True)))
+    read = [0 if i in program.shared else floats_in([a]) for i, (a, long) in array_shapes if long]
     return Arrays(
-        floats_in([a for _, (a, long) in kept if not long]),
+        floats_in([a for _, (a, long) in array_shapes if not long]),
         floats_in(packed_state(program)),
         read,
         [*(floats_in([a]) for a in changing(program)), *kernels.sizes_of_tables(program)],
@@ -127,53 +127,53 @@ def text_of(program: Program, checked: bool = False, on_host: bool = False) -> s
     # As metadata stands behind the loop's functions.
     body, end, behind = rest.partition("\n}")
     _, _, lines = body.partition(" {\nentry:")
-    own = ", ".join(f"ptr noalias %array.{k}" for k in range(count))
-    named = f"ptr noalias %in, ptr noalias %out, i64 %samples{', ' if own else ''}{own}"
+    params = ", ".join(f"ptr noalias %array.{k}" for k in range(count))
+    named = f"ptr noalias %in, ptr noalias %out, i64 %samples{', ' if params else ''}{params}"
     thread = "\n".join(_thread(lines.split("\n"), steps))
     loop = f"{head}{named}) alwaysinline {{\nentry:{thread}{end}"
-    return "\n".join([before, *APART, loop, behind, _entry(steps, on_host)])
+    return "\n".join([before, *ARRAY_FUNCTIONS, loop, behind, _entry(steps, on_host)])
 
 
 def _thread(lines: list[str], steps: list[bool]) -> list[str]:
     """The loop's lines, what is the thread's own found at its places; `steps`: whether the entries
     of each array stand apart by the number of samples."""
-    apart, slots, out = _Apart({"%in": True, "%out": True}), {}, []
-    far = lambda register: "%samples" if apart[register] else "1"
+    strided, slots, out = _StridedPointers({"%in": True, "%out": True}), {}, []
+    far = lambda register: "%samples" if strided[register] else "1"
     try:
         for line in lines:
-            if found := _SLOT.fullmatch(line):
-                slots[found[1]] = int(found[2])
-            elif found := _ENTRY.fullmatch(line):
-                name, kind, start, index = found.groups()
-                apart[name] = apart[start]
-                if apart[start]:
+            if match := _SLOT.fullmatch(line):
+                slots[match[1]] = int(match[2])
+            elif match := _ENTRY.fullmatch(line):
+                name, kind, start, index = match.groups()
+                strided[name] = strided[start]
+                if strided[start]:
                     if kind != "double":
                         raise KeyError(line.strip())
                     out.append(f"  {name}.ahead = mul i64 {index}, %samples")
                     index = f"{name}.ahead"
                 out.append(f"  {name} = getelementptr {kind}, ptr {start}, i64 {index}")
-            elif found := _START.fullmatch(line):
-                slot = slots[found[2]]
-                apart[found[1]] = steps[slot]
-                out.append(f"  {found[1]} = getelementptr i8, ptr %array.{slot}, i64 0")
-            elif found := _COPY.fullmatch(line):
-                to, start, size = found[1], found[2], int(found[3])
-                given = f"ptr {to}, i64 {far(to)}, ptr {start}, i64 {far(start)}, i64 {size // 8}"
-                out.append(f"  call void @NAME.copy({given})")
-            elif found := _SPOIL.fullmatch(line):
-                given = f"ptr {found[1]}, i64 {found[2]}, i64 {far(found[1])}"
-                out.append(f"  call void @NAME.spoil.apart({given})")
-            elif found := _FLAG.fullmatch(line):
-                out.append(f"  {found[1]} = add i64 0, 0")
+            elif match := _START.fullmatch(line):
+                slot = slots[match[2]]
+                strided[match[1]] = steps[slot]
+                out.append(f"  {match[1]} = getelementptr i8, ptr %array.{slot}, i64 0")
+            elif match := _COPY.fullmatch(line):
+                to, start, size = match[1], match[2], int(match[3])
+                copied = f"ptr {to}, i64 {far(to)}, ptr {start}, i64 {far(start)}, i64 {size // 8}"
+                out.append(f"  call void @NAME.copy({copied})")
+            elif match := _SPOIL.fullmatch(line):
+                copied = f"ptr {match[1]}, i64 {match[2]}, i64 {far(match[1])}"
+                out.append(f"  call void @NAME.spoil.apart({copied})")
+            elif match := _FLAG.fullmatch(line):
+                out.append(f"  {match[1]} = add i64 0, 0")
             else:
-                _look_at(line, apart)
+                _look_at(line, strided)
                 out.append(line)
     except (KeyError, ValueError) as unknown:
         raise Unsupported(f"a use of memory that is not known on a GPU: {unknown}") from unknown
     return out
 
 
-class _Apart(dict):
+class _StridedPointers(dict):
     """By register, whether what stands behind its place is as far as there are samples, or next,
     as constants of the kernel are."""
 
@@ -183,17 +183,17 @@ class _Apart(dict):
         raise KeyError(register)
 
 
-def _look_at(line: str, apart: _Apart) -> None:
+def _look_at(line: str, strided: _StridedPointers) -> None:
     """Raises `KeyError` where a line does with a pointer what is not known here, and notes a
     pointer to what the thread keeps for itself."""
-    if found := _OWN.fullmatch(line):
-        apart[found[1]] = False
-    elif found := _USE.fullmatch(line):
+    if match := _ALLOCATION.fullmatch(line):
+        strided[match[1]] = False
+    elif match := _USE.fullmatch(line):
         # Known, and one number.
-        apart[found[1]]
-    elif found := _CALL.fullmatch(line):
+        strided[match[1]]
+    elif match := _CALL.fullmatch(line):
         # A function of the kernel's own counts on numbers next to each other.
-        if any(apart[each.split()[1]] for each in found[1].split(", ")):
+        if any(strided[each.split()[1]] for each in match[1].split(", ")):
             raise KeyError(line.strip())
     elif re.search(r"\bptr\b", line):
         raise KeyError(line.strip())
@@ -203,9 +203,9 @@ def _entry(steps: list[bool], on_host: bool) -> str:
     """The function that a thread enters."""
     space = "ptr" if on_host else "ptr addrspace(1)"
     # The threads' own begin at their number, what they share at its beginning.
-    own = {"in": True, "out": True} | {f"array.{k}": own for k, own in enumerate(steps)}
+    strides = {"in": True, "out": True} | {f"array.{k}": strides for k, strides in enumerate(steps)}
     pointers = []
-    for name, first in own.items():
+    for name, first in strides.items():
         cast = (
             f"getelementptr i8, ptr %{name}.given, i64 0"
             if on_host
@@ -216,7 +216,7 @@ def _entry(steps: list[bool], on_host: bool) -> str:
         pointers.append(f"  %{name} = getelementptr double, ptr %{name}.begin, i64 {ahead}")
     arrays = [f"ptr %array.{k}" for k in range(len(steps))]
     return (_ON_HOST if on_host else _ON_DEVICE).format(
-        parameters=", ".join(["i64 %samples", *(f"{space} noalias %{n}.given" for n in own)]),
+        parameters=", ".join(["i64 %samples", *(f"{space} noalias %{n}.given" for n in strides)]),
         pointers="\n".join(pointers),
         arguments=", ".join(["ptr %in", "ptr %out", "i64 %samples", *arrays]),
         block=BLOCK,

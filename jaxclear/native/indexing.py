@@ -15,14 +15,14 @@ from jaxclear.native.arithmetic import combine, compare
 from jaxclear.native.long_arrays import joined, unstacked, view
 from jaxclear.native.writer import (
     FLOAT,
+    INT,
     LONGEST_IN_REGISTERS,
     TRUTH,
-    WHOLE,
     InMemory,
     Unsupported,
     array_of,
+    is_num,
     kind_of,
-    known,
     refuse_memory,
     rule,
 )
@@ -88,8 +88,8 @@ def spans_of(equation: Any) -> tuple[slice, ...]:
 def _slice(writer, equation, a):
     spans = spans_of(equation)
     if isinstance(a, InMemory):
-        wanted = np.arange(math.prod(a.shape)).reshape(a.shape)[spans]
-        return view(writer, a, kind_of(equation.invars[0].aval.dtype), wanted)
+        selected = np.arange(math.prod(a.shape)).reshape(a.shape)[spans]
+        return view(writer, a, kind_of(equation.invars[0].aval.dtype), selected)
     return a[spans]
 
 
@@ -153,7 +153,7 @@ def _iota(writer, equation):
 
 
 @rule("unvmap_any", "unvmap_all", "nonbatchable")
-def _own_sample(writer, equation, a):
+def _pass_sample(writer, equation, a):
     """Equinox: whether one sample of a batch (all of them) wants it; in a kernel every sample goes
     its own way.
     """
@@ -168,10 +168,10 @@ def _select_if(writer, equation, which, yes, no):
 
 def _within(writer, index, largest):
     """An index moved into 0 ... largest."""
-    if known(index):
+    if is_num(index):
         return min(max(index, 0), largest)
-    low = writer.choose(compare(writer, "lt", WHOLE, index, 0), 0, index, WHOLE)
-    return writer.choose(compare(writer, "gt", WHOLE, low, largest), largest, low, WHOLE)
+    low = writer.choose(compare(writer, "lt", INT, index, 0), 0, index, INT)
+    return writer.choose(compare(writer, "gt", INT, low, largest), largest, low, INT)
 
 
 def _entry(writer, array, index, kind):
@@ -180,34 +180,34 @@ def _entry(writer, array, index, kind):
     if isinstance(array, InMemory):
         return writer.read(array, _flat(writer, shape, index))
     for axis, i in enumerate(index):
-        if not known(i):
-            found = None
+        if not is_num(i):
+            entry = None
             for choice in range(shape[axis]):
                 value = _entry(writer, array, (*index[:axis], choice, *index[axis + 1 :]), kind)
-                found = (
+                entry = (
                     value
-                    if found is None
-                    else writer.choose(compare(writer, "eq", WHOLE, i, choice), value, found, kind)
+                    if entry is None
+                    else writer.choose(compare(writer, "eq", INT, i, choice), value, entry, kind)
                 )
-            return found
+            return entry
     return array[tuple(index)]
 
 
 def _flat(writer, shape, index):
     """The row-major index of an entry."""
     strides = [math.prod(shape[i + 1 :]) for i in range(len(shape))]
-    flat: Any = sum(i * s for i, s in zip(index, strides, strict=True) if known(i))
+    flat: Any = sum(i * s for i, s in zip(index, strides, strict=True) if is_num(i))
     for i, stride in zip(index, strides, strict=True):
-        if not known(i):
-            part = i if stride == 1 else writer.operate("mul {type} {0}, {1}", WHOLE, i, stride)
-            flat = part if flat == 0 else writer.operate("add {type} {0}, {1}", WHOLE, flat, part)
+        if not is_num(i):
+            part = i if stride == 1 else writer.operate("mul {type} {0}, {1}", INT, i, stride)
+            flat = part if flat == 0 else writer.operate("add {type} {0}, {1}", INT, flat, part)
     return flat
 
 
 def _plus(writer, x, y):
-    if known(x, y):
+    if is_num(x, y):
         return x + y
-    return x if known(y) and y == 0 else writer.operate("add {type} {0}, {1}", WHOLE, x, y)
+    return x if is_num(y) and y == 0 else writer.operate("add {type} {0}, {1}", INT, x, y)
 
 
 @rule("dynamic_slice", reads_memory=True)
@@ -258,14 +258,14 @@ def _changed(writer, a, update, places, kind):
 def _put_entry(writer, out, place, value, kind):
     """out[place] = value, where within the array; some indices may be known only at run time."""
     choices = [
-        range(n) if not known(i) else ([i] if 0 <= i < n else [])
+        range(n) if not is_num(i) else ([i] if 0 <= i < n else [])
         for i, n in zip(place, out.shape, strict=True)
     ]
     for target in itertools.product(*choices):
         here: Any = True
         for i, at in zip(place, target, strict=True):
-            if not known(i):
-                test = compare(writer, "eq", WHOLE, i, at)
+            if not is_num(i):
+                test = compare(writer, "eq", INT, i, at)
                 here = (
                     test
                     if here is True
@@ -294,7 +294,7 @@ def gathered_places(equation: Any, shape: tuple[int, ...], indices: Any) -> np.n
     p = equation.params
     numbers, sizes = p["dimension_numbers"], p["slice_sizes"]
     plain = not numbers.operand_batching_dims and "FILL" not in str(p["mode"])
-    if not plain or not known(*indices.flat):
+    if not plain or not is_num(*indices.flat):
         return None
     starts = np.array(indices.tolist(), int).reshape(indices.shape)
     window = [i for i in range(len(sizes)) if i not in numbers.collapsed_slice_dims]
@@ -348,7 +348,7 @@ def _scatter(writer, equation, a, indices, update):
     for index, place in places.items():
         if not add:
             _put_entry(writer, out, place, update[index], kind)
-        elif known(*place) and all(0 <= i < n for i, n in zip(place, a.shape, strict=True)):
+        elif is_num(*place) and all(0 <= i < n for i, n in zip(place, a.shape, strict=True)):
             out[place] = combine(writer, "sum", kind, out[place], update[index])
         else:
             raise Unsupported("an addition at a place known only at run time")

@@ -36,8 +36,8 @@ from jaxclear.native.program import (
 )
 from jaxclear.native.writer import (
     FLOAT,
+    INT,
     TRUTH,
-    WHOLE,
     InMemory,
     Long,
     Writer,
@@ -59,9 +59,9 @@ def text_of(program: Program, lanes: int, checked: bool = False) -> str:
     tables = Tables(writer, program, fixed_body)
 
     def turn(state):
-        found = write_closed(writer, program.body, [*fixed_body, *state])
-        tables.leave(found[len(state) :])
-        return found[: len(state)]
+        results = write_closed(writer, program.body, [*fixed_body, *state])
+        tables.leave(results[len(state) :])
+        return results[: len(state)]
 
     tables.begin()
     last = loop(
@@ -74,13 +74,13 @@ def text_of(program: Program, lanes: int, checked: bool = False) -> str:
         together=bool(program.length),
     )
     if program.tables and not checked:
-        tables.spoil_unless_whole(last[0].item(), first)
+        tables.invalidate_if_stopped(last[0].item(), first)
     position = 0
     for array, kind in zip(last, kinds, strict=True):
         position += 0 if isinstance(array, InMemory) else _stored(writer, position, array, kind)
     parts = [_head(lanes), *writer.frame, *writer.lines, "  ret void\n}"]
     needs = set(writer.needs)
-    for name, make in elementary.OWN.items():
+    for name, make in elementary.DEFINITIONS.items():
         if name in needs:
             lines, further = make(lanes)
             parts, needs = [*lines, *parts], (needs - {name}) | further
@@ -108,8 +108,8 @@ def _arguments(writer: Writer, program: Program) -> list:
         kind, shape = kind_of(aval.dtype), tuple(aval.shape)
         if long:
             starts = array_starts(writer, slot)
-            alike = i in program.shared
-            values.append(InMemory(starts[:1] * writer.lanes if alike else starts, shape))
+            is_shared = i in program.shared
+            values.append(InMemory(starts[:1] * writer.lanes if is_shared else starts, shape))
             slot += 1
             continue
         array = array_of(None, shape)
@@ -123,8 +123,8 @@ def _arguments(writer: Writer, program: Program) -> list:
 def _load(writer: Writer, position: int, kind: str) -> str:
     place = writer.put(f"getelementptr double, ptr %in, i64 {position * writer.lanes}")
     value = writer.put(f"load {writer.wide(FLOAT)}, ptr {place}")
-    if kind == WHOLE:
-        return writer.put(f"fptosi {writer.wide(FLOAT)} {value} to {writer.wide(WHOLE)}")
+    if kind == INT:
+        return writer.put(f"fptosi {writer.wide(FLOAT)} {value} to {writer.wide(INT)}")
     return writer.operate("fcmp une {type} {0}, {1}", FLOAT, value, 0.0) if kind == TRUTH else value
 
 
@@ -137,12 +137,12 @@ class Kernel:
 
     def __init__(self, number: int, name: str, engine: Any, key: str):
         self.number, self._entry = number, engine.get_function_address(name)
-        self._kept = number, name, key
+        self._identity = number, name, key
         weakref.finalize(self, _dropped, number, self._entry, engine).atexit = False
 
     def __reduce__(self):
         # A program that is kept on disk keeps its kernels by the keys under which they lie there.
-        return kept_kernel, self._kept
+        return restore_kernel, self._identity
 
     def publish(self) -> None:
         """Programs may call it from now on."""
@@ -182,58 +182,58 @@ def _assembled(program: Program, lanes: int, checked: bool = False) -> tuple[str
     """The name and the number of a kernel, which its whole text decides, and this."""
     text = text_of(program, lanes, checked)
     constants, state = avals_of(program)
-    kept = list(zip([*constants, *state], in_memory(program), strict=True))
-    long = [aval for aval, is_long in kept if is_long]
-    ways = [i in program.shared for i, is_long in enumerate(in_memory(program)) if is_long]
-    form = f"{lanes}{[a.shape for a in long]}{ways}{program.tables}{program.length}{program.long}"
+    array_shapes = list(zip([*constants, *state], in_memory(program), strict=True))
+    long = [aval for aval, is_long in array_shapes if is_long]
+    shared = [i in program.shared for i, is_long in enumerate(in_memory(program)) if is_long]
+    form = f"{lanes}{[a.shape for a in long]}{shared}{program.tables}{program.length}{program.long}"
     changed = [floats_in([aval]) for aval in changing(program)]
     mark = hashlib.sha256(f"{text}{form}".encode()).hexdigest()
     name = f"jaxclear_{mark[:24]}"
     frame = dispatch.frame(
         name,
         lanes,
-        width=floats_in([aval for aval, is_long in kept if not is_long]),
+        width=floats_in([aval for aval, is_long in array_shapes if not is_long]),
         height=floats_in(packed_state(program)),
-        in_memory=[0 if way else floats_in([aval]) for aval, way in zip(long, ways, strict=True)],
+        in_memory=[0 if one else floats_in([aval]) for aval, one in zip(long, shared, strict=True)],
         tables=[*changed, *sizes_of_tables(program)],
     )
     flag = f"@{stopping.SYMBOL} = external global i64\n"
-    whole = flag + text.replace("@NAME", f"@{name}") + frame
-    return (name, max(int(mark[:16], 16) >> 1, 1), whole)
+    full_text = flag + text.replace("@NAME", f"@{name}") + frame
+    return (name, max(int(mark[:16], 16) >> 1, 1), full_text)
 
 
 def build(program: Program, lanes: int) -> Kernel:
     """Compile and make known, and check where that is asked for. Raises `Unsupported`."""
-    dispatch.known_to_xla()
+    dispatch.register_with_xla()
     free_the_unused()
     name, number, text = _assembled(program, lanes)
     with _BUILDING:
         kernel = _KERNELS.get(number)
         if kernel is None:
-            if check.is_wanted():
+            if check.is_check_enabled():
                 _checked(program, lanes)
-            kernel = _known(number, name, *object_code.compiled_or_kept(text))
+            kernel = _register_kernel(number, name, *object_code.load_or_compile(text))
         return kernel
 
 
-def _known(number: int, name: str, engine: Any, key: str) -> Kernel:
+def _register_kernel(number: int, name: str, engine: Any, key: str) -> Kernel:
     kernel = Kernel(number, name, engine, key)
     kernel.publish()
     _KERNELS[number] = kernel
     return kernel
 
 
-def kept_kernel(number: int, name: str, key: str) -> Kernel:
+def restore_kernel(number: int, name: str, key: str) -> Kernel:
     """A kernel of an earlier process, by the key under which it lies on disk. Raises
     `FileNotFoundError` where it is not there."""
-    dispatch.known_to_xla()
+    dispatch.register_with_xla()
     with _BUILDING:
         kernel = _KERNELS.get(number)
         if kernel is None:
             engine = object_code.from_disk(key)
             if engine is None:
                 raise FileNotFoundError(f"no kernel {key}")
-            kernel = _known(number, name, engine, key)
+            kernel = _register_kernel(number, name, engine, key)
         return kernel
 
 
@@ -316,9 +316,9 @@ class Tables:
         """Their first rows as they stand from the start: zeros where no constant says otherwise,
         for a turn to write over."""
         for k, (table, aval) in enumerate(zip(self.program.tables, self.avals, strict=True)):
-            given = 0 if table.begins is None else self.constants[table.begins]
-            long = isinstance(given, InMemory)
-            self._put(k, given if long else array_of(given, aval.shape), "0")
+            initial_row = 0 if table.start is None else self.constants[table.start]
+            long = isinstance(initial_row, InMemory)
+            self._put(k, initial_row if long else array_of(initial_row, aval.shape), "0")
 
     def leave(self, row: Sequence[np.ndarray]) -> None:
         """A turn's row, each of its arrays at its place, where it has one."""
@@ -327,17 +327,17 @@ class Tables:
         for places, height in sorted(kinds):
             start = self.constants[places].places[0]
             where = writer.put(f"getelementptr double, ptr {start}, i64 {turn}")
-            said = writer.put(f"load double, ptr {where}, !invariant.load !0")
-            place = writer.put(f"fptosi double {said} to i64")
-            wanted = writer.put(f"icmp slt i64 {place}, {height}")
-            left, passed = writer.fresh("left")[1:], writer.fresh("passed")[1:]
-            writer.say(f"br i1 {wanted}, label %{left}, label %{passed}")
-            writer.start(left)
+            place_loaded = writer.put(f"load double, ptr {where}, !invariant.load !0")
+            place = writer.put(f"fptosi double {place_loaded} to i64")
+            is_within = writer.put(f"icmp slt i64 {place}, {height}")
+            before_label, after_label = writer.fresh("left")[1:], writer.fresh("passed")[1:]
+            writer.say(f"br i1 {is_within}, label %{before_label}, label %{after_label}")
+            writer.start(before_label)
             for k, table in enumerate(self.program.tables):
                 if (table.places, table.height) == (places, height):
                     self._put(k, row[k], place)
-            writer.say(f"br label %{passed}")
-            writer.start(passed)
+            writer.say(f"br label %{after_label}")
+            writer.start(after_label)
 
     def _put(self, k: int, array: Any, place: str) -> None:
         """Every sample's numbers of an array into a row of its table."""
@@ -355,34 +355,34 @@ class Tables:
 
             def put(k):
                 word = as_float(writer, array.entry(k), kind)
-                for lane, own in enumerate(rows):
-                    target = writer.put(f"getelementptr double, ptr {own}, i64 {k}")
+                for lane, row in enumerate(rows):
+                    target = writer.put(f"getelementptr double, ptr {row}, i64 {k}")
                     writer.say(f"store double {writer.lane(word, FLOAT, lane)}, ptr {target}")
 
             for_each(writer, count, put)
             return
         words = [as_float(writer, value, kind) for value in array.flat]
-        for lane, own in enumerate(rows):
+        for lane, row in enumerate(rows):
             for j, word in enumerate(words):
                 number = word
                 if writer.lanes > 1:
                     wide = writer.wide(FLOAT)
                     number = writer.put(f"extractelement {wide} {word}, i64 {lane}")
-                target = writer.put(f"getelementptr double, ptr {own}, i64 {j}")
+                target = writer.put(f"getelementptr double, ptr {row}, i64 {j}")
                 writer.say(f"store double {number}, ptr {target}")
 
-    def spoil_unless_whole(self, turns: Any, state: Sequence[Any]) -> None:
+    def invalidate_if_stopped(self, turns: Any, state: Sequence[Any]) -> None:
         """All rows, and long arrays of the state, become nan where the loop was stopped before it
         had taken all its `turns`."""
         writer = self.writer
-        taken = writer.lane(turns, WHOLE, 0)
-        whole = writer.put(f"icmp eq i64 {taken}, {self.program.length}")
+        taken = writer.lane(turns, INT, 0)
+        is_complete = writer.put(f"icmp eq i64 {taken}, {self.program.length}")
         spoil, done = writer.fresh("spoil")[1:], writer.fresh("whole")[1:]
-        writer.say(f"br i1 {whole}, label %{done}, label %{spoil}")
+        writer.say(f"br i1 {is_complete}, label %{done}, label %{spoil}")
         writer.start(spoil)
         arrays = list(zip(self.starts, sizes_of_tables(self.program), strict=True))
         arrays += [(a.places, math.prod(a.shape)) for a in state if isinstance(a, InMemory)]
-        for start, size in [(start, size) for own, size in arrays for start in own]:
+        for start, size in [(start, size) for spans, size in arrays for start in spans]:
             writer.say(f"call void @NAME.spoil(ptr {start}, i64 {size})")
         writer.say(f"br label %{done}")
         writer.start(done)
@@ -426,5 +426,5 @@ def as_float(writer: Writer, value: Any, kind: str) -> str:
     word = writer.text(value, kind)
     if kind == FLOAT:
         return word
-    convert = "sitofp" if kind == WHOLE else "uitofp"
+    convert = "sitofp" if kind == INT else "uitofp"
     return writer.put(f"{convert} {writer.wide(kind)} {word} to {writer.wide(FLOAT)}")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxclear.ground.elimination import Pattern, Tables, tables_of
-from jaxclear.native.long_arrays import Room, entries_of, for_each, view
+from jaxclear.native.long_arrays import Buffer, entries_of, for_each, view
 from jaxclear.native.writer import FLOAT, TRUTH, Writer, in_registers, long_rule, rule
 
 # Systems of one pattern that stay factorised at a time: the stages of a step have one each.
@@ -24,14 +24,14 @@ MARKS = 9
 
 @rule("jaxclear_symmetric_solve")
 @long_rule("jaxclear_symmetric_solve")
-def _solve(writer, equation, *given):
-    system, lead = _System(writer, equation.params["pattern"]), given[-1].shape[:-1]
+def _solve(writer, equation, *operands):
+    system, lead = _System(writer, equation.params["pattern"]), operands[-1].shape[:-1]
     if not lead:
-        return system.solved(*given)
-    given = [np.broadcast_to(a, (*lead, a.shape[-1])) for a in map(in_registers, given)]
-    out = np.empty(given[-1].shape, object)
+        return system.solved(*operands)
+    operands = [np.broadcast_to(a, (*lead, a.shape[-1])) for a in map(in_registers, operands)]
+    out = np.empty(operands[-1].shape, object)
     for index in np.ndindex(*lead):
-        out[index] = in_registers(system.solved(*(a[index] for a in given)))
+        out[index] = in_registers(system.solved(*(a[index] for a in operands)))
     return out
 
 
@@ -42,62 +42,62 @@ class _System:
         self.writer, self.tables = writer, tables_of(pattern)
         self.number = writer.patterns.setdefault(pattern, len(writer.patterns))
 
-    def solved(self, *given: Any) -> Any:
+    def solved(self, *operands: Any) -> Any:
         """The solution for a matrix, with the least pivots or without, and a right-hand side."""
-        *matrix, right = given
+        *matrix, right = operands
         factors = self._factorised(*matrix)
-        x = Room(self.writer, right.shape, FLOAT)
+        x = Buffer(self.writer, right.shape, FLOAT)
         self._put(x, self.tables.unknown, right)
         self._call("solve", factors, x)
         return view(self.writer, x.array(), FLOAT, np.array(self.tables.unknown))
 
-    def _factorised(self, entries: Any, least: Any = None) -> Room:
+    def _factorised(self, entries: Any, least: Any = None) -> Buffer:
         """Memory with the factors of a matrix."""
         writer, tables, number = self.writer, self.tables, self.number
         names = (tuple(a.flat) if isinstance(a, np.ndarray) else a for a in (entries, least))
-        key, held = (number, *names), writer.held
-        if key in held:
-            return writer.factors[number, held[key]]
-        own = [k for k in held if k[0] == number]
+        key, owners = (number, *names), writer.owners
+        if key in owners:
+            return writer.factors[number, owners[key]]
+        stale = [k for k in owners if k[0] == number]
         # Memory that is free, or was taken first.
-        slot = len(own) if len(own) < MOST_FACTORISED else held.pop(own[0])
+        slot = len(stale) if len(stale) < MOST_FACTORISED else owners.pop(stale[0])
         if (number, slot) not in writer.factors:
-            writer.factors[number, slot] = Room(writer, (tables.numbers,), FLOAT)
-        room = writer.factors[number, slot]
+            writer.factors[number, slot] = Buffer(writer, (tables.numbers,), FLOAT)
+        buffer = writer.factors[number, slot]
         filled = sorted(set(range(tables.numbers)) - set(tables.at))
-        self._put(room, filled, np.zeros(len(filled), object))
-        self._put(room, tables.at, entries)
+        self._put(buffer, filled, np.zeros(len(filled), object))
+        self._put(buffer, tables.at, entries)
         if least is None:
-            self._call("factorise", room)
+            self._call("factorise", buffer)
         else:
-            bounds = Room(writer, least.shape, FLOAT)
+            bounds = Buffer(writer, least.shape, FLOAT)
             self._put(bounds, tables.unknown, least)
-            self._call("factorise_some", room, bounds)
-        held[key] = slot
-        return room
+            self._call("factorise_some", buffer, bounds)
+        owners[key] = slot
+        return buffer
 
-    def _put(self, room: Room, places: Sequence[int], array: Any) -> None:
+    def _put(self, buffer: Buffer, places: Sequence[int], array: Any) -> None:
         """Puts the numbers of an array at places in memory."""
         writer = self.writer
         if isinstance(array, np.ndarray):
             for place, number in zip(places, array, strict=True):
-                room.put(place, number)
+                buffer.put(place, number)
             return
         entry, table = entries_of(writer, array, FLOAT), writer.table(np.array(places))
 
         def turn(k):
             at = writer.put(f"getelementptr i32, ptr {table}, i64 {k}")
-            said = writer.put(f"load i32, ptr {at}, !invariant.load !0")
-            room.put(writer.put(f"zext i32 {said} to i64"), entry(k))
+            index_loaded = writer.put(f"load i32, ptr {at}, !invariant.load !0")
+            buffer.put(writer.put(f"zext i32 {index_loaded} to i64"), entry(k))
 
         for_each(writer, len(places), turn)
 
-    def _call(self, name: str, *rooms: Room) -> None:
+    def _call(self, name: str, *rooms: Buffer) -> None:
         make = _solving if name == "solve" else _factorising
         function = make(self.writer, name, self.number, self.tables)
         self.writer.needs |= {_tables(self.number, self.tables), function}
-        given = ", ".join(f"ptr {room.start}" for room in rooms)
-        self.writer.say(f"call void @NAME.{name}{self.number}({given})")
+        pointer_arguments = ", ".join(f"ptr {buffer.start}" for buffer in rooms)
+        self.writer.say(f"call void @NAME.{name}{self.number}({pointer_arguments})")
 
 
 def _tables(number: int, tables: Tables) -> str:
@@ -135,7 +135,7 @@ def _factorising(writer: Writer, name: str, number: int, tables: Tables) -> str:
   %counts = fcmp ugt {wide} %said, %bound
   %pivot = select {writer.wide(TRUTH)} %counts, {wide} %said, {wide} {infinite}"""
     # Numbers of a stretch do not depend on each other: `parallel` says so.
-    once, loop, parallel = (f"!{MARKS * number + k + 3 * some}" for k in (1, 2, 3))
+    domain, loop, parallel = (f"!{MARKS * number + k + 3 * some}" for k in (1, 2, 3))
     return f"""define internal void @NAME.{name}{number}(ptr noalias %a{
         ", ptr noalias %least" if some else ""
     }) noinline {{
@@ -178,13 +178,13 @@ stretch:
   %q = phi i64 [ 0, %update ], [ %q.next, %stretch ]
   %t = add i64 %target, %q
   %t.at = getelementptr {wide}, ptr %a, i64 %t
-  %old = load {wide}, ptr %t.at, !llvm.access.group {once}
+  %old = load {wide}, ptr %t.at, !llvm.access.group {domain}
   %s = add i64 %source, %q
   %s.at = getelementptr {wide}, ptr %a, i64 %s
-  %l = load {wide}, ptr %s.at, !llvm.access.group {once}
+  %l = load {wide}, ptr %s.at, !llvm.access.group {domain}
   %part = fmul contract {wide} %l, %factor
   %new = fsub contract {wide} %old, %part
-  store {wide} %new, ptr %t.at, !llvm.access.group {once}
+  store {wide} %new, ptr %t.at, !llvm.access.group {domain}
   %q.next = add i64 %q, 1
   %q.more = icmp slt i64 %q.next, %length
   br i1 %q.more, label %stretch, label %updated, !llvm.loop {loop}
@@ -198,9 +198,9 @@ next:
 done:
   ret void
 }}
-{once} = distinct !{{}}
+{domain} = distinct !{{}}
 {loop} = distinct !{{{loop}, {parallel}}}
-{parallel} = !{{!"llvm.loop.parallel_accesses", {once}}}"""
+{parallel} = !{{!"llvm.loop.parallel_accesses", {domain}}}"""
 
 
 # What a table says of a stretch of a column.
@@ -211,16 +211,16 @@ def _solving(writer: Writer, name: str, number: int, tables: Tables) -> str:
     """The function that puts the solution in the place of a right-hand side b: y of L y = b, column
     by column, and over the pivots; x of L^T x = y, from the end."""
     wide, last = writer.wide(FLOAT), len(tables.unknown) - 1
-    once, loop, parallel = (f"!{MARKS * number + k}" for k in (7, 8, 9))
+    domain, loop, parallel = (f"!{MARKS * number + k}" for k in (7, 8, 9))
     return f"""define internal void @NAME.{name}{number}(ptr noalias %a, ptr noalias %x) noinline {{
-{_forwards(wide, number, last, f", !llvm.access.group {once}", f", !llvm.loop {loop}")}
+{_forwards(wide, number, last, f", !llvm.access.group {domain}", f", !llvm.loop {loop}")}
 {_backwards(wide, number, last)}
 done:
   ret void
 }}
-{once} = distinct !{{}}
+{domain} = distinct !{{}}
 {loop} = distinct !{{{loop}, {parallel}}}
-{parallel} = !{{!"llvm.loop.parallel_accesses", {once}}}"""
+{parallel} = !{{!"llvm.loop.parallel_accesses", {domain}}}"""
 
 
 def _of_column(wide: str, number: int, ahead: str) -> str:

@@ -16,15 +16,15 @@ from jax.extend.core import DropVar
 
 from jaxclear.native.writer import (
     FLOAT,
-    WHOLE,
+    INT,
     InMemory,
     Long,
     Unsupported,
     Writer,
     array_of,
     in_registers,
+    is_num,
     kind_of,
-    known,
 )
 
 # Memory of one kernel for what stands in it while it runs [bytes]: a share of a thread's stack.
@@ -53,7 +53,7 @@ def for_each(writer: Writer, count: int, turn: Callable[[str], None]) -> None:
     writer.start(behind)
 
 
-class Room:
+class Buffer:
     """Memory for an array of registers, which lasts as long as the kernel runs."""
 
     def __init__(self, writer: Writer, shape: tuple[int, ...], kind: str):
@@ -88,12 +88,12 @@ def entries_of(writer: Writer, array: Any, kind: str) -> Callable[[Any], Any]:
     if isinstance(array, Long):
         return array.entry
     if isinstance(array, InMemory):
-        return lambda k: writer.read(array, k if known(k) else writer.spread(k, WHOLE))
+        return lambda k: writer.read(array, k if is_num(k) else writer.spread(k, INT))
     flat = array.ravel()
     if len(flat) and all(x is flat[0] or x == flat[0] for x in flat):
         return lambda _: flat[0]
-    if kind == FLOAT and known(*flat):
-        return lambda k: flat[k] if known(k) else _looked_up(writer, flat, k)
+    if kind == FLOAT and is_num(*flat):
+        return lambda k: flat[k] if is_num(k) else _looked_up(writer, flat, k)
     return stored(writer, array, kind).entry
 
 
@@ -106,24 +106,24 @@ def _looked_up(writer: Writer, numbers: np.ndarray, index: str) -> str:
 
 def stored(writer: Writer, array: Any, kind: str) -> Long:
     """An array, in registers or looked up, as one in memory of its own."""
-    room = Room(writer, tuple(array.shape), kind)
-    if isinstance(array, (Long, InMemory)) or (kind == FLOAT and known(*array.flat)):
+    buffer = Buffer(writer, tuple(array.shape), kind)
+    if isinstance(array, (Long, InMemory)) or (kind == FLOAT and is_num(*array.flat)):
         entry = entries_of(writer, array, kind)
-        for_each(writer, math.prod(array.shape), lambda k: room.put(k, entry(k)))
+        for_each(writer, math.prod(array.shape), lambda k: buffer.put(k, entry(k)))
     else:
         for k, value in enumerate(array.flat):
-            room.put(k, value)
-    return room.array()
+            buffer.put(k, value)
+    return buffer.array()
 
 
 def view(writer: Writer, array: Any, kind: str, places: np.ndarray) -> Any:
     """The entries of an array at known row-major places, in the shape of these."""
     entry, flat = entries_of(writer, array, kind), places.ravel()
     if len(flat) <= LONGEST_LOOKED_UP:
-        found = array_of(None, (len(flat),))
+        entries = array_of(None, (len(flat),))
         for k, place in enumerate(flat.tolist()):
-            found[k] = entry(place)
-        return found.reshape(places.shape)
+            entries[k] = entry(place)
+        return entries.reshape(places.shape)
     index = _index(writer, flat)
     return Long(places.shape, kind, lambda k: entry(index(k)))
 
@@ -134,7 +134,7 @@ def _index(writer: Writer, places: np.ndarray) -> Callable[[Any], Any]:
     if (np.diff(places) == step).all():
 
         def along(k):
-            if known(k):
+            if is_num(k):
                 return first + step * k
             ahead = k if step == 1 else writer.put(f"mul i64 {k}, {step}")
             return ahead if first == 0 else writer.put(f"add i64 {ahead}, {first}")
@@ -143,11 +143,11 @@ def _index(writer: Writer, places: np.ndarray) -> Callable[[Any], Any]:
     table = writer.table(places)
 
     def looked_up(k):
-        if known(k):
+        if is_num(k):
             return int(places[k])
         place = writer.put(f"getelementptr i32, ptr {table}, i64 {k}")
-        found = writer.put(f"load i32, ptr {place}, !invariant.load !0")
-        return writer.put(f"zext i32 {found} to i64")
+        index_loaded = writer.put(f"load i32, ptr {place}, !invariant.load !0")
+        return writer.put(f"zext i32 {index_loaded} to i64")
 
     return looked_up
 
@@ -157,17 +157,17 @@ def changed(
 ) -> Long:
     """An array whose entries at known row-major places are `combine`d with those of an update, one
     after the other."""
-    room, entry, index = stored(writer, array, kind).room, entries_of(writer, update, kind), None
+    out, entry, index = stored(writer, array, kind).buffer, entries_of(writer, update, kind), None
     if not places.size:
-        return room.array()
-    index, kept = _index(writer, places.ravel()), room.array().entry
+        return out.array()
+    index, old_entry = _index(writer, places.ravel()), out.array().entry
 
     def put(k):
         place = index(k)
-        room.put(place, combine(kept(place), entry(k)))
+        out.put(place, combine(old_entry(place), entry(k)))
 
     for_each(writer, places.size, put)
-    return room.array()
+    return out.array()
 
 
 def unstacked(writer: Writer, equation: Any, array: Any, kind: str, places: np.ndarray) -> list:
@@ -185,24 +185,24 @@ def joined(writer: Writer, arrays: Sequence[Any], kind: str, axis: int) -> Any:
         count = math.prod(array.shape)
         places.append(np.arange(start, start + count).reshape(array.shape))
         start += count
-    room, first = Room(writer, (start,), kind), 0
+    buffer, first = Buffer(writer, (start,), kind), 0
     for array in arrays:
         count, ahead = math.prod(array.shape), first
         if isinstance(array, (Long, InMemory)):
             entry = entries_of(writer, array, kind)
 
             def put(k, ahead=ahead, entry=entry):
-                room.put(writer.put(f"add i64 {k}, {ahead}"), entry(k))
+                buffer.put(writer.put(f"add i64 {k}, {ahead}"), entry(k))
 
             for_each(writer, count, put)
         else:
             for k, value in enumerate(array.flat):
-                room.put(ahead + k, value)
+                buffer.put(ahead + k, value)
         first += count
     order = np.concatenate(places, axis)
     if (np.diff(order.ravel()) == 1).all():
-        return room.array().reshaped(order.shape)
-    return view(writer, room.array(), kind, order)
+        return buffer.array().reshaped(order.shape)
+    return view(writer, buffer.array(), kind, order)
 
 
 def rows_joined(writer: Writer, rows: Sequence[Any], kind: str) -> Any:
@@ -235,16 +235,16 @@ def entrywise(writer: Writer, rule: Callable, equation: Any, arrays: Sequence[An
     """An operation that acts on each entry by itself, of long arrays and single numbers."""
     aval = equation.outvars[0].aval
     kinds = [kind_of(atom.aval.dtype) for atom in equation.invars]
-    room = Room(writer, tuple(aval.shape), kind_of(aval.dtype))
+    buffer = Buffer(writer, tuple(aval.shape), kind_of(aval.dtype))
     pairs = zip(arrays, kinds, strict=True)
-    each = [_over_shape(writer, array, kind, room.shape) for array, kind in pairs]
+    each = [_over_shape(writer, array, kind, buffer.shape) for array, kind in pairs]
 
     def turn(k):
-        found = rule(writer, equation, *[array_of(entry(k), ()) for entry in each])
-        room.put(k, found.item())
+        entry_result = rule(writer, equation, *[array_of(entry(k), ()) for entry in each])
+        buffer.put(k, entry_result.item())
 
     for_each(writer, math.prod(aval.shape), turn)
-    return room.array()
+    return buffer.array()
 
 
 def mapped(
@@ -252,7 +252,7 @@ def mapped(
 ) -> list[Long]:
     """What a function makes of each row of arrays: arrays of these shapes and types. `body`: from
     arrays of registers to such."""
-    rooms = [Room(writer, tuple(aval.shape), kind_of(aval.dtype)) for aval in avals]
+    rooms = [Buffer(writer, tuple(aval.shape), kind_of(aval.dtype)) for aval in avals]
     entries = [entries_of(writer, row, kind) for row, kind in zip(rows, kinds, strict=True)]
 
     def index(k, j, size):
@@ -262,16 +262,16 @@ def mapped(
     def turn(k):
         picked = []
         for row, entry in zip(rows, entries, strict=True):
-            own = array_of(None, row.shape[1:])
-            for j, place in enumerate(np.ndindex(*own.shape)):
-                own[place] = entry(index(k, j, own.size))
-            picked.append(own)
-        for room, found in zip(rooms, body(picked), strict=True):
-            for j, value in enumerate(in_registers(found).flat):
-                room.put(index(k, j, found.size), value)
+            row_at_turn = array_of(None, row.shape[1:])
+            for j, place in enumerate(np.ndindex(*row_at_turn.shape)):
+                row_at_turn[place] = entry(index(k, j, row_at_turn.size))
+            picked.append(row_at_turn)
+        for buffer, result in zip(rooms, body(picked), strict=True):
+            for j, value in enumerate(in_registers(result).flat):
+                buffer.put(index(k, j, result.size), value)
 
     for_each(writer, rows[0].shape[0] if rows else avals[0].shape[0], turn)
-    return [room.array() for room in rooms]
+    return [buffer.array() for buffer in rooms]
 
 
 # An array of the state that is longer than this stands in memory while a loop goes on.
@@ -281,46 +281,48 @@ LONGEST_CARRIED = 256
 def carried_in_memory(writer: Writer, carry: Sequence[Any], kinds: Sequence[str]) -> list[Any]:
     """For each array that a loop hands from turn to turn the memory that it stands in, with what it
     is at first; None for those in registers, and those whose places in memory are given."""
-    rooms: list[Room | None] = []
+    rooms: list[Buffer | None] = []
     for array, kind in zip(carry, kinds, strict=True):
-        room = None
+        buffer = None
         if not isinstance(array, InMemory) and math.prod(array.shape) > LONGEST_CARRIED:
-            room = Room(writer, tuple(array.shape), kind)
+            buffer = Buffer(writer, tuple(array.shape), kind)
             # Those that have ended have nothing there yet.
             active, writer.active = writer.active, None
-            fill(writer, room, array)
+            fill(writer, buffer, array)
             writer.active = active
-        rooms.append(room)
+        rooms.append(buffer)
     return rooms
 
 
-def fill(writer: Writer, room: Room, array: Any) -> None:
+def fill(writer: Writer, buffer: Buffer, array: Any) -> None:
     """Puts an array where it is to stand. Samples that have ended keep what stands there."""
-    kept = room.array().entry
+    old_entry = buffer.array().entry
 
     def put(k, value):
         if writer.active is not None:
-            value = writer.choose(writer.active, value, kept(k), room.kind)
-        room.put(k, value)
+            value = writer.choose(writer.active, value, old_entry(k), buffer.kind)
+        buffer.put(k, value)
 
     if isinstance(array, (Long, InMemory)):
-        entry = entries_of(writer, array, room.kind)
+        entry = entries_of(writer, array, buffer.kind)
         for_each(writer, math.prod(array.shape), lambda k: put(k, entry(k)))
     else:
         for k, value in enumerate(array.flat):
             put(k, value)
 
 
-def put_back(writer: Writer, rooms: Sequence[Room | None], after: Sequence[Any]) -> None:
+def put_back(writer: Writer, rooms: Sequence[Buffer | None], after: Sequence[Any]) -> None:
     """What a turn leaves, where the next one finds it. What is looked up in arrays before this turn
     is worked out before one of them changes."""
-    found = []
-    for room, array in zip(rooms, after, strict=True):
-        elsewhere = isinstance(array, Long) and array.room is not None and array.room not in rooms
-        if room is None or not isinstance(array, Long) or array.room is room or elsewhere:
-            found.append(array)
+    new_values = []
+    for buffer, array in zip(rooms, after, strict=True):
+        elsewhere = (
+            isinstance(array, Long) and array.buffer is not None and array.buffer not in rooms
+        )
+        if buffer is None or not isinstance(array, Long) or array.buffer is buffer or elsewhere:
+            new_values.append(array)
         else:
-            found.append(stored(writer, array, room.kind))
-    for room, array in zip(rooms, found, strict=True):
-        if room is not None and not (isinstance(array, Long) and array.room is room):
-            fill(writer, room, array)
+            new_values.append(stored(writer, array, buffer.kind))
+    for buffer, array in zip(rooms, new_values, strict=True):
+        if buffer is not None and not (isinstance(array, Long) and array.buffer is buffer):
+            fill(writer, buffer, array)

@@ -11,7 +11,7 @@ from jaxclear.native import elementary as _elementary  # noqa: F401
 from jaxclear.native.arithmetic import combine
 from jaxclear.native.indexing import gathered_places, places_of, spans_of
 from jaxclear.native.long_arrays import (
-    Room,
+    Buffer,
     changed,
     entrywise,
     for_each,
@@ -28,9 +28,9 @@ from jaxclear.native.writer import (
     Long,
     array_of,
     in_registers,
+    is_num,
     kind_of,
     kinds_of,
-    known,
     long_rule,
     rule,
 )
@@ -58,12 +58,12 @@ HANDED_ON += ("scan", "while", "cond", "jaxclear_loop")
 def _by_entries(rule: Callable) -> Callable:
     """The rule for long arrays of an operation on each entry by itself."""
 
-    def own(writer, equation, *arrays):
+    def entry_rule(writer, equation, *arrays):
         if math.prod(equation.outvars[0].aval.shape) <= LONGEST_IN_REGISTERS:
             return rule(writer, equation, *map(in_registers, arrays))
         return entrywise(writer, rule, equation, arrays)
 
-    return own
+    return entry_rule
 
 
 for _name in ENTRYWISE:
@@ -126,7 +126,7 @@ def _gathered(writer, equation, a, indices):
 def _scattered(writer, equation, a, indices, update):
     name, numbers = equation.primitive.name, equation.params["dimension_numbers"]
     indices, kind = in_registers(indices), kind_of(equation.invars[0].aval.dtype)
-    unknown = not known(*indices.flat) or numbers.operand_batching_dims
+    unknown = not is_num(*indices.flat) or numbers.operand_batching_dims
     if unknown or isinstance(a, InMemory):
         return RULES[name](writer, equation, *map(in_registers, (a, indices, update)))
     clips = "CLIP" in str(equation.params["mode"])
@@ -145,15 +145,15 @@ def _reduced(writer, equation, a):
     if len(equation.params["axes"]) < len(a.shape):
         return RULES[equation.primitive.name](writer, equation, in_registers(a))
     name = equation.primitive.name.removeprefix("reduce_")
-    room = Room(writer, (), a.kind)
-    room.put(0, a.entry(0))
+    buffer = Buffer(writer, (), a.kind)
+    buffer.put(0, a.entry(0))
     further = lambda k: a.entry(writer.put(f"add i64 {k}, 1"))
 
     def turn(k):
-        room.put(0, combine(writer, name, a.kind, room.array().entry(0), further(k)))
+        buffer.put(0, combine(writer, name, a.kind, buffer.array().entry(0), further(k)))
 
     for_each(writer, a.size - 1, turn)
-    return array_of(room.array().entry(0), ())
+    return array_of(buffer.array().entry(0), ())
 
 
 @rule("jaxclear_in_memory")

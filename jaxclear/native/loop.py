@@ -52,7 +52,7 @@ from jaxclear.native.tangent import (
     side_by_side,
     tangent_program,
 )
-from jaxclear.native.verdicts import NOT_A_CPU, SWITCHED_OFF, left_to_xla, tell
+from jaxclear.native.verdicts import NOT_A_CPU, SWITCHED_OFF, note_fallback, tell
 from jaxclear.native.writer import Unsupported
 
 LOG = logging.getLogger(__name__)
@@ -70,20 +70,20 @@ def reference(*values: Any, program: Program, function_of: Callable = jaxpr_as_f
     c, b = program.condition_constants, program.body_constants
     tests, turns = jaxpr_as_fun(program.condition), function_of(program.body)
     fixed_condition, fixed_body, first = values[:c], values[c : c + b], list(values[c + b :])
-    if program.once:
+    if program.single_turn:
         return list(turns(*fixed_body, *first))
     if program.length:
         # The loops within it are then kernels by themselves.
         turns = function_of(loops_marked(program.body, within=False))
         places = [fixed_body[table.places] for table in program.tables]
-        empty = list(map(_begun(fixed_body), program.tables, row_of(program)))
+        empty = list(map(_initial_rows(fixed_body), program.tables, row_of(program)))
 
         def turn(carry, index):
             state, tables = carry
-            found = turns(*fixed_body, *state)
-            rows = zip(tables, places, found[len(first) :], strict=True)
+            results = turns(*fixed_body, *state)
+            rows = zip(tables, places, results[len(first) :], strict=True)
             put = [t.at[p[index].astype(int)].set(row, mode="drop") for t, p, row in rows]
-            return (found[: len(first)], put), None
+            return (results[: len(first)], put), None
 
         (last, tables), _ = jax.lax.scan(turn, (first, empty), jnp.arange(program.length))
         return [*last, *tables]
@@ -94,21 +94,21 @@ def reference(*values: Any, program: Program, function_of: Callable = jaxpr_as_f
     )
 
 
-def _begun(constants: Sequence[Any]) -> Callable[[Table, Any], Any]:
+def _initial_rows(constants: Sequence[Any]) -> Callable[[Table, Any], Any]:
     """What a table, of rows of a shape and type, holds before the first turn."""
 
-    def begun(table, aval):
+    def initial_table(table, aval):
         rows = jnp.zeros((table.height, *aval.shape), aval.dtype)
-        return rows if table.begins is None else rows.at[0].set(constants[table.begins])
+        return rows if table.start is None else rows.at[0].set(constants[table.start])
 
-    return begun
+    return initial_table
 
 
 def reference_of_batch(*values: Any, program: Program, rank: int) -> list:
     """The same for batches of so many leading axes."""
     function = functools.partial(reference, program=program)
-    apart = program.once and not program.whole
-    return _of_batch(function, _row_by_row if apart else jax.vmap, values, program, rank)
+    one_by_one = program.single_turn and not program.vmapped
+    return _of_batch(function, _row_by_row if one_by_one else jax.vmap, values, program, rank)
 
 
 def reference_in_pieces(*values: Any, program: Program, rank: int) -> list:
@@ -129,9 +129,9 @@ def _row_by_row(function, axes):
     # arrays, and compile without end.
     def by_row(*values):
         def one(row):
-            own = iter(row)
+            row_values = iter(row)
             pairs = zip(values, axes, strict=True)
-            return function(*(v if axis is None else next(own) for v, axis in pairs))
+            return function(*(v if axis is None else next(row_values) for v, axis in pairs))
 
         return jax.lax.map(one, [v for v, a in zip(values, axes, strict=True) if a is not None])
 
@@ -166,9 +166,9 @@ def _batch(values, dims, *, program, rank):
     size = samples_in(values, dims)
     # A long array that is the same for all samples is read where it is.
     fixed = len(values) - len(avals_of(program)[1])
-    alike = {i for i, long in enumerate(in_memory(program)[:fixed]) if long and dims[i] is None}
-    alike -= {program.condition_constants + i for i in program.tangents}
-    shared = frozenset(alike & program.shared if rank else alike)
+    is_shared = {i for i, long in enumerate(in_memory(program)[:fixed]) if long and dims[i] is None}
+    is_shared -= {program.condition_constants + i for i in program.tangents}
+    shared = frozenset(is_shared & program.shared if rank else is_shared)
     lead = list(np.shape(values[-1]))
     if dims[-1] is not None:
         del lead[dims[-1]]
@@ -176,64 +176,64 @@ def _batch(values, dims, *, program, rank):
     def moved(i, value, dim):
         if i in shared:
             return value
-        known = rank if i not in program.shared else 0
+        leading_rank = rank if i not in program.shared else 0
         if dim is None:
             value, dim = jnp.broadcast_to(value, (size, *jnp.shape(value))), 0
-        inside = jnp.moveaxis(value, dim, known)
-        if known == rank:
+        inside = jnp.moveaxis(value, dim, leading_rank)
+        if leading_rank == rank:
             return inside
         return jnp.broadcast_to(inside, (*lead[:rank], *inside.shape))
 
-    given = [moved(i, *pair) for i, pair in enumerate(zip(values, dims, strict=True))]
-    out = loop_p.bind(*given, program=program._replace(shared=shared), rank=rank + 1)
+    batched_values = [moved(i, *pair) for i, pair in enumerate(zip(values, dims, strict=True))]
+    out = loop_p.bind(*batched_values, program=program._replace(shared=shared), rank=rank + 1)
     return out, [rank] * len(out)
 
 
 batching.primitive_batchers[loop_p] = _batch
 
 
-def _native(*values, program, rank, number, apart=False):
-    """Through the kernel of this number; `apart`: one whose samples stand side by side in memory,
-    the entries of an array as far apart as there are samples."""
+def _native(*values, program, rank, number, columnar=False):
+    """Through the kernel of this number; `columnar`: one whose samples stand side by side in
+    memory, the entries of an array as far apart as there are samples."""
     _, state = avals_of(program)
     batch = values[-1].shape[:rank]
-    kept = in_memory(program)
+    stays_in_memory = in_memory(program)
     rows = [
         jnp.reshape(v.astype(float), (*batch, -1))
-        for v, k in zip(values, kept, strict=True)
+        for v, k in zip(values, stays_in_memory, strict=True)
         if not k
     ]
-    own = [i not in program.shared for i, k in enumerate(kept) if k]
-    big = [v for v, k in zip(values, kept, strict=True) if k]
+    batched = [i not in program.shared for i, k in enumerate(stays_in_memory) if k]
+    big = [v for v, k in zip(values, stays_in_memory, strict=True) if k]
     short, long = packed_state(program), changing(program)
     row = row_of(program)
     shapes = [(floats_in(short),), *(aval.shape for aval in long)]
     shapes += [(t.height, *aval.shape) for t, aval in zip(program.tables, row, strict=True)]
     packed_rows = jnp.concatenate(rows, -1)
-    if apart:
-        found = _side_by_side(packed_rows, big, own, batch, shapes, number)
+    if columnar:
+        results = _side_by_side(packed_rows, big, batched, batch, shapes, number)
     else:
         call = jax.ffi.ffi_call(dispatch.TARGET, [_floats((*batch, *each)) for each in shapes])
-        found = call(packed_rows, *big, kernel=np.int64(number))
-    packed, *arrays = found
-    found, own = iter(_unpacked(packed, short)), iter(arrays)
-    last = [next(own if i in program.long else found) for i in range(len(state))]
-    return [*last, *(_typed(each, aval.dtype) for each, aval in zip(own, row, strict=True))]
+        results = call(packed_rows, *big, kernel=np.int64(number))
+    packed, *arrays = results
+    results, batched = iter(_unpacked(packed, short)), iter(arrays)
+    last = [next(batched if i in program.long else results) for i in range(len(state))]
+    return [*last, *(_typed(each, aval.dtype) for each, aval in zip(batched, row, strict=True))]
 
 
 def _floats(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(shape, jnp.float64)
 
 
-def _side_by_side(rows, arrays, own, batch, shapes, number):
+def _side_by_side(rows, arrays, batched, batch, shapes, number):
     """What a kernel gives whose arrays are (numbers of a sample, samples), but for those that are
-    not each sample's `own`."""
+    not each sample's `batched`."""
     samples = math.prod(batch)
-    turned = lambda each: jnp.reshape(each, (samples, -1)).T
-    given = [turned(each) if mine else each for each, mine in zip(arrays, own, strict=True)]
-    asked = [_floats((math.prod(shape), samples)) for shape in shapes]
-    found = jax.ffi.ffi_call(dispatch.TARGET, asked)(turned(rows), *given, kernel=np.int64(number))
-    pairs = zip(found, shapes, strict=True)
+    flip = lambda each: jnp.reshape(each, (samples, -1)).T
+    columns = [flip(each) if mine else each for each, mine in zip(arrays, batched, strict=True)]
+    types = [_floats((math.prod(shape), samples)) for shape in shapes]
+    out = jax.ffi.ffi_call(dispatch.TARGET, types)(flip(rows), *columns, kernel=np.int64(number))
+    pairs = zip(out, shapes, strict=True)
     return [jnp.reshape(each.T, (*batch, *shape)) for each, shape in pairs]
 
 
@@ -253,18 +253,18 @@ def _typed(floats: Any, kind: Any) -> Any:
 
 
 def _by_portions(*values, program, rank, samples):
-    def run(given, narrower, rank):
-        own = narrower._replace(shared=program.shared)
-        return loop_p.bind(*given, program=own, rank=rank)
+    def run(arguments, narrower, rank):
+        portion_program = narrower._replace(shared=program.shared)
+        return loop_p.bind(*arguments, program=portion_program, rank=rank)
 
     size = side_by_side(program.narrow, samples)
     return by_portions(values, program, rank, size, run)
 
 
 def _lower_elsewhere(ctx, *values, program, rank, reason=NOT_A_CPU, written=reference_in_pieces):
-    if not program.length and not program.whole:
+    if not program.length and not program.vmapped:
         tell(ctx, reason)
-    if program.whole:
+    if program.vmapped:
         written = reference_of_batch
     lower = mlir.lower_fun(written, multiple_results=True)
     return lower(ctx, *values, program=program, rank=rank)
@@ -297,9 +297,9 @@ def has_kernels() -> bool:
 
 def _lower_on_cpu(ctx, *values, program, rank):
     def kernel(samples):
-        found = kernels.build(program, widest() if samples > 1 else 1)
-        kernels.keep(found, ctx.module_context)
-        return found.number
+        kernel = kernels.build(program, widest() if samples > 1 else 1)
+        kernels.keep(kernel, ctx.module_context)
+        return kernel.number
 
     return _lower_as_kernel(ctx, values, program, rank, kernel, _native, reference_of_batch)
 
@@ -307,7 +307,7 @@ def _lower_on_cpu(ctx, *values, program, rank):
 def _lower_on_cuda(ctx, *values, program, rank):
     if not _is_set(ON_GPU):
         return _lower_elsewhere(ctx, *values, program=program, rank=rank)
-    call = functools.partial(_native, apart=True)
+    call = functools.partial(_native, columnar=True)
 
     def kernel(_):
         return _on_gpu().build(program, call).number
@@ -334,7 +334,7 @@ def _lower_as_kernel(ctx, values, program, rank, kernel, call, instead):
         number = kernel(samples)
         lower = mlir.lower_fun(call, multiple_results=True)
         out = lower(ctx, *values, program=program, rank=rank, number=number)
-        if not program.whole:
+        if not program.vmapped:
             tell(ctx, None)
         return out
     except (Unsupported, ImportError) as missing:
@@ -343,13 +343,13 @@ def _lower_as_kernel(ctx, values, program, rank, kernel, call, instead):
         # The fast path must not cost a run: say so, and let XLA compile the loop.
         reason = f"the kernel could not be written: {failure!r}"
     LOG.info("A loop is left to XLA: %s.", reason)
-    if not program.once and not program.length:
-        left_to_xla(reason)
-        _warn_once(reason)
+    if not program.single_turn and not program.length:
+        note_fallback(reason)
+        _warn_per_reason(reason)
     return elsewhere(reason=reason)
 
 
-def _warn_once(reason: str) -> None:
+def _warn_per_reason(reason: str) -> None:
     """A loop takes ten times as long as need be: said once for each reason in a process."""
     if reason in _WARNED:
         return
@@ -372,14 +372,14 @@ TOGETHER = 16
 
 
 def _differentiate(values, tangents, *, program, rank):
-    if program.once and not program.whole:
-        return _differentiate_once(values, tangents, program, rank)
+    if program.single_turn and not program.vmapped:
+        return _differentiate_single_turn(values, tangents, program, rank)
     c, b = program.condition_constants, program.condition_constants + program.body_constants
     moving = [not isinstance(t, ad.Zero) for t in tangents]
     constants = moving[c:b]
     results = moving_state(program, constants, moving[b:])
     parts = len(values) - b
-    wanted = [i for i, moves in enumerate([*constants, *results[:parts]], c) if moves]
+    moving_inputs = [i for i, moves in enumerate([*constants, *results[:parts]], c) if moves]
     lead = jnp.shape(values[-1])[:rank]
 
     def tangent(i):
@@ -390,32 +390,32 @@ def _differentiate(values, tangents, *, program, rank):
             return jnp.zeros(shape, jnp.result_type(values[i]))
         return jnp.broadcast_to(tangents[i], shape)
 
-    given = {i: tangent(i) for i in wanted}
+    input_tangents = {i: tangent(i) for i in moving_inputs}
     with_tangents = tangent_program(program, constants, results)
     out = loop_p.bind(
         *values[:b],
-        *(given[i] for i in wanted if i < b),
+        *(input_tangents[i] for i in moving_inputs if i < b),
         *values[b:],
-        *(given[i] for i in wanted if i >= b),
+        *(input_tangents[i] for i in moving_inputs if i >= b),
         program=with_tangents,
         rank=rank,
     )
     places = motion_in(with_tangents)
-    own = [out[i] for i in places]
-    found = iter(each for i, each in enumerate(out) if i not in places)
-    return own, [
-        next(found) if moves else still(value) for moves, value in zip(results, own, strict=True)
+    pushed = [out[i] for i in places]
+    plain = iter(each for i, each in enumerate(out) if i not in places)
+    return pushed, [
+        next(plain) if moves else still(value) for moves, value in zip(results, pushed, strict=True)
     ]
 
 
-def _differentiate_once(values, tangents, program, rank):
+def _differentiate_single_turn(values, tangents, program, rank):
     moving = [i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero)]
     function = functools.partial(reference_of_batch, program=program, rank=rank)
     along = [values[i] for i in moving], [tangents[i] for i in moving]
     return jax.jvp(of_moving(function, values, moving), *along)
 
 
-def _known_first(trace, *tracers, program, rank):
+def _partial_evaluation(trace, *tracers, program, rank):
     """What is linearised about a known motion: the motion by itself, its tangents as a loop that
     goes through it again."""
     out = trace.default_process_primitive(loop_p, tracers, {"program": program, "rank": rank})
@@ -425,11 +425,11 @@ def _known_first(trace, *tracers, program, rank):
     parts = len(avals_of(program.motion)[1])
     places = motion_in(program)
     state = c + program.body_constants
-    known = [*tracers[: c + b], *tracers[state : state + parts]]
-    if not all(tracer.pval.is_known() for tracer in known):
+    known_tracers = [*tracers[: c + b], *tracers[state : state + parts]]
+    if not all(tracer.pval.is_known() for tracer in known_tracers):
         return out
     alone = program.motion._replace(shared=program.shared)
-    motion = loop_p.bind(*(t.pval.get_known() for t in known), program=alone, rank=rank)
+    motion = loop_p.bind(*(t.pval.get_known() for t in known_tracers), program=alone, rank=rank)
     for place, value in zip(places, motion, strict=True):
         out[place] = trace.new_const(value)
     return out
@@ -447,10 +447,10 @@ def _backwards(cotangents, *values, program, rank):
 
     def entry(one):
         """What the results say to one entry of the inputs, for each sample of a batch."""
-        given = list(values)
-        for i, shape, own in zip(unknown, shapes, jnp.split(one, splits), strict=True):
-            given[i] = jnp.broadcast_to(own.reshape(shape[rank:]), shape)
-        out = loop_p.bind(*given, program=program, rank=rank)
+        all_values = list(values)
+        for i, shape, entry_part in zip(unknown, shapes, jnp.split(one, splits), strict=True):
+            all_values[i] = jnp.broadcast_to(entry_part.reshape(shape[rank:]), shape)
+        out = loop_p.bind(*all_values, program=program, rank=rank)
         axes = lambda each: tuple(range(rank, jnp.ndim(each)))
         parts = [jnp.sum(heard(out[i], cotangents[i]), axes(out[i])) for i in heeded]
         return sum(parts, jnp.zeros(lead))
@@ -461,17 +461,17 @@ def _backwards(cotangents, *values, program, rank):
 
     def portion(first):
         """The same of some entries, side by side."""
-        ways = (first + jnp.arange(together))[:, None] == jnp.arange(count)
-        return jax.vmap(entry)(ways.astype(float))
+        unit_tangents = (first + jnp.arange(together))[:, None] == jnp.arange(count)
+        return jax.vmap(entry)(unit_tangents.astype(float))
 
     firsts = together * jnp.arange(portions)
-    found = jax.lax.map(portion, firsts).reshape(-1, *lead)[:count]
-    parts = (jnp.moveaxis(each, 0, -1) for each in jnp.split(found, splits))
+    entries = jax.lax.map(portion, firsts).reshape(-1, *lead)[:count]
+    parts = (jnp.moveaxis(each, 0, -1) for each in jnp.split(entries, splits))
     answers = [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
-    given = dict(zip(unknown, answers, strict=True))
-    return [given.get(i) for i in range(len(values))]
+    cotangent_of_input = dict(zip(unknown, answers, strict=True))
+    return [cotangent_of_input.get(i) for i in range(len(values))]
 
 
 ad.primitive_jvps[loop_p] = _differentiate
 ad.primitive_transposes[loop_p] = _backwards
-pe.custom_partial_eval_rules[loop_p] = _known_first
+pe.custom_partial_eval_rules[loop_p] = _partial_evaluation

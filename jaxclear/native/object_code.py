@@ -19,7 +19,7 @@ def compiled(text: str) -> Any:
     return _engine(llvm.ObjectFileRef.from_data(_object_code(text)))
 
 
-def compiled_or_kept(text: str) -> tuple[Any, str]:
+def load_or_compile(text: str) -> tuple[Any, str]:
     """As `compiled`, from disk where it is there; and the key under which it is there from now
     on."""
     key = cache_folder.key_of(text, processor())

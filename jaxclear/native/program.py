@@ -41,21 +41,21 @@ def called(parameters: dict) -> Any:
 class Table(NamedTuple):
     """Where one of the arrays that a turn leaves is kept: in `height` rows, that of a turn at the
     place that an array of numbers says, which is the body's constant number `places` (beyond the
-    table: nowhere); the constant number `begins` stands in the first row from the start (None:
+    table: nowhere); the constant number `start` stands in the first row from the start (None:
     nothing does). Every row is somebody's."""
 
     height: int
     places: int
-    begins: int | None = None
+    start: int | None = None
 
 
 class Program(NamedTuple):
     """A while loop as two programs: condition over (its constants, state), body over (its
-    constants, state). `once`: it always takes one turn, and so is a function; `whole`: one that is
-    left to XLA as if it had never been here where it is no kernel. `tangents`: inputs of the body
-    that nothing but other tangents depends on; `motion`: the loop without the last of them.
-    `length`: of a loop that takes so many turns, which the state's first number counts, and whose
-    body gives a row of results behind the state, kept in as many `tables` (0: of any other).
+    constants, state). `single_turn`: it always takes one turn, and so is a function; `vmapped`: one
+    that is left to XLA as if it had never been here where it is no kernel. `tangents`: inputs of
+    the body that nothing but other tangents depends on; `motion`: the loop without the last of
+    them. `length`: of a loop that takes so many turns, which the state's first number counts, and
+    whose body gives a row of results behind the state, kept in as many `tables` (0: of any other).
     `within`: it stands in the body of another loop, whose kernel it is a part of. `narrow`: the
     loop of one of the tangents that it takes side by side. `shared`: constants that are the same
     for all samples of a batch, and have no axes for them. `long`: parts of the state that stand in
@@ -66,7 +66,7 @@ class Program(NamedTuple):
     body: ClosedJaxpr
     condition_constants: int
     body_constants: int
-    once: bool = False
+    single_turn: bool = False
     tangents: frozenset[int] = frozenset()
     motion: "Program | None" = None
     length: int = 0
@@ -75,7 +75,7 @@ class Program(NamedTuple):
     tables: tuple[Table, ...] = ()
     shared: frozenset[int] = frozenset()
     long: frozenset[int] = frozenset()
-    whole: bool = False
+    vmapped: bool = False
 
 
 class Narrow(NamedTuple):
@@ -93,8 +93,8 @@ def scan_counts(params: dict[str, Any]) -> tuple[int, int]:
     arguments."""
     if "num_consts" in params:
         return params["num_consts"], params["num_carry"]
-    given = range(len(params["jaxpr"].in_avals))
-    constants, carried, _ = params["ft_in"].update(given).unpack()
+    argument_tree = range(len(params["jaxpr"].in_avals))
+    constants, carried, _ = params["ft_in"].update(argument_tree).unpack()
     return len(list(constants)), len(list(carried))
 
 
@@ -181,7 +181,7 @@ def numbers_in(program: Any) -> int:
     return total
 
 
-def known_first(program: ClosedJaxpr, arguments: Sequence[Any]) -> dict[Any, Any]:
+def evaluate_constants(program: ClosedJaxpr, arguments: Sequence[Any]) -> dict[Any, Any]:
     """Values of a program's variables as it begins."""
     jaxpr = program.jaxpr
     names = [*jaxpr.constvars, *jaxpr.invars]
@@ -196,8 +196,8 @@ def read(atoms: Sequence[Any], values: dict[Any, Any]) -> list:
 
 def applied(equation: Any, inputs: Sequence[Any], parameters: dict[str, Any]) -> Sequence[Any]:
     """What the operation of an equation gives, with these parameters."""
-    found = equation.primitive.bind(*inputs, **parameters)
-    return found if equation.primitive.multiple_results else [found]
+    results = equation.primitive.bind(*inputs, **parameters)
+    return results if equation.primitive.multiple_results else [results]
 
 
 def replayed(
@@ -207,16 +207,16 @@ def replayed(
 ) -> list:
     """The program's results, the functions that it calls written out; `one`: what an equation gives
     of its inputs."""
-    values = known_first(program, arguments)
+    values = evaluate_constants(program, arguments)
     for equation in program.jaxpr.eqns:
         inputs = read(equation.invars, values)
         if equation.primitive.name in CALLS:
             inner = called(equation.params)
             inner = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, [])
-            found: Sequence[Any] = replayed(inner, inputs, one)
+            inner_results: Sequence[Any] = replayed(inner, inputs, one)
         else:
-            found = one(equation, inputs)
-        values |= dict(zip(equation.outvars, found, strict=True))
+            inner_results = one(equation, inputs)
+        values |= dict(zip(equation.outvars, inner_results, strict=True))
     return read(program.jaxpr.outvars, values)
 
 
@@ -236,10 +236,10 @@ def of_moving(function: Callable, values: Sequence[Any], moving: Sequence[int]) 
     """The function of those of its arguments that move, the others being these values."""
 
     def of_some(*some):
-        given = list(values)
+        all_values = list(values)
         for place, value in zip(moving, some, strict=True):
-            given[place] = value
-        return function(*given)
+            all_values[place] = value
+        return function(*all_values)
 
     return of_some
 
@@ -254,7 +254,7 @@ def samples_in(values: Sequence[Any], dims: Sequence[int | None]) -> int:
     return next(np.shape(v)[d] for v, d in zip(values, dims, strict=True) if d is not None)
 
 
-def heard(said: Any, asked: Any) -> Any:
+def heard(weight: Any, cotangent: Any) -> Any:
     """Their product, where what is not asked for may have overflowed: inf * 0 is 0 here. A finite
     one stays, for its product has a slope where what is asked passes through 0."""
-    return jnp.where((asked == 0) & ~jnp.isfinite(said), 0.0, said) * asked
+    return jnp.where((cotangent == 0) & ~jnp.isfinite(weight), 0.0, weight) * cotangent

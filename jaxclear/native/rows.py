@@ -18,7 +18,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
 from jaxclear.native.program import constants_first, of_moving, still, traced
-from jaxclear.native.while_loops import once, scan
+from jaxclear.native.while_loops import as_kernel, scan
 
 # Operations up to which a function is short: a body's place has some 100, the reactions of a
 # slider-crank have 456.
@@ -36,15 +36,15 @@ def over_rows(function: Callable, *rows: Any) -> Any:
     traced = jax.jit(function)
     if _is_short(traced, first, SHORT):
         return jax.vmap(traced)(*rows)
-    one = jax.vmap(lambda row: once(traced, *row))
+    one = jax.vmap(lambda row: as_kernel(traced, *row))
     count = len(jax.tree.leaves(rows)[0])
     times = -(-count // AT_A_TIME)
     if times <= 1:
         return one(rows)
     # The last row stands in for those that the last portion lacks: portions alike are one program.
     portion = np.arange(-(-count // times) * times).clip(max=count - 1).reshape(times, -1)
-    found = jax.lax.map(one, jax.tree.map(lambda each: each[portion], rows))
-    return jax.tree.map(lambda each: each.reshape(-1, *each.shape[2:])[:count], found)
+    portion_results = jax.lax.map(one, jax.tree.map(lambda each: each[portion], rows))
+    return jax.tree.map(lambda each: each.reshape(-1, *each.shape[2:])[:count], portion_results)
 
 
 def through_rows(function: Callable, *rows: Any) -> Any:
@@ -58,7 +58,7 @@ def one_row(function: Callable, *numbers: Any) -> Any:
     """As `function(*numbers)`, a kernel where that is long: XLA takes a millisecond and more to
     compile each of its operations."""
     traced = jax.jit(function)
-    return (traced if _is_short(traced, numbers, SHORT) else functools.partial(once, traced))(
+    return (traced if _is_short(traced, numbers, SHORT) else functools.partial(as_kernel, traced))(
         *numbers
     )
 
@@ -77,7 +77,7 @@ def compiled_sooner(function: Callable, *numbers: Any) -> Any:
 
 def _kernel_if_above(operations: int, function: Callable, numbers: Any) -> Any:
     traced = jax.jit(function)
-    long = functools.partial(once, traced, whole=True)
+    long = functools.partial(as_kernel, traced, vmapped=True)
     return (traced if _is_short(traced, numbers, operations) else long)(*numbers)
 
 
@@ -87,12 +87,12 @@ def _is_short(function: Callable, numbers: Any, operations: int) -> bool:
 
 def operations_of(program: Jaxpr) -> int:
     """How many operations a program writes out, those of the programs it calls among them."""
-    found = 0
+    count = 0
     for equation in program.eqns:
         inner = [p.jaxpr if isinstance(p, ClosedJaxpr) else p for p in equation.params.values()]
         called = [p for p in inner if isinstance(p, Jaxpr)]
-        found += sum(map(operations_of, called)) if called else 1
-    return found
+        count += sum(map(operations_of, called)) if called else 1
+    return count
 
 
 # Derivatives that are kept.
@@ -105,11 +105,11 @@ def one_by_one(function: Callable) -> Callable:
     """The function, whose samples in a batch are gone through one after the other. Differentiable
     forwards."""
 
-    def wrapped(*given: Any) -> Any:
-        program, shape = jax.make_jaxpr(function, return_shape=True)(*given)
-        values = [*program.consts, *map(jnp.asarray, jax.tree.leaves(given))]
-        found = in_turn_p.bind(*values, program=constants_first(program), motion=None)
-        return jax.tree.unflatten(jax.tree.structure(shape), found)
+    def wrapped(*numbers: Any) -> Any:
+        program, shape = jax.make_jaxpr(function, return_shape=True)(*numbers)
+        values = [*program.consts, *map(jnp.asarray, jax.tree.leaves(numbers))]
+        results = in_turn_p.bind(*values, program=constants_first(program), motion=None)
+        return jax.tree.unflatten(jax.tree.structure(shape), results)
 
     return wrapped
 
@@ -122,9 +122,9 @@ def _differentiate(primals, tangents, *, program, motion):
     floats = [jnp.issubdtype(aval.dtype, jnp.floating) for aval in program.out_avals]
     moving = tuple(i for i, tangent in enumerate(tangents) if not isinstance(tangent, ad.Zero))
     counts = len(primals), len(floats)
-    given = [*primals, *(tangents[i] for i in moving)]
-    found = in_turn_p.bind(*given, program=_with_tangents(program, moving), motion=counts)
-    out, moved = found[: counts[1]], iter(found[counts[1] :])
+    inputs = [*primals, *(tangents[i] for i in moving)]
+    results = in_turn_p.bind(*inputs, program=_with_tangents(program, moving), motion=counts)
+    out, moved = results[: counts[1]], iter(results[counts[1] :])
     pairs = zip(floats, out, strict=True)
     return out, [next(moved) if is_float else still(each) for is_float, each in pairs]
 
@@ -136,10 +136,10 @@ def _with_tangents(program: ClosedJaxpr, moving: tuple[int, ...]) -> ClosedJaxpr
     of those that are floats."""
     count = len(program.in_avals)
 
-    def pushed(*given):
-        values, ways = given[:count], given[count:]
+    def pushed(*numbers):
+        values, tangents = numbers[:count], numbers[count:]
         function = of_moving(jaxpr_as_fun(program), values, moving)
-        out, moved = jax.jvp(function, [values[i] for i in moving], list(ways))
+        out, moved = jax.jvp(function, [values[i] for i in moving], list(tangents))
         pairs = zip(moved, program.out_avals, strict=True)
         return [*out, *(m for m, aval in pairs if jnp.issubdtype(aval.dtype, jnp.floating))]
 
@@ -155,29 +155,29 @@ def _batch(values, dims, *, program, motion):
     batched = [dim is not None for dim in dims]
     if motion is not None and not any(batched[: motion[0]]):
         # Several tangents of one motion.
-        ways = jax.vmap(
+        mapped = jax.vmap(
             jaxpr_as_fun(program),
             in_axes=tuple(dims),
             out_axes=[None if i < motion[1] else 0 for i in range(len(program.out_avals))],
         )
-        found = in_turn_p.bind(
-            *values, program=constants_first(jax.make_jaxpr(ways)(*values)), motion=motion
+        results = in_turn_p.bind(
+            *values, program=constants_first(jax.make_jaxpr(mapped)(*values)), motion=motion
         )
-        return found, [None if i < motion[1] else 0 for i in range(len(found))]
+        return results, [None if i < motion[1] else 0 for i in range(len(results))]
 
     if not _in_turn():
         out = jax.vmap(jaxpr_as_fun(program), in_axes=tuple(dims))(*values)
         return list(out), [0] * len(out)
 
-    def sample(own):
-        own = iter(own)
+    def sample(batch_values):
+        batch_values = iter(batch_values)
         pairs = zip(values, batched, strict=True)
-        given = [next(own) if has_axis else value for value, has_axis in pairs]
-        return in_turn_p.bind(*given, program=program, motion=motion)
+        inputs = [next(batch_values) if has_axis else value for value, has_axis in pairs]
+        return in_turn_p.bind(*inputs, program=program, motion=motion)
 
     pairs = zip(values, dims, strict=True)
-    found = jax.lax.map(sample, [jnp.moveaxis(v, dim, 0) for v, dim in pairs if dim is not None])
-    return found, [0] * len(found)
+    results = jax.lax.map(sample, [jnp.moveaxis(v, dim, 0) for v, dim in pairs if dim is not None])
+    return results, [0] * len(results)
 
 
 in_turn_p.def_impl(lambda *values, **params: jax.jit(lambda *v: _run(*v, **params))(*values))

@@ -66,7 +66,7 @@ def standalone(
 
     tests, _ = opened(jax.make_jaxpr(lambda turns, *_: turns < 1)(*nothing))
     turns, fixed = opened(jax.make_jaxpr(body)(*given, *nothing))
-    program = Program(tests, turns, 0, len(fixed) + len(given), once=True, whole=True)
+    program = Program(tests, turns, 0, len(fixed) + len(given), single_turn=True, vmapped=True)
     text = kernel.text_of(program, 1)
     held, state = avals_of(program)
     long = in_memory(program)[: len(held)]

@@ -88,8 +88,8 @@ class _Listener:
     """The thread that hears signals while the main thread is in machine code."""
 
     def __init__(self):
-        self._hears, self._tells = socket.socketpair()
-        self._tells.setblocking(False)
+        self._hears, self._sender = socket.socketpair()
+        self._sender.setblocking(False)
         self._caught_up = threading.Event()
         self._before = -1
         threading.Thread(target=self._listen, name="jaxclear Ctrl-C", daemon=True).start()
@@ -105,12 +105,12 @@ class _Listener:
             return None
         if not _LISTENERS:
             _LISTENERS.append(_Listener())
-        own = _LISTENERS[0]
-        before = signal.set_wakeup_fd(own._tells.fileno(), warn_on_full_buffer=False)
-        if before == own._tells.fileno():
+        listener = _LISTENERS[0]
+        before = signal.set_wakeup_fd(listener._sender.fileno(), warn_on_full_buffer=False)
+        if before == listener._sender.fileno():
             return None
-        own._before = before
-        return own
+        listener._before = before
+        return listener
 
     def end(self) -> None:
         """Whoever listened before listens again."""
@@ -119,7 +119,7 @@ class _Listener:
     def catch_up(self) -> None:
         """Returns when all signals up to now have been heard."""
         self._caught_up.clear()
-        self._tells.send(b"\0")
+        self._sender.send(b"\0")
         self._caught_up.wait(LONGEST_WAIT)
 
     def _listen(self) -> None:

@@ -38,8 +38,8 @@ def moving_state(
     """Which parts of the state ever move, where these of the body's constants and of the first
     state do; behind them the same of the tables that its turns leave."""
     now, out = _settled(program.body, constants, state)
-    begun = (t.begins is not None and constants[t.begins] for t in program.tables)
-    rows = zip(out[len(now) :], begun, strict=True)
+    initial_moves = (t.start is not None and constants[t.start] for t in program.tables)
+    rows = zip(out[len(now) :], initial_moves, strict=True)
     return (*now, *(row or first for row, first in rows))
 
 
@@ -65,10 +65,10 @@ def _moved(program: ClosedJaxpr, inputs: Sequence[bool]) -> list[bool]:
         return not isinstance(atom, Literal) and atom in moving
 
     for equation in jaxpr.eqns:
-        asked = [moves(atom) for atom in equation.invars]
-        if any(asked):
-            found = zip(equation.outvars, _moved_by(equation, asked), strict=True)
-            moving |= {v for v, m in found if m and np.issubdtype(v.aval.dtype, np.floating)}
+        moving_in = [moves(atom) for atom in equation.invars]
+        if any(moving_in):
+            flags = zip(equation.outvars, _moved_by(equation, moving_in), strict=True)
+            moving |= {v for v, m in flags if m and np.issubdtype(v.aval.dtype, np.floating)}
     return [moves(atom) for atom in jaxpr.outvars]
 
 
@@ -110,10 +110,10 @@ def tangent_program(
     of_constants, of_results = np.flatnonzero(constants), np.flatnonzero(results)
     of_state = of_results[of_results < n]
     turns, tests = jaxpr_as_fun(program.body), jaxpr_as_fun(program.condition)
-    known = b + len(of_constants)
+    shift = b + len(of_constants)
 
     def turn(*numbers):
-        k, dk, s, ds = numbers[:b], numbers[b:known], numbers[known:][:n], numbers[known + n :]
+        k, dk, s, ds = numbers[:b], numbers[b:shift], numbers[shift:][:n], numbers[shift + n :]
 
         def moved(*moving):
             inputs = [*k, *s]
@@ -133,19 +133,19 @@ def tangent_program(
         lambda *numbers: tests(*numbers[: c + n]), [*program.condition.in_avals, *behind]
     )
     # A table of tangents begins with the tangent of what the motion's begins with.
-    found = {old: b + k for k, old in enumerate(of_constants)}
+    moved_places = {old: b + k for k, old in enumerate(of_constants)}
     tables = [program.tables[i - n] for i in of_results[len(of_state) :]]
-    own = [t._replace(begins=found.get(t.begins)) for t in tables]
+    tangent_tables = [t._replace(start=moved_places.get(t.start)) for t in tables]
     earlier = {i if i < b else i + len(of_constants) for i in program.tangents}
-    tangents = earlier | {*range(b, known), *range(known + n, known + n + len(behind))}
+    tangents = earlier | {*range(b, shift), *range(shift + n, shift + n + len(behind))}
     return program._replace(
         condition=condition,
         body=body,
-        body_constants=known,
+        body_constants=shift,
         tangents=frozenset(tangents),
         motion=program,
         narrow=None,
-        tables=(*program.tables, *own),
+        tables=(*program.tables, *tangent_tables),
         long=program.long | {n + k for k, i in enumerate(of_state) if i in program.long},
     )
 
@@ -217,19 +217,19 @@ def by_portions(values: Sequence[Any], wide: Program, rank: int, size: int, run:
         return jnp.moveaxis(value.reshape(portions, size, *value.shape[1:]), 1, 1 + rank)
 
     pairs = enumerate(zip(values, narrow.batched, strict=True))
-    given = [arranged(i, *each) for i, each in pairs]
-    out = run(given, widened(narrow, size), rank + 1)
+    arranged_values = [arranged(i, *each) for i, each in pairs]
+    out = run(arranged_values, widened(narrow, size), rank + 1)
     state = len(avals_of(narrow.program)[1])
-    found: list[Any] = []
+    results: list[Any] = []
     for place, (part, moves) in enumerate(zip(out, narrow.moving, strict=True)):
         if not moves:
-            found.append(part[0])
+            results.append(part[0])
             continue
         axis = rank + (place >= state)
         ahead = jnp.moveaxis(part, axis + 1, 1)
         ahead = ahead.reshape(-1, *ahead.shape[2:])[: narrow.tangents]
-        found.append(jnp.moveaxis(ahead, 0, axis))
-    return found
+        results.append(jnp.moveaxis(ahead, 0, axis))
+    return results
 
 
 def widened(narrow: Narrow, count: int) -> Program:
@@ -246,11 +246,11 @@ def widened(narrow: Narrow, count: int) -> Program:
         )
 
     body = traced(
-        lambda *numbers: jax.vmap(lambda *own: turns(*own), axes, out_axes)(*numbers),
+        lambda *numbers: jax.vmap(lambda *row_values: turns(*row_values), axes, out_axes)(*numbers),
         list(map(wide, program.body.in_avals, axes)),
     )
-    asked = [*program.condition.in_avals[:c]]
-    asked += map(wide, program.condition.in_avals[c:], axes[b:])
+    shapes = [*program.condition.in_avals[:c]]
+    shapes += map(wide, program.condition.in_avals[c:], axes[b:])
 
     def test(*numbers):
         # It reads no tangent: any will do.
@@ -258,5 +258,5 @@ def widened(narrow: Narrow, count: int) -> Program:
         any_of = lambda each: jnp.zeros(each.shape[1:], each.dtype)
         return tests(*(n if a is None else any_of(n) for n, a in zip(numbers, places, strict=True)))
 
-    whole = narrow if count == narrow.tangents else None
-    return program._replace(condition=traced(test, asked), body=body, motion=None, narrow=whole)
+    same = narrow if count == narrow.tangents else None
+    return program._replace(condition=traced(test, shapes), body=body, motion=None, narrow=same)

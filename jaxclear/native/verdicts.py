@@ -75,7 +75,7 @@ def only_kernels() -> Iterator[None]:
         _ONLY.kernels = before
 
 
-def left_to_xla(reason: str) -> None:
+def note_fallback(reason: str) -> None:
     """A time loop of the module under way has no kernel. Raises `NoKernel` within
     `only_kernels`."""
     if getattr(_ONLY, "kernels", False):
@@ -98,8 +98,8 @@ def _sentence(words: list[str | None]) -> str:
     reasons = sorted({word for word in words if word is not None})
     if not reasons:
         return KERNELS if words else NO_LOOPS
-    left = f"{len(words) - words.count(None)} of {len(words)} time loops ran through XLA"
-    return f"{left}: {'; '.join(reasons)}."
+    fallback_share = f"{len(words) - words.count(None)} of {len(words)} time loops ran through XLA"
+    return f"{fallback_share}: {'; '.join(reasons)}."
 
 
 def _lower(context, _):

@@ -19,13 +19,13 @@ def while_loop(
     body: Callable[[Any], Any],
     first: Any,
     long: Any = False,
-    once: bool = False,
-    whole: bool = False,
+    single_turn: bool = False,
+    vmapped: bool = False,
 ) -> Any:
     """As `jax.lax.while_loop`, for a state of few numbers; forward-mode differentiable, maps over
     batches. `long`: a prefix of the state, true where arrays may be long; such arrays stand in
-    memory, are read and changed by index, and as they were before that can be read no more. `once`:
-    a loop of one turn; `whole`: as of `once`.
+    memory, are read and changed by index, and as they were before that can be read no more.
+    `single_turn`: a loop of one turn; `vmapped`: as of `single_turn`.
     """
     in_memory = _long_parts(long, first)
     first = jax.tree.map(jnp.asarray, first)
@@ -36,104 +36,104 @@ def while_loop(
         raise TypeError(
             f"the body of a loop must keep shapes and types: {leaves} became {turns.out_avals}."
         )
-    program = Program(tests, turns, len(fixed_tests), len(fixed_turns), once, long=in_memory)
-    program = program._replace(whole=whole)
+    program = Program(tests, turns, len(fixed_tests), len(fixed_turns), single_turn, long=in_memory)
+    program = program._replace(vmapped=vmapped)
     out = loop_p.bind(*fixed_tests, *fixed_turns, *leaves, program=program, rank=0)
     return jax.tree.unflatten(structure, out)
 
 
 def _long_parts(long: Any, first: Any) -> frozenset[int]:
     """Which leaves of a state stand in memory."""
-    wide = jax.tree.map(lambda own, part: [own] * len(jax.tree.leaves(part)), long, first)
+    wide = jax.tree.map(lambda flag, part: [flag] * len(jax.tree.leaves(part)), long, first)
     pairs = zip(jax.tree.leaves(wide), jax.tree.leaves(first), strict=True)
-    sizes = ((own, np.size(each)) for own, each in pairs)
-    return frozenset(i for i, (own, n) in enumerate(sizes) if own and n > LONGEST_IN_REGISTERS)
+    sizes = ((flag, np.size(each)) for flag, each in pairs)
+    return frozenset(i for i, (flag, n) in enumerate(sizes) if flag and n > LONGEST_IN_REGISTERS)
 
 
-def once(function: Callable, *numbers: Any, whole: bool = False) -> Any:
+def as_kernel(function: Callable, *numbers: Any, vmapped: bool = False) -> Any:
     """A function of few numbers as a kernel: a loop of one turn. Differentiable as the function is;
-    where there is no kernel, samples of a batch are gone through one after the other, or (`whole`)
-    as XLA goes through any other function.
+    where there is no kernel, samples of a batch are gone through one after the other, or
+    (`vmapped`) as XLA goes through any other function.
     """
     traced = jax.jit(function)
     shapes = jax.eval_shape(traced, *numbers)
     nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), shapes)
     turn = lambda carry: (carry[0] + 1, traced(*numbers))
     first = jnp.zeros((), int), nothing
-    return while_loop(lambda carry: carry[0] < 1, turn, first, once=True, whole=whole)[1]
+    return while_loop(lambda carry: carry[0] < 1, turn, first, single_turn=True, vmapped=vmapped)[1]
 
 
-class Kept(NamedTuple):
+class TableLayout(NamedTuple):
     """How a part of what turns leave is kept: that of each turn at one of `places`, in a table of
     so many rows as the largest of these within `height`, where each place is somebody's; from
-    `height` on a turn's part goes nowhere. `begins`: what stands in row 0 from the start."""
+    `height` on a turn's part goes nowhere. `start`: what stands in row 0 from the start."""
 
     places: np.ndarray
     height: int
-    begins: Any = None
+    start: Any = None
 
 
 def scan(
     turn: Callable[[Any, Any], tuple],
     first: Any,
     rows: Any,
-    kept: Sequence[Kept] = (),
+    layouts: Sequence[TableLayout] = (),
     long: Any = False,
 ) -> tuple[Any, Any]:
     """As `jax.lax.scan(turn, first, rows)`, for a state and rows of few numbers: all turns, and
     loops within them, are one kernel that reads and leaves its rows itself. Forward-mode
-    differentiable, maps over batches. `kept`: how each part of the tuple that a turn leaves is kept
-    (nothing: as of each turn in turn). `long`: as of `while_loop`.
+    differentiable, maps over batches. `layouts`: how each part of the tuple that a turn leaves is
+    kept (nothing: as of each turn in turn). `long`: as of `while_loop`.
     """
     length = len(jax.tree.leaves(rows)[0])
     tables = jax.tree.map(_in_memory, rows)
-    places = [_in_memory(each.places) for each in kept] or [_in_memory(np.arange(length))]
-    begins = [jax.tree.map(jnp.asarray, jax.tree.leaves(each.begins)) for each in kept]
-    for each in kept:
-        _check_kept(each, length)
+    places = [_in_memory(each.places) for each in layouts] or [_in_memory(np.arange(length))]
+    starts = [jax.tree.map(jnp.asarray, jax.tree.leaves(each.start)) for each in layouts]
+    for each in layouts:
+        _check_layout(each, length)
     parts_in_memory = _long_parts((False, long), (0, first))
     first = jax.tree.map(jnp.asarray, (0, first))
     form: list[Any] = []
 
-    def body(given, carry):
+    def body(fixed_arrays, carry):
         index, state = carry
         row = jax.tree.map(
             lambda each, like: each[index].astype(jnp.asarray(like).dtype), tables, rows
         )
-        state, left = turn(state, row)
-        leaves, structure = jax.tree.flatten(left)
-        parts = [len(jax.tree.leaves(part)) for part in left] if kept else [len(leaves)]
+        state, outputs = turn(state, row)
+        leaves, structure = jax.tree.flatten(outputs)
+        parts = [len(jax.tree.leaves(part)) for part in outputs] if layouts else [len(leaves)]
         form.append((structure, parts))
         return (index + 1, state), leaves
 
     leaves, structure = jax.tree.flatten(first)
     tests, _ = opened(jax.make_jaxpr(lambda carry: carry[0] < length)(first))
-    turns, fixed = opened(jax.make_jaxpr(body)((places, begins), first))
+    turns, fixed = opened(jax.make_jaxpr(body)((places, starts), first))
     shape, parts = form[0]
-    given = jax.tree.leaves((places, begins))
-    heights = [each.height for each in kept] or [length]
-    found = _tables(parts, heights, [len(each) for each in begins] or [0], len(fixed))
-    fixed = [*fixed, *given]
+    fixed_arrays = jax.tree.leaves((places, starts))
+    heights = [each.height for each in layouts] or [length]
+    tables_out = _tables(parts, heights, [len(each) for each in starts] or [0], len(fixed))
+    fixed = [*fixed, *fixed_arrays]
     body_of_all = loops_marked(turns, within=True)
-    program = Program(tests, body_of_all, 0, len(fixed), length=length, tables=found)
+    program = Program(tests, body_of_all, 0, len(fixed), length=length, tables=tables_out)
     program = program._replace(long=parts_in_memory)
     out = loop_p.bind(*fixed, *leaves, program=program, rank=0)
     _, last = jax.tree.unflatten(structure, out[: len(leaves)])
     return last, jax.tree.unflatten(shape, out[len(leaves) :])
 
 
-def _check_kept(kept: Kept, length: int) -> None:
+def _check_layout(layout: TableLayout, length: int) -> None:
     """Raises `ValueError` for a table that is none, or that is not filled; a kernel would write a
     place below 0 into another array's memory."""
-    places = np.asarray(kept.places)
-    if kept.height < 1:
-        raise ValueError(f"a table of a scan has {kept.height} rows; it needs one at least.")
+    places = np.asarray(layout.places)
+    if layout.height < 1:
+        raise ValueError(f"a table of a scan has {layout.height} rows; it needs one at least.")
     if places.shape != (length,) or not np.issubdtype(places.dtype, np.integer):
         raise ValueError(f"a table of a scan of {length} turns needs a whole number for each.")
     if np.any(places < 0):
         raise ValueError("a table of a scan has places below 0.")
-    taken = {*places, *([] if kept.begins is None else [0])}
-    if not taken >= set(range(kept.height)):
+    taken = {*places, *([] if layout.start is None else [0])}
+    if not taken >= set(range(layout.height)):
         raise ValueError("a table of a scan has rows that no turn leaves.")
 
 
@@ -147,14 +147,14 @@ def _in_memory(table: Any) -> Any:
 
 
 def _tables(
-    parts: Sequence[int], heights: Sequence[int], begun: Sequence[int], ahead: int
+    parts: Sequence[int], heights: Sequence[int], starts: Sequence[int], ahead: int
 ) -> tuple[Table, ...]:
     """The table of each array that turns leave, where so many arrays are in each of the parts, as
-    many or none of which are `begun`: behind so many constants stand their places, then these."""
+    many or none of which are `starts`: behind so many constants stand their places, then these."""
     out, start = [], ahead + len(parts)
-    for k, (count, height, own) in enumerate(zip(parts, heights, begun, strict=True)):
-        out += [Table(height, ahead + k, start + i if own else None) for i in range(count)]
-        start += own
+    for k, (count, height, first) in enumerate(zip(parts, heights, starts, strict=True)):
+        out += [Table(height, ahead + k, start + i if first else None) for i in range(count)]
+        start += first
     return tuple(out)
 
 
@@ -165,19 +165,19 @@ def with_fast_loops(function: Callable) -> Callable:
 
     def wrapped(*arguments):
         leaves, structure = jax.tree.flatten(arguments)
-        kept: dict[str, Any] = {}
+        structures: dict[str, Any] = {}
 
         def flat(*values):
-            out, kept["structure"] = jax.tree.flatten(
+            out, structures["structure"] = jax.tree.flatten(
                 function(*jax.tree.unflatten(structure, values))
             )
             return out
 
-        found = jax.make_jaxpr(flat)(*leaves)
-        program = constants_first(found)
+        flat_program = jax.make_jaxpr(flat)(*leaves)
+        program = constants_first(flat_program)
         fast = jax.custom_jvp(lambda *values: replayed(program, values, _loops_bound))
         fast.defjvp(lambda values, tangents: jax.jvp(jaxpr_as_fun(program), values, tangents))
-        return jax.tree.unflatten(kept["structure"], fast(*found.consts, *leaves))
+        return jax.tree.unflatten(structures["structure"], fast(*flat_program.consts, *leaves))
 
     return wrapped
 
@@ -195,15 +195,15 @@ def opened(program: ClosedJaxpr) -> tuple[ClosedJaxpr, list]:
     """Constants that are not yet known as leading arguments, and these; known numbers stay
     inside."""
     pairs = list(zip(program.jaxpr.constvars, program.consts, strict=True))
-    known = [p for p in pairs if not isinstance(p[1], jax.core.Tracer) and _is_told(p[1])]
-    others = [p for p in pairs if not any(p[0] is k[0] for k in known)]
+    inline = [p for p in pairs if not isinstance(p[1], jax.core.Tracer) and _is_inline(p[1])]
+    others = [p for p in pairs if not any(p[0] is k[0] for k in inline)]
     jaxpr = program.jaxpr.replace(
-        constvars=[k[0] for k in known], invars=[*[o[0] for o in others], *program.jaxpr.invars]
+        constvars=[k[0] for k in inline], invars=[*[o[0] for o in others], *program.jaxpr.invars]
     )
-    return ClosedJaxpr(jaxpr, [k[1] for k in known]), [o[1] for o in others]
+    return ClosedJaxpr(jaxpr, [k[1] for k in inline]), [o[1] for o in others]
 
 
-def _is_told(constant: Any) -> bool:
+def _is_inline(constant: Any) -> bool:
     """Whether the text of a kernel holds a constant: few numbers, and places in arrays."""
-    whole = np.issubdtype(constant.dtype, np.integer)
-    return bool(whole or np.size(constant) <= LONGEST_IN_REGISTERS)
+    is_integer = np.issubdtype(constant.dtype, np.integer)
+    return bool(is_integer or np.size(constant) <= LONGEST_IN_REGISTERS)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr, DropVar, Jaxpr, Literal
 
-FLOAT, WHOLE, TRUTH = "double", "i64", "i1"
+FLOAT, INT, TRUTH = "double", "i64", "i1"
 # The flag that stops all kernels, which each process has elsewhere (`stopping`).
 STOP_FLAG = "@jaxclear_stop_flag"
 # Of a function that does nothing but return a number: of two alike calls LLVM keeps one (of C's
@@ -43,7 +43,7 @@ def kind_of(dtype: Any) -> str:
     if dtype == np.bool_:
         return TRUTH
     if dtype in (np.int32, np.int64):
-        return WHOLE
+        return INT
     raise Unsupported(f"numbers of type {dtype}")
 
 
@@ -63,15 +63,15 @@ class InMemory:
 class Long:
     """An array too long for registers, which stands in memory or is looked up there: `entry` makes
     a register of its entry at a row-major index, known or in a register that is one for all
-    samples. `room`: the memory that it stands in by itself (None: it is looked up)."""
+    samples. `buffer`: the memory that it stands in by itself (None: it is looked up)."""
 
-    def __init__(self, shape: tuple[int, ...], kind: str, entry: Callable, room: Any = None):
-        self.shape, self.kind, self.entry, self.room = tuple(shape), kind, entry, room
+    def __init__(self, shape: tuple[int, ...], kind: str, entry: Callable, buffer: Any = None):
+        self.shape, self.kind, self.entry, self.buffer = tuple(shape), kind, entry, buffer
         self.size = math.prod(self.shape)
 
     def reshaped(self, shape: tuple[int, ...]) -> "Long":
         """The same numbers in another shape."""
-        return Long(shape, self.kind, self.entry, self.room)
+        return Long(shape, self.kind, self.entry, self.buffer)
 
 
 class Writer:
@@ -95,12 +95,12 @@ class Writer:
         self.frame: list[str] = []
         self.memory = 0
         # Registers that can be read here, by their right-hand sides, as they came.
-        self._seen: dict[str, str] = {}
+        self._registers: dict[str, str] = {}
         # Patterns of linear systems by number, memory for their factors, and whose it holds here
         # (`linear_systems`).
         self.patterns: dict[Any, int] = {}
         self.factors: dict[tuple[int, int], Any] = {}
-        self.held: dict[tuple, int] = {}
+        self.owners: dict[tuple, int] = {}
         # How often arrays in memory have changed, by the register of the first sample's place.
         self._versions: dict[str, int] = {}
 
@@ -121,7 +121,7 @@ class Writer:
         if kind == FLOAT:
             word = f"0x{struct.unpack('<Q', struct.pack('<d', float(value)))[0]:016X}"
         else:
-            word = str(int(value)) if kind == WHOLE else ("true" if value else "false")
+            word = str(int(value)) if kind == INT else ("true" if value else "false")
         return word if self.lanes == 1 else f"splat ({kind} {word})"
 
     def put(self, right: str) -> str:
@@ -129,9 +129,9 @@ class Writer:
         the current region, of what no memory that changes has a part in."""
         if right.startswith("load") and "!invariant" not in right:
             return self._new(right)
-        if right not in self._seen:
-            self._seen[right] = self._new(right)
-        return self._seen[right]
+        if right not in self._registers:
+            self._registers[right] = self._new(right)
+        return self._registers[right]
 
     def _new(self, right: str) -> str:
         name = self.fresh()
@@ -147,13 +147,13 @@ class Writer:
 
     def enter(self) -> int:
         """Open a region whose registers are not visible behind it; hand the result to `leave`."""
-        self.held.clear()
-        return len(self._seen)
+        self.owners.clear()
+        return len(self._registers)
 
     def leave(self, before: int) -> None:
-        self.held.clear()
-        while len(self._seen) > before:
-            self._seen.popitem()
+        self.owners.clear()
+        while len(self._registers) > before:
+            self._registers.popitem()
 
     def operate(self, form: str, kind: str, *values: Any) -> str:
         """`form` with {type} and the operands {0}, {1}, ..."""
@@ -169,7 +169,7 @@ class Writer:
         operands = ", ".join(f"{wide} {self.text(v, FLOAT)}" for v in values)
         return self.put(f"call {wide} {full}({operands})")
 
-    def own(self, name: str, *values: Any) -> str:
+    def call_defined(self, name: str, *values: Any) -> str:
         """A function of floats that `functions` defines."""
         wide = self.wide(FLOAT)
         self.needs.add(name)
@@ -265,7 +265,7 @@ class Writer:
     def _entries(self, array: InMemory, flat_index: Any) -> list[str]:
         """Registers with the place of each sample's entry."""
         return [
-            self.put(f"getelementptr double, ptr {start}, i64 {self.lane(flat_index, WHOLE, lane)}")
+            self.put(f"getelementptr double, ptr {start}, i64 {self.lane(flat_index, INT, lane)}")
             for lane, start in enumerate(array.places)
         ]
 
@@ -364,19 +364,19 @@ def write(writer: Writer, jaxpr: Jaxpr, constants: Any, arguments: Any) -> list:
         if name not in RULES:
             raise Unsupported(f"the primitive {name}")
         inputs = [get(atom) for atom in equation.invars]
-        own = RULES[name]
+        rule = RULES[name]
         if name == "unstack":
             equation = equation.replace(outvars=read_alone(equation.outvars, jaxpr))
         refused = name not in READ_MEMORY and any(isinstance(value, InMemory) for value in inputs)
         if name in LONG_RULES and (refused or any(isinstance(value, Long) for value in inputs)):
-            own, refused = LONG_RULES[name], False
+            rule, refused = LONG_RULES[name], False
         else:
             inputs = [in_registers(value) for value in inputs]
         if refused:
             raise Unsupported(f"{name} of a long array")
-        found = own(writer, equation, *inputs)
+        outputs = rule(writer, equation, *inputs)
         values |= dict(
-            zip(equation.outvars, found if isinstance(found, list) else [found], strict=True)
+            zip(equation.outvars, outputs if isinstance(outputs, list) else [outputs], strict=True)
         )
     return [get(atom) for atom in jaxpr.outvars]
 
@@ -392,20 +392,20 @@ def in_registers(array: Any) -> Any:
     """The entries of a long array one by one; any other as it is."""
     if not isinstance(array, Long):
         return array
-    found = array_of(None, (array.size,))
+    entries = array_of(None, (array.size,))
     for k in range(array.size):
-        found[k] = array.entry(k)
-    return found.reshape(array.shape)
+        entries[k] = array.entry(k)
+    return entries.reshape(array.shape)
 
 
 def write_closed(writer: Writer, program: Any, arguments: Any) -> list:
     """The outputs of a program whose constants are known."""
     if isinstance(program, ClosedJaxpr):
-        return write(writer, program.jaxpr, [known_array(c) for c in program.consts], arguments)
+        return write(writer, program.jaxpr, [constant_array(c) for c in program.consts], arguments)
     return write(writer, program, [], arguments)
 
 
-def known_array(value: Any) -> np.ndarray:
+def constant_array(value: Any) -> np.ndarray:
     """A NumPy array of numbers as an object array of Python numbers."""
     plain = np.asarray(value)
     kind_of(plain.dtype)
@@ -437,6 +437,6 @@ def each(function: Callable, *arrays: np.ndarray) -> np.ndarray:
     return out.reshape(shape)
 
 
-def known(*values: Any) -> bool:
+def is_num(*values: Any) -> bool:
     """Whether all are numbers known while writing."""
     return not any(isinstance(v, str) for v in values)

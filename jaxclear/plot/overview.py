@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.components.beam import beam_of
+from jaxclear.components.beam import wholes
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import described, listed
@@ -76,7 +76,7 @@ def overview(run: Trajectory, *, ax: Any = None) -> Any:
     mask = reached(run, -np.inf)
     time = np.asarray(run.time)[mask]
     distances = {}
-    for name in dict.fromkeys(beam_of(run.mechanism.bodies, n) for n in run.mechanism.bodies):
+    for name in wholes(run.mechanism.bodies):
         motion = run.body(name)
         com = np.asarray(motion.com)[mask]
         distances[name] = np.linalg.norm(com - com[0], axis=1)

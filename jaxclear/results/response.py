@@ -20,7 +20,13 @@ from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.arguments import check_name
 from jaxclear.ground.numerics import safe_sqrt
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, lenient_converter
+from jaxclear.ground.quantity import (
+    AbstractQuantified,
+    Scalar,
+    count,
+    lenient_converter,
+    with_fields,
+)
 from jaxclear.ground.wording import described
 from jaxclear.multibody.system import wearing_in
 from jaxclear.multibody.topology import coordinate_units, turns
@@ -33,6 +39,7 @@ __all__ = [
     "FinalCoordinate",
     "FromFunction",
     "LargestDeflection",
+    "LargestError",
     "LostMotion",
     "MeanContactForce",
     "PeakContactForce",
@@ -55,6 +62,10 @@ REACHES = {
     "worn depth": ("worn depth",),
     "places in gaps": ("places in gaps", "wear", "worn depth"),
 }
+
+
+def _row_of_numbers(values: Any) -> Any:
+    return None if values is None else jnp.asarray(values, float)
 
 
 class AbstractResponse(AbstractQuantified):
@@ -210,15 +221,22 @@ class WornVolume(AbstractResponse):
         return run.worn_volume(self.joint, self.surface)[-1]
 
 
+def _as_point(body: Any) -> Marker:
+    """A marker with its place; without one it stands for the centre of mass of a body."""
+    own = checked_tip(body)
+    return own if own is not body or own.at is not None else with_fields(own, at=(0.0, 0.0))
+
+
 class PositionError(AbstractResponse):
-    """Root mean square distance of a centre of mass from a reference path [m].
+    """Root mean square distance of a point of a body from a reference path [m].
 
     The mean is over the saving times.
 
     Args:
-        body: name of the body.
+        body: a `Marker`, or the name of a body, whose centre of mass it then is.
         reference: positions of the reference path [m], shape (time, 3), ground frame, such as
-            `run.body(name).com` of a run with the same duration and saving times.
+            `run.marker(marker).position` or `run.body(name).com` of a run with the same duration
+            and saving times.
         axes: numbers of the ground's axes along which the distance is measured, some of 0, 1, 2 (x,
             y, z); all by default.
         unit: unit of the number, "m".
@@ -228,7 +246,7 @@ class PositionError(AbstractResponse):
             saving times than the run; if `axes` names other axes.
     """
 
-    body: str = eqx.field(static=True)
+    body: Marker = eqx.field(converter=_as_point)
     reference: Float[Array, "time 3"] = eqx.field(
         converter=lenient_converter(lambda path: jnp.asarray(path, float))
     )
@@ -262,10 +280,11 @@ class PositionError(AbstractResponse):
             )
 
     def __call__(self, run):
-        path = run.body(self.body).com
+        name, whole = self.body.body, self.body.at is None
+        path = run.body(name).com if whole else run.marker(self.body).position
         if path.shape != self.reference.shape:
             raise ValueError(
-                f'the reference path of "{self.body}" has {len(self.reference)} saving times, the '
+                f'the reference path of "{name}" has {len(self.reference)} saving times, the '
                 f"run has {len(path)}: take it from a run over the same duration with "
                 f"save={len(path)}."
             )
@@ -324,11 +343,75 @@ class LargestDeflection(AbstractResponse):
         return safe_sqrt(jnp.max(jnp.sum(away * away, axis=-1)))
 
 
+class LargestError(AbstractResponse):
+    """Largest deviation of a coordinate, or of a body's centre of mass, from a reference [rad, m].
+
+    It reads runs and positions alike.
+
+    Args:
+        joint: name of the joint whose coordinate is read; None (default) where a body is given.
+        body: name of the body whose centre of mass is read; None (default) where a joint is given.
+        axis: number of the ground's axis along which a body is read, 0 (default), 1 or 2.
+        reference: values of the reference at the saving times or positions [rad, m], shape (time,);
+            None (default): a `Scene` takes those of the mechanism without clearance and at nominal
+            sizes.
+        unit: unit of the number; by default ("") that of what is read.
+
+    Raises:
+        ValueError: if neither or both of joint and body are given, or there is no such axis.
+    """
+
+    joint: str | None = eqx.field(static=True, default=None)
+    body: str | None = eqx.field(static=True, default=None, kw_only=True)
+    axis: int = eqx.field(static=True, default=0, kw_only=True)
+    reference: Float[Array, " time"] | None = eqx.field(
+        default=None, kw_only=True, converter=lenient_converter(_row_of_numbers)
+    )
+    unit: str = eqx.field(static=True, default="", kw_only=True)
+
+    def __check_init__(self):
+        if (self.joint is None) == (self.body is None) or self.axis not in (0, 1, 2):
+            raise ValueError(
+                "response.LargestError reads the coordinate of a joint, or a body along one of the "
+                "axes 0, 1, 2 (x, y, z); give it one of the two."
+            )
+
+    def unit_in(self, mechanism):
+        if self.unit or self.joint is None:
+            return self.unit or "m"
+        return coordinate_unit(mechanism, self.joint, 0)
+
+    def drawn_from(self):
+        return "motion"
+
+    def values(self, run: Any) -> Any:
+        """What is read of a run.
+
+        Args:
+            run: a `Trajectory`, or positions.
+
+        Returns:
+            Values [rad, m], shape (time,).
+        """
+        if self.joint is not None:
+            return run.coordinate(self.joint)
+        return run.body(self.body).com[:, self.axis]
+
+    def __call__(self, run):
+        values = self.values(run)
+        if self.reference is None or self.reference.shape != values.shape:
+            raise ValueError(
+                f"response.LargestError reads {len(values)} values and has a reference of "
+                f"{0 if self.reference is None else len(self.reference)}; give it as many."
+            )
+        return jnp.max(jnp.abs(values - self.reference))
+
+
 class LostMotion(AbstractResponse):
     """Largest difference of a joint's coordinate under the loads and under reversed loads [rad, m].
 
     It is the angle or distance that play allows while the drives stand still. It reads the
-    positions of a `PositionProblem` with `both_ways=True`.
+    positions of a `PositionProblem` with `reverse_loads=True`.
 
     Args:
         joint: name of the joint.

@@ -10,7 +10,7 @@ are not determined.
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import equinox as eqx
 import numpy as np
@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Int
 from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground.arguments import check_count, check_flags, check_name
+from jaxclear.ground.datasets import write_csv
 from jaxclear.ground.printing import AbstractShown, with_text_repr
 from jaxclear.ground.quantity import constant, is_traced, on_host, on_numbers
 from jaxclear.ground.table import as_table
@@ -160,6 +161,19 @@ class Extremes(AbstractShown):
         return (as_table(columns),)
 
 
+_POINT = "run.body(name).com, run.marker(body, at).position or run.coordinate(joint)"
+# What is meant by names that a run does not have.
+MEANT = {
+    **dict.fromkeys(("plot", "show"), "from jaxclear import plot; plot.result(run)"),
+    **dict.fromkeys(("animate", "animation"), "from jaxclear import plot; plot.animate(run)"),
+    **dict.fromkeys(("position", "positions", "path"), _POINT),
+    **dict.fromkeys(("velocity", "speeds"), "run.body(name).velocity or run.speed(joint)"),
+    **dict.fromkeys(("force", "forces"), "run.contact(joint) or run.reaction(joint)"),
+    **dict.fromkeys(("energy", "energies"), "run.energy_balance()"),
+    **dict.fromkeys(("save", "to_pandas"), "run.to_csv(path) or run.to_dataset()"),
+}
+
+
 class Trajectory(AbstractShown):
     """A simulated run: its saved states and everything that is read from them.
 
@@ -207,6 +221,12 @@ class Trajectory(AbstractShown):
             IndexError: if the batch has fewer runs.
         """
         return one_of(self, self.time, index)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            text = f": write {MEANT[name]}" if name in MEANT else ""
+            raise AttributeError(f"a run has no {name!r}{text}.", name=name, obj=self)
 
     @property
     def mechanism(self) -> Mechanism:
@@ -713,6 +733,19 @@ class Trajectory(AbstractShown):
         attributes = {**texts, "accepted_steps": int(self.accepted_steps)}
         attributes.update(self.invariants.attributes() | self.verification.attributes())
         return export.of_run(self.history, self.worn, attributes, flat)
+
+    def to_csv(self, path: Any) -> Path:
+        """Write a CSV file: a row for each saving time, names with units, every digit.
+
+        It holds what `to_dataset(flat=True)` has over time.
+
+        Args:
+            path: name of the file.
+
+        Returns:
+            The path of the file.
+        """
+        return write_csv(self.to_dataset(flat=True), path)
 
     @on_numbers
     def to_vtk(self, folder: Any, *, frames: int = 200, meshes: Any = None) -> Path:

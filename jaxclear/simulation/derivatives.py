@@ -64,20 +64,20 @@ def refusal(mechanism: Mechanism, integrator: AbstractIntegrator, discrete: bool
     `mechanism`: as its formulation sees it; `discrete`: derivatives of the discrete run.
     """
     name = public_name(type(integrator))
-    own = "a derivative through the steps of"
+    reason = "a derivative through the steps of"
     joints = mechanism.topology.clearances
     unknown = integrator.beyond_touches(mechanism) if joints else ""
     if joints and (unknown or discrete):
         some = _named("joint", joints)
         unknown = unknown or "how the instants of touch move"
-        return f"contacts in {some} open and close, and {own} {name} does not know {unknown}"
+        return f"contacts in {some} open and close, and {reason} {name} does not know {unknown}"
     plays = tuple(each for each, one in mechanism.couplings.items() if one.play is not None)
     unknown = integrator.beyond_flanks(mechanism) if plays else ""
     if not plays or not (unknown or discrete):
         return ""
     some = _named("coupling", plays)
     unknown = unknown or "how the instants move at which flanks meet"
-    return f"flanks of {some} meet and part, and {own} {name} does not know {unknown}"
+    return f"flanks of {some} meet and part, and {reason} {name} does not know {unknown}"
 
 
 def _named(kind: str, names: tuple[str, ...]) -> str:
@@ -93,22 +93,22 @@ def guarded(run: Trajectory, integrator: AbstractIntegrator, discrete: bool = Fa
     why = refusal(run.mechanism, integrator) if is_traced(COMPUTED(run)) else ""
     if not why or (discrete and integrator.pathwise):
         return run
-    given = any(own.play is not None for own in run.mechanism.couplings.values())
-    steps = 'FixedStep() by "rk4"' if given else "FixedStep() or ImplicitStep()"
-    ways = (
+    has_play = any(coupling.play is not None for coupling in run.mechanism.couplings.values())
+    steps = 'FixedStep() by "rk4"' if has_play else "FixedStep() or ImplicitStep()"
+    passages = (
         f"take jaxclear.integrator.Adaptive() with an explicit solver, {steps} without "
         "steps_per_save, which follow touches, or jaxclear.sensitivity, which compares methods and "
         "gives an error"
     )
     if integrator.pathwise:
-        ways += (
+        passages += (
             ", or jaxclear.Problem.evaluate(values, discrete_derivatives=True) for the derivative "
             "of the discrete run as it is"
         )
-    sentence = f"the derivative of this run is not to be trusted: {why}; {ways}."
+    sentence = f"the derivative of this run is not to be trusted: {why}; {passages}."
     numbers, rest = eqx.partition(COMPUTED(run), eqx.is_inexact_array)
-    found = eqx.combine(_undifferentiated(sentence, numbers), rest)
-    return eqx.tree_at(COMPUTED, run, found, is_leaf=lambda part: part is None)
+    result = eqx.combine(_undifferentiated(sentence, numbers), rest)
+    return eqx.tree_at(COMPUTED, run, result, is_leaf=lambda part: part is None)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -139,10 +139,10 @@ def _where_reached(states: Array, reached: Array) -> Array:
 
 @_where_reached.defjvp
 def _not_beyond(primals, tangents):
-    known, nan = primals[1][:, None], Unknown.NOT_REACHED.number
-    forwards = lambda _, tangent: jnp.where(known, tangent, nan)
+    reached, nan = primals[1][:, None], Unknown.NOT_REACHED.number
+    forwards = lambda _, tangent: jnp.where(reached, tangent, nan)
     # What is not asked for in reverse mode stays 0.
-    backwards = lambda _, cotangent: jnp.where(known | (cotangent == 0), cotangent, nan)
+    backwards = lambda _, cotangent: jnp.where(reached | (cotangent == 0), cotangent, nan)
     # Of JAX's linear functions with a transpose of their own the one that `vmap` maps.
     linear = jax.lax.custom_linear_solve
     return primals[0], linear(lambda x: x, tangents[0], forwards, backwards)
@@ -182,7 +182,7 @@ def order_of(mechanism: Mechanism, integrator: AbstractIntegrator) -> int:
     """Power of the step in proportion to which derivatives of runs of a mechanism are off, on the
     safe side: forces that switch within a step leave its first."""
     acting: list[Any] = [*mechanism.loads.values(), *mechanism.couplings.values()]
-    switch = any(own.switches for own in acting) or rubbing_in(mechanism.connections)
+    switch = any(law.switches for law in acting) or rubbing_in(mechanism.connections)
     return 1 if integrator.first_order_slopes or switch else 2
 
 
@@ -197,15 +197,15 @@ def compared(
     what was found the smallest derivative is that counts; `steps(*arguments)`: (a step's length [s]
     or None, the times [s] at which one ends)."""
 
-    def known(*arguments: Any) -> Any:
+    def evaluate(*arguments: Any) -> Any:
         arrays, rest = eqx.partition(arguments, eqx.is_array)
-        kept: list[Any] = []
+        slot: list[Any] = []
 
-        def gone(share: Any, arrays: Any) -> tuple[Any, Any]:
-            found = function(*finer(share, *eqx.combine(arrays, rest)))
-            found, others = eqx.partition(found, eqx.is_array)
-            kept.append(others)
-            return eqx.partition(found, eqx.is_inexact_array)
+        def at_share(share: Any, arrays: Any) -> tuple[Any, Any]:
+            result = function(*finer(share, *eqx.combine(arrays, rest)))
+            result, others = eqx.partition(result, eqx.is_array)
+            slot.append(others)
+            return eqx.partition(result, eqx.is_inexact_array)
 
         def moving(_, numbers, tangents):
             step, times = steps(*eqx.combine(numbers[0], rest))
@@ -213,21 +213,21 @@ def compared(
             smallest = SMALLEST["by tolerance" if step is None else "equal"]
 
             def one(share):
-                (out, left), (ways, _) = pushed(lambda arrays: gone(share, arrays), *both)
-                return out, left, ways
+                (out, others), (moved, _) = pushed(lambda arrays: at_share(share, arrays), *both)
+                return out, others, moved
 
             both = numbers, tangents
-            out, left, ways = jax.vmap(one)(shares)
-            found, left = jax.tree.map(lambda each: each[0], (out, left))
-            still = jax.tree.map(lambda each: np.zeros(each.shape, jax.dtypes.float0), left)
-            told = judged(eqx.combine(found, left), ways, ratios, smallest * _least(*both))
-            return (found, left), (told, still)
+            out, floats, moved = jax.vmap(one)(shares)
+            nominal, floats = jax.tree.map(lambda each: each[0], (out, floats))
+            still = jax.tree.map(lambda each: np.zeros(each.shape, jax.dtypes.float0), floats)
+            verdict = judged(eqx.combine(nominal, floats), moved, ratios, smallest * _least(*both))
+            return (nominal, floats), (verdict, still)
 
-        own = jax.custom_jvp(gone, nondiff_argnums=(0,))
-        own.defjvp(moving, symbolic_zeros=True)
-        return eqx.combine(*own(None, arrays), kept[0])
+        nominal = jax.custom_jvp(at_share, nondiff_argnums=(0,))
+        nominal.defjvp(moving, symbolic_zeros=True)
+        return eqx.combine(*nominal(None, arrays), slot[0])
 
-    return known
+    return evaluate
 
 
 def _shares(step: Scalar | None, times: Float[Array, " saves"], order: int) -> tuple[Array, Array]:
@@ -237,38 +237,38 @@ def _shares(step: Scalar | None, times: Float[Array, " saves"], order: int) -> t
     if step is None:
         return jnp.array([1.0, HALF]), jnp.array([HALF])
     count = lambda step: jnp.maximum(jnp.ceil(jnp.diff(times) / step * (1 - SLIVER)), 1.0)
-    own = count(step)
+    nominal = count(step)
     longer, shorter = (jnp.asarray(shares[order]) for shares in (LONGER, SHORTER))
-    others = jnp.where(jnp.min(own) >= FEWEST, longer, shorter)
-    ratios = jnp.sum(own) / jnp.sum(jax.vmap(lambda share: count(share * step))(others), axis=1)
+    others = jnp.where(jnp.min(nominal) >= FEWEST, longer, shorter)
+    ratios = jnp.sum(nominal) / jnp.sum(jax.vmap(lambda share: count(share * step))(others), axis=1)
     return jnp.concatenate([jnp.ones(1), others]), ratios**order
 
 
 def _least(numbers: Any, tangents: Any) -> Scalar:
     """The least share of itself by which a number moves (0: none that is not 0 does)."""
     least = jnp.asarray(jnp.inf)
-    for number, way in zip(*map(jax.tree.leaves, (numbers, tangents)), strict=True):
-        if not isinstance(way, SymbolicZero):
-            share = jnp.where((number != 0) & (way != 0), abs(safe_divide(way, number)), jnp.inf)
+    for number, tangent in zip(*map(jax.tree.leaves, (numbers, tangents)), strict=True):
+        if not isinstance(tangent, SymbolicZero):
+            share = jnp.where(
+                (number != 0) & (tangent != 0), abs(safe_divide(tangent, number)), jnp.inf
+            )
             least = jnp.minimum(least, jnp.min(share, initial=jnp.inf))
     return jnp.where(jnp.isfinite(least), least, 0.0)
 
 
-def where_alike(ways: Array, ratios: Array, scale: Array, smallest: Any) -> Array:
-    """Derivatives of the run itself, the first of `ways`, nan where those in other steps tell that
-    they are off by too large a share of this `scale`, or of the `smallest` that counts."""
-    own, others = ways[0], ways[1:]
+def refuse_steps(tangents: Array, ratios: Array, scale: Array, smallest: Any) -> Array:
+    """Derivatives of the run itself, the first of `tangents`, nan where those in other steps tell
+    that they are off by too large a share of this `scale`, or of the `smallest` that counts."""
+    nominal, others = tangents[0], tangents[1:]
     ratios = jnp.expand_dims(ratios, tuple(range(1, others.ndim)))
-    off = jnp.max(abs(others - own) / abs(ratios - 1), axis=0)
-    known = (off <= TRUSTED * jnp.maximum(scale, smallest)) | jnp.isnan(own)
+    off = jnp.max(abs(others - nominal) / abs(ratios - 1), axis=0)
+    trusted = (off <= TRUSTED * jnp.maximum(scale, smallest)) | jnp.isnan(nominal)
     # A nan from other steps carries its reason.
     reason = jnp.where(jnp.isnan(off), off, Unknown.STEPS_DECIDE.number)
-    return jnp.where(known, own, reason)
+    return jnp.where(trusted, nominal, reason)
 
 
-def run_where_alike(
-    found: Trajectory, ways: Trajectory, ratios: Array, least: Scalar
-) -> Trajectory:
+def refuse_run(run: Trajectory, tangents: Trajectory, ratios: Array, least: Scalar) -> Trajectory:
     """Derivatives of a run that was found, nan where steps decide them: of its states at the end
     beside their own size, at an instant before beside the largest that the derivative of this
     number has been, as on its way it may pass through nothing; of anything else beside the largest
@@ -276,17 +276,17 @@ def run_where_alike(
     largest = lambda each, axis=None: jnp.max(abs(each), axis=axis, initial=0.0)
 
     def one(each, number):
-        return where_alike(each, ratios, largest(each[0]), least * largest(number))
+        return refuse_steps(each, ratios, largest(each[0]), least * largest(number))
 
-    told = jax.tree.map(one, ways, eqx.filter(found, eqx.is_inexact_array))
-    topology = found.mechanism.topology
+    judged = jax.tree.map(one, tangents, eqx.filter(run, eqx.is_inexact_array))
+    topology = run.mechanism.topology
     n, m = topology.coordinate_count, topology.speed_count
-    size = largest(found.history.states, 0)
+    size = largest(run.history.states, 0)
     # A coordinate that is 0 is one among others; what a run sums up is in units of its own.
     kinds = jnp.split(size, (n, n + m))
     size = jnp.concatenate([*(jnp.full_like(kind, largest(kind)) for kind in kinds[:2]), kinds[2]])
-    states = ways.history.states
-    own = abs(states[0])
-    scale = jax.lax.cummax(own, axis=0).at[-1].set(own[-1])
-    states = where_alike(states, ratios, scale, least * size)
-    return eqx.tree_at(lambda run: run.history.states, told, states)
+    states = tangents.history.states
+    nominal = abs(states[0])
+    scale = jax.lax.cummax(nominal, axis=0).at[-1].set(nominal[-1])
+    states = refuse_steps(states, ratios, scale, least * size)
+    return eqx.tree_at(lambda run: run.history.states, judged, states)

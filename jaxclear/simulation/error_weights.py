@@ -31,15 +31,15 @@ SETTLING = 1e-4
 def error_weights(model: Model) -> Float[Array, " n"]:
     """Weights of the state's entries."""
     layout = model.layout
-    held = [jnp.ones(layout.memory_start)]
+    parts = [jnp.ones(layout.memory_start)]
     for name, kinds in layout.memories:
         laws = model.system.bearings[name].contact_laws
-        for (remembers, bristles), own in zip(kinds, laws, strict=True):
-            held += [jnp.ones(1)] * remembers
+        for (remembers, bristles), law in zip(kinds, laws, strict=True):
+            parts += [jnp.ones(1)] * remembers
             if bristles:
-                weight = jnp.maximum(1.0, SETTLING / settling_length(own.friction))
-                held += [jnp.full(bristles, weight)]
+                weight = jnp.maximum(1.0, SETTLING / settling_length(law.friction))
+                parts += [jnp.full(bristles, weight)]
     if layout.states:
-        held += [jnp.zeros(len(layout.angles)), jnp.ones(len(layout.states))]
-    weights = jnp.concatenate(held)
+        parts += [jnp.zeros(len(layout.angles)), jnp.ones(len(layout.states))]
+    weights = jnp.concatenate(parts)
     return jnp.concatenate([weights, jnp.zeros(layout.size - len(weights))])

@@ -15,7 +15,7 @@ from jaxclear.multibody.assembly import Start, ready, ready_from
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import names
 from jaxclear.results.state_history import State
-from jaxclear.simulation.wear import Worn, worn_as_given
+from jaxclear.simulation.wear import Worn, initial_depths
 
 
 class Past(eqx.Module):
@@ -37,9 +37,9 @@ class Beginning(NamedTuple):
     doubt: str = ""
 
 
-def state_of(given: State | None) -> State:
+def state_of(initial: State | None) -> State:
     """The state that is given for a run to begin with; None: its own start. Raises `ValueError`."""
-    state = State() if given is None else given
+    state = State() if initial is None else initial
     expect(state, State, "state", "a jaxclear.State, such as run.state()")
     return state
 
@@ -49,29 +49,29 @@ def beginning(mechanism: Mechanism, formulation: AbstractFormulation, state: Sta
     cannot be."""
     past = past_of(mechanism, formulation, state)
     if state.motion is None:
-        found = ready(mechanism, state.concentric, past.worn)
-        beyond = start_check.beyond_limits(found.mechanism, found.start)
-        doubt = " ".join(filter(None, (found.doubt, beyond)))
-        return Beginning(found.mechanism, found.start, past, doubt)
+        start = ready(mechanism, state.concentric, past.worn)
+        beyond = start_check.beyond_limits(start.mechanism, start.start)
+        doubt = " ".join(filter(None, (start.doubt, beyond)))
+        return Beginning(start.mechanism, start.start, past, doubt)
     return Beginning(*ready_from(mechanism, *state.motion.moving), past)
 
 
-def past_of(mechanism: Mechanism, formulation: AbstractFormulation, begun: State) -> Past:
+def past_of(mechanism: Mechanism, formulation: AbstractFormulation, start: State) -> Past:
     """What is taken over from a state; what is remembered where the laws remember the same.
     Raises `ValueError` with a sentence for what does not belong to this mechanism."""
-    surfaces, saved = worn_as_given(mechanism, begun.worn), begun.motion
+    surfaces, saved = initial_depths(mechanism, start.worn), start.motion
     if saved is None:
         return Past(surfaces)
     model = model_of(mechanism, formulation)
-    own = names(model.system, model.layout)
-    moving = own[: model.layout.memory_start]
+    labels = names(model.system, model.layout)
+    moving = labels[: model.layout.memory_start]
     if saved.names != tuple(moving):
         raise ValueError(
             "the state is that of another mechanism: its coordinates and speeds are "
             f"{listed(saved.names)}, those of this one {listed(moving)}."
         )
-    known = [saved.coordinates, saved.speeds, saved.remembered, saved.time]
-    if not is_traced(known) and not all(bool(jnp.all(jnp.isfinite(x))) for x in known):
+    values = [saved.coordinates, saved.speeds, saved.remembered, saved.time]
+    if not is_traced(values) and not all(bool(jnp.all(jnp.isfinite(x))) for x in values):
         raise ValueError("the state has numbers that are not finite.")
-    fits = saved.remembered_names == tuple(own[model.layout.remembered])
+    fits = saved.remembered_names == tuple(labels[model.layout.remembered])
     return Past(surfaces, saved.remembered if fits else None)

@@ -51,12 +51,12 @@ from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.model_limits import (
     by_others,
     collared,
+    contact_loss,
     coulomb_friction,
     gap_motion,
     in_gaps,
     indeterminate_forces,
     laws_of_others,
-    left,
     masses,
     placed,
     pressed,
@@ -98,10 +98,10 @@ class Looks(NamedTuple):
         rows, times, states = self.rows, jnp.asarray(self.history.time), self.history.states
         worn = self.history.read
         # Means of forces are those from one look to the next.
-        begins, ends = np.append(rows[:1], rows[:-1]), np.append(rows[1:2], rows[1:])
+        starts, ends = np.append(rows[:1], rows[:-1]), np.append(rows[1:2], rows[1:])
         impulses = range(self.model.layout.impulse_start, self.model.layout.energy_start)
 
-        def seen(row: Any, begin: Any, end: Any) -> dict[str, Any]:
+        def look_at(row: Any, begin: Any, end: Any) -> dict[str, Any]:
             before, after = (_numbers_of(states, k, impulses) for k in (begin, end))
             length = times[end] - times[begin]
             means = [(late - early) / length for early, late in zip(before, after, strict=True)]
@@ -109,20 +109,20 @@ class Looks(NamedTuple):
             read = jax.tree.map(lambda depths: depths[row], worn)
             model, system = self.model, self.model.system
             q, v = state.unpack_motion(system, entries)
-            own = Model(system, read, model.stabilisation, model.layout, model.projects)
-            now = own.seeing(read)
+            model_at = Model(system, read, model.stabilisation, model.layout, model.projects)
+            now = model_at.seeing(read)
             motions = kinematics.link_motions(system, q, v, time)
             return sp.dense(function(Instant(now, motions, q, v, time, entries, means)))
 
-        return through_rows(seen, rows, begins, ends)
+        return through_rows(look_at, rows, starts, ends)
 
 
 def _numbers_of(rows: Array, row: Any, columns: Any = None) -> list[Array]:
     """The numbers of a row of many, one by one: so a kernel reads any number of them by index."""
     columns = range(rows.shape[1]) if columns is None else columns
     if len(columns) >= MANY:
-        own = jax.lax.dynamic_slice(rows, (row, columns[0]), (1, len(columns)))
-        return unstacked(own[0])
+        numbers = jax.lax.dynamic_slice(rows, (row, columns[0]), (1, len(columns)))
+        return unstacked(numbers[0])
     return [jax.lax.dynamic_slice(rows, (row, k), (1, 1))[0, 0] for k in columns]
 
 
@@ -134,13 +134,13 @@ def look(history: StateHistory, model: Model) -> Looks:
     return Looks(intervals, *constant((history, model)))
 
 
-def judged(trajectory: Trajectory, model: Model, begun: Worn) -> Trajectory:
-    """The run with its checks; `begun`: worn surfaces at its start. It ends where a look calls for
-    it."""
+def judged(trajectory: Trajectory, model: Model, initial: Worn) -> Trajectory:
+    """The run with its checks; `initial`: worn surfaces at its start. It ends where a look calls
+    for it."""
     history = trajectory.history
     looks, ends = look(history, model), jnp.asarray(history.time)[1:]
     figures, of_run, verdict = _of_saved_states(looks)
-    of_run |= wear_by_cells(model, begun, trajectory.worn)
+    of_run |= wear_by_cells(model, initial, trajectory.worn)
     if trajectory.extremes is not None:
         depths = trajectory.extremes.indentation[: model.layout.joint_contacts]
         of_run[Check.INDENTATION] = depths / contact_radii(model.system) if depths.size else depths
@@ -183,23 +183,23 @@ def _together(
         figures = jnp.where(jnp.isnan(figures), jnp.inf, figures)
         worst.append(jnp.max(figures, axis=0))
         when.append(ends[jnp.argmax(figures, axis=0)])
-    found = jnp.concatenate(worst)
-    found = jax.lax.stop_gradient(jnp.where(jnp.isnan(found), jnp.inf, found))
-    return Checks(found, jnp.concatenate(when), tuple(named))
+    values = jnp.concatenate(worst)
+    values = jax.lax.stop_gradient(jnp.where(jnp.isnan(values), jnp.inf, values))
+    return Checks(values, jnp.concatenate(when), tuple(named))
 
 
-def _ending(found: Figures, outcome: Any = None) -> Any:
+def _ending(figures: Figures, outcome: Any = None) -> Any:
     """`Outcome` that figures at an instant call for, `REACHED` where none is certainly wrong, or
     else this one; None where there is none."""
-    for check, each in found.items():
+    for check, each in figures.items():
         if np.isfinite(check.ends_at):
             bad = jnp.any(~(each <= check.ends_at), axis=-1)
-            known = int(Outcome.REACHED) if outcome is None else outcome
-            outcome = jnp.where(bad, int(check.outcome), known)
+            default = int(Outcome.REACHED) if outcome is None else outcome
+            outcome = jnp.where(bad, int(check.outcome), default)
     return outcome
 
 
-def sunk_in(system: System, depths: Float[Array, " contacts"]) -> Bool[Array, ""]:
+def is_too_deep(system: System, depths: Float[Array, " contacts"]) -> Bool[Array, ""]:
     """Whether a contact is so deep [m] that its part has sunk into the wall that holds it."""
     if not system.bearings:
         return jnp.zeros((), bool)
@@ -221,7 +221,7 @@ def contact_names(model: Model) -> tuple[str, ...]:
 def contacts_that_turn(mechanism: Mechanism, model: Model) -> tuple[bool, ...]:
     """Of each of them whether it is pressed by an angle: the flanks of most couplings."""
     plays = [not moves_along(mechanism, mechanism.couplings[n]) for n in model.layout.plays]
-    return (False,) * model.layout.joint_contacts + tuple(x for own in plays for x in (own, own))
+    return (False,) * model.layout.joint_contacts + tuple(x for play in plays for x in (play, play))
 
 
 def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[str, ...]]:
@@ -234,7 +234,7 @@ def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[s
         COLLARS: collared(model),
         UNHELD: unheld(model),
         SLIDING: sliding(model.system),
-        TOUCHING: tuple(held.name for held in touching(model.system)),
+        TOUCHING: tuple(joint.name for joint in touching(model.system)),
         WHOLE: ("",),
     }
 
@@ -244,27 +244,27 @@ def _of_saved_states(looks: Looks) -> tuple[Figures, Figures, Array | None]:
     the `Outcome` that each look calls for (None: none ever ends a run)."""
     model, system = looks.model, looks.model.system
     means = looks.history.formulation.forces_are_means
-    said = looks.of(_judging(looks))
-    energies = said.get("energies")
+    looked = looks.of(_judging(looks))
+    energies = looked.get("energies")
     # Without the start.
-    told, verdict = jax.tree.map(lambda each: each[1:], (said["told"], said.get("verdict")))
-    figures = {check: told[check] for check in OF_LOOKS if check in told}
+    at_looks, verdict = jax.tree.map(lambda each: each[1:], (looked["told"], looked.get("verdict")))
+    figures = {check: at_looks[check] for check in OF_LOOKS if check in at_looks}
     if energies is not None:
         small = _small_energy(system, looks.history.time[-1] - looks.history.time[0])
         gains = _gains(small, energies, means)[1:, None]
         figures[Check.ENERGY_GAIN] = gains
         verdict = _ending({Check.ENERGY_GAIN: gains}, verdict)
     times = looks.history.time[looks.rows]
-    of_run = {check: share_along(each) for check, each in said["along"].items()}
-    if "rubbed" in said:
-        of_run[Check.COULOMB_FRICTION] = coulomb_friction(said["rubbed"], times)
-    if "gaps" in said:
+    of_run = {check: share_along(each) for check, each in looked["along"].items()}
+    if "rubbed" in looked:
+        of_run[Check.COULOMB_FRICTION] = coulomb_friction(looked["rubbed"], times)
+    if "gaps" in looked:
         heavy = masses(in_gaps(model), looks.history.mechanism)
-        of_run[Check.GAP_MOTION] = gap_motion(said["gaps"], times, heavy)
-    if "shared" in said:
-        of_run[Check.INDETERMINATE_FORCE] = indeterminate_forces(said["shared"])
-    if Check.JOURNAL_REACH in told:
-        of_run[Check.JOURNAL_REACH] = jnp.max(told[Check.JOURNAL_REACH], axis=0, initial=0.0)
+        of_run[Check.GAP_MOTION] = gap_motion(looked["gaps"], times, heavy)
+    if "shared" in looked:
+        of_run[Check.INDETERMINATE_FORCE] = indeterminate_forces(looked["shared"])
+    if Check.JOURNAL_REACH in at_looks:
+        of_run[Check.JOURNAL_REACH] = jnp.max(at_looks[Check.JOURNAL_REACH], axis=0, initial=0.0)
     return figures, of_run, verdict
 
 
@@ -272,32 +272,34 @@ def _judging(looks: Looks) -> Callable[[Instant], dict[str, Any]]:
     """What is worked out at every look."""
     system, formulation = looks.model.system, looks.history.formulation
     driven, mechanism = looks.history.mechanism.driven, looks.history.mechanism
-    others, room = laws_of_others(looks.model, formulation), _smallest_clearance(looks.model)
+    others, narrowest = laws_of_others(looks.model, formulation), _smallest_clearance(looks.model)
     collars, free = collared(looks.model), unheld(looks.model)
     gaps, loose = in_gaps(looks.model), sliding(system)
 
     def judged(now: Instant) -> dict[str, Any]:
-        told: dict[Check, Array] = {}
-        told |= _drifts(now, room) if system.closures else {}
-        verdict = _ending({check: told[check] for check in OF_LOOKS if check in told})
-        said = {"told": told} | ({} if verdict is None else {"verdict": verdict})
+        by_check: dict[Check, Array] = {}
+        by_check |= _drifts(now, narrowest) if system.closures else {}
+        verdict = _ending({check: by_check[check] for check in OF_LOOKS if check in by_check})
+        values = {"told": by_check} | ({} if verdict is None else {"verdict": verdict})
         # Worked out once, for all that ask.
         report = functools.cache(lambda name: formulation.contact(now, name))
-        said |= {"rubbed": rubbed_as_coulombs(others, report)} if others else {}
-        told_of = lambda names: [report(name) for name in names]
-        said["along"] = {}
+        values |= {"rubbed": rubbed_as_coulombs(others, report)} if others else {}
+        reports = lambda names: [report(name) for name in names]
+        values["along"] = {}
         if collars:
-            said["along"][Check.COLLAR_FORCE] = pressed(told_of(collars), [True] * len(collars))
+            values["along"][Check.COLLAR_FORCE] = pressed(reports(collars), [True] * len(collars))
         if free:
-            counted = [not held for held in by_others(now, mechanism, free)]
-            said["along"][Check.UNHELD_FORCE] = pressed(told_of(free), counted)
+            counted = [not joint for joint in by_others(now, mechanism, free)]
+            values["along"][Check.UNHELD_FORCE] = pressed(reports(free), counted)
         if loose:
-            told[Check.JOURNAL_REACH] = left(system, {name: report(name) for name in loose})
+            by_check[Check.JOURNAL_REACH] = contact_loss(
+                system, {name: report(name) for name in loose}
+            )
         if gaps:
-            said["gaps"] = placed({name: report(name) for name in gaps}, now, mechanism)
+            values["gaps"] = placed({name: report(name) for name in gaps}, now, mechanism)
         sharing = shared(now, report, mechanism)
-        said |= {} if sharing is None else {"shared": sharing}
-        return said | ({} if driven else _energies(now, formulation))
+        values |= {} if sharing is None else {"shared": sharing}
+        return values | ({} if driven else _energies(now, formulation))
 
     return judged
 
@@ -319,8 +321,8 @@ def _small_energy(system: System, duration: Any) -> Any:
     duration [s] of a run [J]: what is at rest has no other energy to compare with."""
     mass = sp.total(link.mass for link in system.links)
     gravity = safe_sqrt(jnp.asarray(sp.dot(system.gravity, system.gravity), float))
-    way = LEAST_LIFT * longest_arm(system)
-    return mass * (gravity * way + 0.5 * (way / duration) ** 2)
+    lift = LEAST_LIFT * longest_arm(system)
+    return mass * (gravity * lift + 0.5 * (lift / duration) ** 2)
 
 
 def _gains(small: Any, energies: Float[Array, "looks 3"], moved: bool) -> Float[Array, " looks"]:
@@ -337,18 +339,18 @@ def _gains(small: Any, energies: Float[Array, "looks 3"], moved: bool) -> Float[
 def _smallest_clearance(model: Model) -> Any:
     """Of joints that may open and of those that always touch [m]; None without clearance."""
     system = model.system
-    found = [rooms(system)] if system.bearings else []
-    found += [abs(sp.stack(depths(gap, REST, {}))) for gap in in_gaps(model).values()]
-    return jnp.min(jnp.concatenate(found)) if found else None
+    gaps = [rooms(system)] if system.bearings else []
+    gaps += [abs(sp.stack(depths(gap, REST, {}))) for gap in in_gaps(model).values()]
+    return jnp.min(jnp.concatenate(gaps)) if gaps else None
 
 
-def _drifts(now: Instant, room: Any) -> Figures:
+def _drifts(now: Instant, clearance: Any) -> Figures:
     """How far each loop is open, beside its shortest part and beside the smallest clearance."""
     opened, system = openings(now), now.model.system
-    if room is None:
+    if clearance is None:
         return {Check.LOOP_DRIFT: opened}
     parts = sp.stack([shortest_part(system, closure) for closure in system.closures])
-    return {Check.LOOP_DRIFT: opened, Check.LOOP_DRIFT_IN_GAPS: opened * parts / room}
+    return {Check.LOOP_DRIFT: opened, Check.LOOP_DRIFT_IN_GAPS: opened * parts / clearance}
 
 
 def openings(now: Instant) -> Float[Array, " loops"]:
@@ -357,14 +359,14 @@ def openings(now: Instant) -> Float[Array, " loops"]:
     openings, system = [], now.model.system
     for closure in system.closures:
         part = shortest_part(system, closure)
-        found = constraints.residuals(system, now.motions, closure)
-        values = zip(closure.rows, found, strict=True)
+        residuals = constraints.residuals(system, now.motions, closure)
+        values = zip(closure.rows, residuals, strict=True)
         shares = [abs(x) / part if loops.is_length(row) else abs(x) for row, x in values]
         openings.append(jnp.max(sp.stack(shares), initial=0.0))
     return jnp.stack(openings)
 
 
-def wear_by_cells(model: Model, begun: Worn, ended: Worn) -> Figures:
+def wear_by_cells(model: Model, initial: Worn, ended: Worn) -> Figures:
     """By how much the deepest place of each contact's surface is less deep over three cells to a
     side, beside its depth; 0 of a surface that has lost nothing since the run began. A scar hardly
     wider than a cell hangs on their number: a mean over three to a side is nine times as far off as
@@ -372,12 +374,12 @@ def wear_by_cells(model: Model, begun: Worn, ended: Worn) -> Figures:
     is."""
     if not ended or not model.layout.wear:
         return {}
-    begun, ended = jax.lax.stop_gradient((begun, ended))
+    initial, ended = jax.lax.stop_gradient((initial, ended))
     least = NEGLIGIBLE * jnp.max(jnp.stack([*map(jnp.max, jax.tree.leaves(ended))]))
     shares = {}
     for joint, surfaces in wear_maps(model.system).items():
         for surface, (wear_map, _) in surfaces.items():
-            depth, before = ended[joint][surface], begun[joint][surface]
+            depth, before = ended[joint][surface], initial[joint][surface]
             share = narrowness(wear_map, depth, least)
             shares[joint, surface] = jnp.where(jnp.any(depth > before), share, 0.0)
     places = [shares[slot.bearing, slot.surface] for slot in model.layout.wear]

@@ -38,7 +38,7 @@ IN_A_STEP, LEAST, MOST = 4, 2**18, 2**23
 # looks, between which steps under error control are to end where a function departs from a straight
 # line by this share of its integral, and changes by this share of that: at so many times at most.
 TOGETHER, COARSE = 2**16, 2**13
-SEEN, DIFFERENT, MOST_BREAKS = 1e-3, 0.01, 2**10
+RESOLVED, DIFFERENT, MOST_BREAKS = 1e-3, 0.01, 2**10
 
 
 def functions_of_time(mechanism: Mechanism) -> dict[str, Any]:
@@ -65,9 +65,9 @@ def check_finite(functions: Mapping[str, Any], times: np.ndarray) -> None:
     """Raises `ValueError` where what a load or drive gives at one of the `times` [s], or between
     two of them, is no finite number."""
     looked_at = np.linspace(times[0], times[-1], TOGETHER)
-    found = jax.device_get(_values(dict(functions), on_device(looked_at)))
-    for name, told in found.items():
-        bad = ~np.all([np.isfinite(row) for row in jax.tree.leaves(told)], axis=0)
+    values = jax.device_get(_values(dict(functions), on_device(looked_at)))
+    for name, value in values.items():
+        bad = ~np.all([np.isfinite(row) for row in jax.tree.leaves(value)], axis=0)
         if np.any(bad):
             driven = isinstance(functions[name], AbstractDrive)
             what = f'the drive of joint "{name}"' if driven else f'load "{name}"'
@@ -78,7 +78,7 @@ def check_finite(functions: Mapping[str, Any], times: np.ndarray) -> None:
             )
 
 
-def passed_over(functions: Mapping[str, Any], edges: np.ndarray) -> dict[str, float]:
+def missed_shares(functions: Mapping[str, Any], edges: np.ndarray) -> dict[str, float]:
     """By name the share of what each gives that steps with these ends [s] pass over: the largest
     error of its impulse, beside how far the impulse goes. Of what never changes that is 0."""
     from scipy.integrate import cumulative_simpson
@@ -91,11 +91,11 @@ def passed_over(functions: Mapping[str, Any], edges: np.ndarray) -> dict[str, fl
     times = edges[:-1, None] + steps[:, None] * np.arange(parts) / parts
     times = np.append(times.ravel(), edges[-1])
     shares = dict[str, list[float]]()
-    for name, (rates, known) in _sampled(dict(functions), times).items():
-        known = (
-            [cumulative_simpson(x, x=times, initial=0) for x in rates] if known is None else known
+    for name, (rates, exact) in _sampled(dict(functions), times).items():
+        exact = (
+            [cumulative_simpson(x, x=times, initial=0) for x in rates] if exact is None else exact
         )
-        shares[name] = [_share(*own, steps, parts) for own in zip(rates, known, strict=True)]
+        shares[name] = [_share(*pair, steps, parts) for pair in zip(rates, exact, strict=True)]
     return {name: max(each, default=0.0) for name, each in shares.items()}
 
 
@@ -103,19 +103,19 @@ def _share(rate: np.ndarray, impulse: np.ndarray, steps: np.ndarray, parts: int)
     """The largest error of an impulse, beside how far it goes: by the end of each step what
     Simpson's rule over all of them is off by."""
     begin, middle, end = rate[:-1:parts], rate[parts // 2 :: parts], rate[parts::parts]
-    seen = np.cumsum(steps * (begin + 4 * middle + end) / 6)
-    missed = seen - (impulse[parts::parts] - impulse[0])
+    integral = np.cumsum(steps * (begin + 4 * middle + end) / 6)
+    missed = integral - (impulse[parts::parts] - impulse[0])
     # What the next step makes up for is nothing that a body feels.
     lasting = np.minimum(np.abs(missed), np.abs(np.append(missed[1:], missed[-1])))
-    largest, whole = lasting.max(), np.ptp(impulse)
+    largest, total = lasting.max(), np.ptp(impulse)
     rounding = len(impulse) * np.finfo(float).eps * np.abs(impulse).max()
-    return float(largest / whole) if whole > rounding and np.isfinite(largest) else 0.0
+    return float(largest / total) if total > rounding and np.isfinite(largest) else 0.0
 
 
 @compiled_quickly
 def _values(functions: dict[str, Any], times: jax.Array) -> dict[str, tuple]:
     """Of each function its rates, and their integrals where these are known, at these times."""
-    return {name: jax.vmap(functools.partial(_at, own))(times) for name, own in functions.items()}
+    return {name: jax.vmap(functools.partial(_at, f))(times) for name, f in functions.items()}
 
 
 def _at(function: Any, time: Any) -> tuple[list, list | None]:
@@ -124,12 +124,12 @@ def _at(function: Any, time: Any) -> tuple[list, list | None]:
         # Of a drive that has no position nothing is known either.
         speed = jnp.where(jnp.isfinite(position), speed, jnp.nan)
         return [jnp.asarray(acceleration, float)], [jnp.asarray(speed, float)]
-    known = function.integral(time) if isinstance(function, AbstractFunctionOfTime) else None
-    return _columns(function(time)), None if known is None else _columns(known)
+    integral = function.integral(time) if isinstance(function, AbstractFunctionOfTime) else None
+    return _columns(function(time)), None if integral is None else _columns(integral)
 
 
-def _columns(found: Any) -> list:
-    return [x for leaf in jax.tree.leaves(found) for x in jnp.ravel(jnp.asarray(leaf, float))]
+def _columns(values: Any) -> list:
+    return [x for leaf in jax.tree.leaves(values) for x in jnp.ravel(jnp.asarray(leaf, float))]
 
 
 def _sampled(functions: dict[str, Any], times: np.ndarray) -> dict[str, tuple]:
@@ -137,8 +137,8 @@ def _sampled(functions: dict[str, Any], times: np.ndarray) -> dict[str, tuple]:
     (None: they are not), as lists of histories."""
     padded = np.append(times, np.full(-len(times) % TOGETHER, times[-1]))
     rows = jnp.asarray(padded.reshape(-1, TOGETHER))
-    found = [jax.device_get(_values(functions, row)) for row in rows]
-    return jax.tree.map(lambda *parts: np.concatenate(parts)[: len(times)], *found)
+    values = [jax.device_get(_values(functions, row)) for row in rows]
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[: len(times)], *values)
 
 
 def step_ends(times: np.ndarray, step: float | None, fixed: int | None = None) -> np.ndarray | None:
@@ -161,19 +161,19 @@ class LoadSteps(NamedTuple):
     passed: dict[str, float]
 
 
-def checked_by(passed: dict[str, float], known: Checks) -> Checks:
+def checked_by(missed: dict[str, float], checks: Checks) -> Checks:
     """What is known of a run with what its loads and drives are judged by, where it has any."""
-    if not passed:
-        return known
-    names, shares = tuple(passed), jnp.array(list(passed.values()))
+    if not missed:
+        return checks
+    names, shares = tuple(missed), jnp.array(list(missed.values()))
     figure = Figure(shares, jnp.zeros(len(names)), names)
-    return Checks.of(known.figures | {Check.LOAD_STEP: figure})
+    return Checks.of(checks.figures | {Check.LOAD_STEP: figure})
 
 
-def judged_by(passed: dict[str, float], run: Trajectory) -> Trajectory:
+def judged_by(missed: dict[str, float], run: Trajectory) -> Trajectory:
     """The run with it."""
     return (
-        dataclasses.replace(run, invariants=checked_by(passed, run.invariants)) if passed else run
+        dataclasses.replace(run, invariants=checked_by(missed, run.invariants)) if missed else run
     )
 
 
@@ -190,33 +190,33 @@ def _looked_at(functions: dict[str, Any], integrator: AbstractIntegrator, times:
     step, fixed = concrete(integrator.asked_step()), integrator.steps_between_saves
     # What is known of them is looked at, also where something else is being traced.
     with jax.ensure_compile_time_eval():
-        breaks, passed = _seen(Key(functions, np.asarray(times), step, fixed))
-    return LoadSteps(_ending_at(integrator, breaks), passed)
+        breaks, missed = _look_at(Key(functions, np.asarray(times), step, fixed))
+    return LoadSteps(_ending_at(integrator, breaks), missed)
 
 
 def _ending_at(integrator: AbstractIntegrator, breaks: np.ndarray) -> AbstractIntegrator:
     """The integrator with steps that end at these times [s] too; itself where there are none."""
-    known: Any = [] if integrator.breaks is None else on_host(integrator.breaks)
-    if not isinstance(integrator, Adaptive) or np.isin(breaks, known).all():
+    present: Any = [] if integrator.breaks is None else on_host(integrator.breaks)
+    if not isinstance(integrator, Adaptive) or np.isin(breaks, present).all():
         return integrator
-    every = np.append(np.union1d(known, breaks), np.full(MOST_BREAKS, np.inf))[:MOST_BREAKS]
+    every = np.append(np.union1d(present, breaks), np.full(MOST_BREAKS, np.inf))[:MOST_BREAKS]
     adaptive: Any = integrator
     return dataclasses.replace(adaptive, breaks=every)
 
 
 @functools.lru_cache(maxsize=64)
-def _seen(question: Key) -> tuple[np.ndarray, dict[str, float]]:
+def _look_at(question: Key) -> tuple[np.ndarray, dict[str, float]]:
     """The times [s] at which steps that find their own length are to end, and by name the shares
     that others pass over."""
     everything, times, step, fixed = question.arguments
     functions = {name: each for name, each in everything.items() if changes(each)}
     check_finite(functions, times)
     edges = step_ends(times, step, fixed) if step is not None or fixed is not None else None
-    passed = passed_over(functions, edges) if functions and edges is not None else {}
+    missed = missed_shares(functions, edges) if functions and edges is not None else {}
     if not functions or step is not None or fixed is not None:
-        return np.zeros(0), passed
+        return np.zeros(0), missed
     looks = np.linspace(times[0], times[-1], LEAST + 1)
-    rates = [rate for own, _ in _sampled(functions, looks).values() for rate in own]
+    rates = [rate for column, _ in _sampled(functions, looks).values() for rate in column]
     return np.concatenate([_changes(rate, looks) for rate in rates]), {}
 
 
@@ -224,7 +224,7 @@ def _changes(rate: np.ndarray, looks: np.ndarray) -> np.ndarray:
     """The looks [s] between which a function changes that coarser ones do not tell."""
     every = (len(looks) - 1) // COARSE
     off = np.abs(rate - np.interp(looks, looks[::every], rate[::every]))
-    unseen = off[1:].reshape(-1, every).sum(axis=1) > SEEN * max(np.abs(rate).sum(), 1e-300)
+    unseen = off[1:].reshape(-1, every).sum(axis=1) > RESOLVED * max(np.abs(rate).sum(), 1e-300)
     changed = np.repeat(unseen, every) & (np.abs(np.diff(rate)) > DIFFERENT * off.max())
     return looks[np.append(changed, False) | np.append(False, changed)][:MOST_BREAKS]
 
@@ -251,11 +251,11 @@ def felt_along(run: Trajectory, integrator: AbstractIntegrator) -> LoadSteps:
     from scipy.interpolate import CubicHermiteSpline
 
     functions, times, ours = {}, run.time, __name__.partition(".")[0]
-    known = not is_traced(run) and run.succeeded
+    is_read = not is_traced(run) and run.succeeded
     loads: dict[str, Any] = dict(run.mechanism.loads)
     for name, load in loads.items():
-        own = type(load).__module__.partition(".")[0] != ours and known
-        if own and acts_on_coordinates(load) and load.sampled_every() is None:
+        is_users = type(load).__module__.partition(".")[0] != ours and is_read
+        if is_users and acts_on_coordinates(load) and load.sampled_every() is None:
             read = lambda what, load=load: np.stack(
                 [np.ravel(what(x)) for x in load.coordinates()], 1
             )

@@ -29,27 +29,35 @@ from jaxclear.multibody.damped_stops import loads_to_settle, with_settled_loads
 from jaxclear.multibody.mechanism import Mechanism, held_as_needed
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, readings, rubbing_joints, wear_maps
-from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, verdict, while_loop
+from jaxclear.native import (
+    TableLayout,
+    forwards_only,
+    has_kernels,
+    one_row,
+    scan,
+    verdict,
+    while_loop,
+)
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.error_weights import error_weights
 from jaxclear.simulation.initial_state import Past
-from jaxclear.simulation.invariants import contact_names, contacts_that_turn, judged, sunk_in
+from jaxclear.simulation.invariants import contact_names, contacts_that_turn, is_too_deep, judged
 from jaxclear.simulation.sampling import next_instant, sampled, sampled_loads
 from jaxclear.simulation.saving import with_few_enough_steps
 from jaxclear.simulation.wear import (
     Losses,
     Pending,
     Worn,
-    left_its_surface,
+    is_off_surface,
     longest_path,
     losses,
     pending_wear,
     unworn,
-    worn_at_once,
+    wear_all,
+    wear_changed,
     worn_so_far,
-    worn_where_lost,
 )
 
 # What a derivative in reverse mode is told where sweeps find the friction of ideal joints outside a
@@ -88,13 +96,13 @@ SHORTEST_PART = 1e-6
 
 class Span(NamedTuple):
     """A saving interval from `start` to `stop` [s]; `progress`: its share of the whole run. Where
-    surfaces wear: whether they are `due` to be worn at its start; outside a kernel in how many
+    surfaces wear: whether they are `wears` to be worn at its start; outside a kernel in how many
     `parts` it is gone through, between which they wear."""
 
     start: Float[Array, " turns"]
     stop: Float[Array, " turns"]
     progress: Float[Array, " turns"]
-    due: Bool[Array, " turns"] | None = None
+    wears: Bool[Array, " turns"] | None = None
     parts: Int[Array, " turns"] | None = None
 
 
@@ -125,7 +133,7 @@ LONG_CARRY = (LONG, True, False)
 DELAY = 5e-5
 
 
-class Left(NamedTuple):
+class Saved(NamedTuple):
     """What a turn leaves, and what is left of all: states, worn surfaces as gaps saw them (not as
     updated then: forces would be lower than the motion's), events (None: nobody asks)."""
 
@@ -150,23 +158,23 @@ def run(
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
     given = mechanism, coordinates, speeds, times, integrator
     mechanism, turn, first = first_turn(*given, extras, past)
-    model, worn, seen = turn.model, first.worn, turn.model.seeing(first.read)
+    model, worn, viewed = turn.model, first.worn, turn.model.seeing(first.read)
     spans = Span(times[:-1], times[1:], jnp.diff(times) / (times[-1] - times[0]))
-    if _whole(integrator, extras, worn):
-        last, left = _in_one_kernel(turn, first, spans, updates)
+    if _fits_one_kernel(integrator, extras, worn):
+        last, saved = _in_one_kernel(turn, first, spans, updates)
     else:
         counted = integrator.steps_between_saves
-        last, left = _from_save_to_save(turn, first, spans, counted, updates)
+        last, saved = _from_save_to_save(turn, first, spans, counted, updates)
     if _sweeps_outside_kernels(model, integrator, first.warm_start):
-        last, left = forwards_only(NOT_THROUGH_SWEEPS, (last, left))
-    states = integrator.known_states(seen, times, left.states, last.state, last.warm_start)
-    history = StateHistory(mechanism, formulation, times, states, left.read, extras.balance)
-    stats, noted = RunStats(*last.steps, verdict(last.outcome)), left.noted
+        last, saved = forwards_only(NOT_THROUGH_SWEEPS, (last, saved))
+    states = integrator.known_states(viewed, times, saved.states, last.state, last.warm_start)
+    history = StateHistory(mechanism, formulation, times, states, saved.read, extras.balance)
+    stats, noted = RunStats(*last.steps, verdict(last.outcome)), saved.noted
     if noted is not None:
         noted = noted._replace(counts=noted.counts * (times[:-1] <= last.ended)[:, None])
-    met = last.peaks
+    peaks = last.peaks
     contacts = contact_names(model), contacts_that_turn(mechanism, model)
-    extremes = None if met is None else Extremes(*met, *contacts)
+    extremes = None if peaks is None else Extremes(*peaks, *contacts)
     ends = history, last.worn, last.outcome, last.ended, stats
     return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn)
 
@@ -206,7 +214,7 @@ def first_turn(
     turn = Turn(model, integrator, extras.report)
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
     first = Carry(state, worn, read, warm_start, reached, times[0], (none, none), None)
-    return mechanism, turn, first._replace(peaks=turn.nothing_met(first))
+    return mechanism, turn, first._replace(peaks=turn.initial_peaks(first))
 
 
 def sketched(
@@ -217,9 +225,9 @@ def sketched(
     model, count = model_of(mechanism, formulation), len(times)
     worn, contacts = unworn(model.system), contact_names(model)
     read = readings(model.system, worn)
-    kept = lambda leaf: jnp.broadcast_to(leaf, (count, *jnp.shape(leaf)))
+    repeat = lambda leaf: jnp.broadcast_to(leaf, (count, *jnp.shape(leaf)))
     states = jnp.zeros((count, model.layout.size))
-    history = StateHistory(mechanism, formulation, times, states, jax.tree.map(kept, read), False)
+    history = StateHistory(mechanism, formulation, times, states, jax.tree.map(repeat, read), False)
     none, blank = jnp.zeros((), int), jnp.zeros((count - 1, len(contacts), events))
     return Trajectory(
         history,
@@ -237,11 +245,11 @@ def sketched(
     )
 
 
-def _whole(integrator: AbstractIntegrator, extras: Extras, worn: Worn) -> bool:
+def _fits_one_kernel(integrator: AbstractIntegrator, extras: Extras, worn: Worn) -> bool:
     """Whether a run is one kernel: the host hears nothing of that on its way, counted steps are
     gone through backwards, and surfaces wear cell by cell by machine code alone."""
-    told = extras.report or integrator.steps_between_saves is not None
-    return not told and (not worn or has_kernels())
+    on_host = extras.report or integrator.steps_between_saves is not None
+    return not on_host and (not worn or has_kernels())
 
 
 class UpdateLimits(NamedTuple):
@@ -261,14 +269,14 @@ def _update_limits(
     duration = spans.stop[-1] - spans.start[0]
     longest = duration / (FEWEST_UPDATES * updates)
     shortest = SHORTEST_PART * duration if step is None else step
-    requested = [own.updates for each in wear_maps(system).values() for _, own in each.values()]
+    requested = [s.updates for each in wear_maps(system).values() for _, s in each.values()]
     most = [each for each in requested if each is not None]
     if most and len(most) == len(requested):
         share = updates * max(most) / duration
         # An interval that is as long as is asked for but for rounding is.
-        passed = jnp.floor(share * (spans.start - spans.start[0]) + SLIVER)
-        due = jnp.concatenate([jnp.ones(1, bool), jnp.diff(passed) > 0])
-        spans, shortest = spans._replace(due=due), jnp.maximum(shortest, (1 - SLIVER) / share)
+        counts = jnp.floor(share * (spans.start - spans.start[0]) + SLIVER)
+        is_due = jnp.concatenate([jnp.ones(1, bool), jnp.diff(counts) > 0])
+        spans, shortest = spans._replace(wears=is_due), jnp.maximum(shortest, (1 - SLIVER) / share)
     return UpdateLimits(PATH / updates, shortest, jnp.maximum(longest, shortest)), spans
 
 
@@ -290,8 +298,8 @@ def _sweeps_outside_kernels(model: Model, integrator: AbstractIntegrator, warm_s
     Where forces are means over steps the first step starts from none."""
     joints = rubbing_joints(model.system).values()
     counted = integrator.steps_between_saves is not None
-    begun = bool(jax.tree.leaves(warm_start)) and not integrator.formulation.forces_are_means
-    return (counted or begun) and any(joint.friction is not None for joint in joints)
+    has_start = bool(jax.tree.leaves(warm_start)) and not integrator.formulation.forces_are_means
+    return (counted or has_start) and any(joint.friction is not None for joint in joints)
 
 
 class Turn:
@@ -310,7 +318,7 @@ class Turn:
         # Traced once, however often a turn stands in the program.
         self.advance = jax.jit(advance)
 
-    def nothing_met(self, first: Carry) -> Peaks | None:
+    def initial_peaks(self, first: Carry) -> Peaks | None:
         """Peaks before the first turn; None where the integrator follows none."""
         number = jnp.zeros(())
         ahead = self._ahead(Span(number, number, number), jnp.ones((), bool), None)
@@ -343,11 +351,11 @@ class Turn:
         # succeed.
         failed = ~sound & (result.outcome == Outcome.REACHED)
         found = jnp.where(failed, Outcome.NOT_FINITE, result.outcome)
-        gone = left_its_surface(model.system, layout, result.state)
+        gone = is_off_surface(model.system, layout, result.state)
         if gone is not False:
             found = jnp.where(gone, Outcome.OFF_THE_WALLS, found)
         if result.peaks is not None:
-            sunk = (found == Outcome.REACHED) & sunk_in(model.system, result.peaks.depths)
+            sunk = (found == Outcome.REACHED) & is_too_deep(model.system, result.peaks.depths)
             found = jnp.where(sunk, Outcome.SUNK_IN, found)
         outcome = jnp.where(running, found, now.outcome)
         ended = jnp.where(running & (outcome == Outcome.REACHED), span.stop, now.ended)
@@ -377,22 +385,22 @@ def _between_updates(
         inside = (time + length + (1 - SLIVER) * limits.shortest <= stop) & (time + length > time)
         return jnp.where(inside, time + length, stop)
 
-    def parts(begun, span):
+    def parts(first, span):
         def one(now):
             time, (carry, pending, length), noted = now
             end = end_of_part(time, length, span.stop)
-            due = None if span.due is None else span.due | (time > span.start)
-            carry, pending = settled(carry, pending, due)
-            moved, lost, more = turn.motion(carry, span._replace(start=time, stop=end))
-            path, taken = longest_path(system, lost), end - time
+            wears = None if span.wears is None else span.wears | (time > span.start)
+            carry, pending = settled(carry, pending, wears)
+            moved, wear, more = turn.motion(carry, span._replace(start=time, stop=end))
+            path, taken = longest_path(system, wear), end - time
             change = jnp.where(path > 0, limits.path / jnp.where(path > 0, path, 1.0), LONGER)
-            wanted = taken * jnp.clip(change, SHORTER, LONGER)
-            wanted = jnp.clip(wanted, limits.shortest, limits.longest)
+            target = taken * jnp.clip(change, SHORTER, LONGER)
+            target = jnp.clip(target, limits.shortest, limits.longest)
             # What cannot be shorter is taken as it is.
-            fits = ~(path > 2.0 * limits.path) | (end_of_part(time, wanted, span.stop) >= end)
+            fits = ~(path > 2.0 * limits.path) | (end_of_part(time, target, span.stop) >= end)
             # A part that a saving time has cut off says nothing of longer ones.
             cut_off = fits & (end >= span.stop)
-            wanted = jnp.where(cut_off, jnp.maximum(wanted, length), wanted)
+            target = jnp.where(cut_off, jnp.maximum(target, length), target)
             chosen = lambda new, old: jnp.where(fits, new, old)
             # Worn surfaces are the same in both.
             after = jax.tree.map(
@@ -401,17 +409,17 @@ def _between_updates(
             after = after._replace(worn=carry.worn, read=carry.read)
             if more is not None:
                 noted = jax.tree.map(chosen, together(noted, more), noted)
-            return chosen(end, time), (after, pending, wanted), noted
+            return chosen(end, time), (after, pending, target), noted
 
-        more = jax.eval_shape(turn.motion, begun[0], span)[2]
+        more = jax.eval_shape(turn.motion, first[0], span)[2]
         nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), more)
-        _, carry, noted = loop(lambda now: now[0] < span.stop, one, (span.start, begun, nothing))
+        _, carry, noted = loop(lambda now: now[0] < span.stop, one, (span.start, first, nothing))
         return carry, ((), noted)
 
     return parts
 
 
-def _in_parts(part: Callable, begun: Any, span: Span) -> Any:
+def _in_parts(part: Callable, entry: Any, span: Span) -> Any:
     """What is handed on and left behind a saving interval that is gone through in its equal parts;
     `part`: (what is handed on, span) -> (that, what is left: by the last
     part, and the events of all)."""
@@ -420,14 +428,14 @@ def _in_parts(part: Callable, begun: Any, span: Span) -> Any:
 
     def turn(now):
         index, carry, (_, noted) = now
-        begins = jnp.where(index == 0, span.start, span.start + index * length)
+        starts = jnp.where(index == 0, span.start, span.start + index * length)
         ends = jnp.where(index + 1 == parts, span.stop, span.start + (index + 1) * length)
-        carry, (left, more) = part(carry, Span(begins, ends, span.progress / parts))
-        return index + 1, carry, (left, None if more is None else together(noted, more))
+        carry, (saved, more) = part(carry, Span(starts, ends, span.progress / parts))
+        return index + 1, carry, (saved, None if more is None else together(noted, more))
 
-    left = jax.eval_shape(part, begun, span)[1]
-    nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), left)
-    first = jnp.zeros((), int), begun, nothing
+    saved = jax.eval_shape(part, entry, span)[1]
+    nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), saved)
+    first = jnp.zeros((), int), entry, nothing
     return jax.lax.while_loop(lambda now: now[0] < parts, turn, first)[1:]
 
 
@@ -438,9 +446,9 @@ def _between_instants(turn: Turn, loop: Callable, part: Callable) -> Callable:
     if not sampled_loads(system) and breaks is None:
         return part
 
-    def parts(begun, span):
-        left = jax.eval_shape(part, begun, span)[1]
-        nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), left)
+    def parts(first, span):
+        saved = jax.eval_shape(part, first, span)[1]
+        nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), saved)
 
         def turn(now):
             time, carry, (_, noted) = now
@@ -448,12 +456,12 @@ def _between_instants(turn: Turn, loop: Callable, part: Callable) -> Callable:
             if breaks is not None:
                 ahead = jnp.min(jnp.where(breaks > time, breaks, ahead), initial=ahead)
             progress = span.progress * (ahead - time) / (span.stop - span.start)
-            carry, (left, more) = part(
+            carry, (saved, more) = part(
                 carry, span._replace(start=time, stop=ahead, progress=progress)
             )
-            return ahead, carry, (left, None if more is None else together(noted, more))
+            return ahead, carry, (saved, None if more is None else together(noted, more))
 
-        return loop(lambda now: now[0] < span.stop, turn, (span.start, begun, nothing))[1:]
+        return loop(lambda now: now[0] < span.stop, turn, (span.start, first, nothing))[1:]
 
     return parts
 
@@ -469,19 +477,19 @@ def through_interval(turn: Turn) -> Callable[[Carry, Span], Carry]:
     return lambda now, span: whole(now, span)[0]
 
 
-def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Left]:
+def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Saved]:
     """(what the last turn hands on, what is left at all saving times). Before a part at whose start
     they are due surfaces are worn by what was lost until then, and after the last."""
     model, count, step = turn.model, len(spans.start), turn.step
     pending = pending_wear(model.system, model.layout, first.state) if first.worn else None
 
-    def settled(now: Carry, pending: Pending, due: Any = None) -> tuple[Carry, Pending]:
-        found = now.worn, now.read, pending
-        worn, read, pending = worn_so_far(model.system, model.layout, found, now.state, due)
+    def settled(now: Carry, pending: Pending, wears: Any = None) -> tuple[Carry, Pending]:
+        values = now.worn, now.read, pending
+        worn, read, pending = worn_so_far(model.system, model.layout, values, now.state, wears)
         return now._replace(worn=worn, read=read), pending
 
-    def by_kernel(condition, body, begun):
-        return while_loop(condition, body, begun, (False, LONG_CARRY, False))
+    def by_kernel(condition, body, first):
+        return while_loop(condition, body, first, (False, LONG_CARRY, False))
 
     if pending is None:
         length = None
@@ -501,30 +509,30 @@ def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple
         return carry, ((carry[0].state, carry[0].read), noted)
 
     rows = np.arange(count)
-    kept = [Kept(rows + 1, count + 1, (first.state, first.read)), Kept(rows, count)]
-    done, ((states, read), noted) = scan(one, (first, pending, length), spans, kept, LONG_CARRY)
+    tables = [TableLayout(rows + 1, count + 1, (first.state, first.read)), TableLayout(rows, count)]
+    done, ((states, read), noted) = scan(one, (first, pending, length), spans, tables, LONG_CARRY)
     if pending is not None:
         last = lambda now, _: ((*settled(*now[:2]), now[2]), ())
         done = scan(last, done, np.zeros(1), long=LONG_CARRY)[0]
-    return done[0], Left(states, read, noted)
+    return done[0], Saved(states, read, noted)
 
 
 def _from_save_to_save(
     turn: Turn, first: Carry, spans: Span, counted: int | None, updates: Any
-) -> tuple[Carry, Left]:
+) -> tuple[Carry, Saved]:
     """As `_in_one_kernel`, each turn by itself, behind which XLA wears surfaces; of a `counted`
     number of steps it goes backwards through them."""
     system = turn.model.system
     motion = turn.motion if counted is not None or not first.read else _as_a_kernel(turn.motion)
-    wear = worn_where_lost if counted is None else worn_at_once
+    wear = wear_changed if counted is None else wear_all
 
     def part(now, span):
         worn, read = now.worn, now.read
-        now, lost, noted = motion(now._replace(worn={}), span)
-        left = read, noted
+        now, losses_now, noted = motion(now._replace(worn={}), span)
+        saved = read, noted
         if worn:
-            worn, read = wear(system, worn, read, lost)
-        return now._replace(worn=worn, read=read), left
+            worn, read = wear(system, worn, read, losses_now)
+        return now._replace(worn=worn, read=read), saved
 
     if counted is None:
         part = _between_instants(turn, jax.lax.while_loop, part)
@@ -537,9 +545,9 @@ def _from_save_to_save(
         return now, (now.state, read, noted)
 
     last, (states, read, noted) = jax.lax.scan(one, first, spans)
-    joined = lambda begun, rows: jnp.concatenate([begun[None], rows])
+    joined = lambda first, rows: jnp.concatenate([first[None], rows])
     read = jax.tree.map(lambda depths: jnp.concatenate([depths[:1], depths]), read)
-    return last, Left(joined(first.state, states), read, noted)
+    return last, Saved(joined(first.state, states), read, noted)
 
 
 def _as_a_kernel(motion: Callable) -> Callable:
@@ -550,10 +558,10 @@ def _as_a_kernel(motion: Callable) -> Callable:
         read = now.read
 
         def turn(now, _):
-            after, *left = motion(now._replace(read=read), span)
-            return after._replace(read={}), left
+            after, *saved = motion(now._replace(read=read), span)
+            return after._replace(read={}), saved
 
-        after, left = scan(turn, now._replace(read={}), np.zeros(1))
-        return after._replace(read=read), *jax.tree.map(lambda each: each[0], left)
+        after, saved = scan(turn, now._replace(read={}), np.zeros(1))
+        return after._replace(read=read), *jax.tree.map(lambda each: each[0], saved)
 
     return alone

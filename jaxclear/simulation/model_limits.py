@@ -53,8 +53,8 @@ def placed(
         if index is not None:
             frame = now.model.system.links[index].frame
             turn = sp.product(now.motions[index].pose.after(frame).rotation, turn)
-        turned = [x for row in turn for x in row]
-        columns.append(sp.stack((*turned, *report.offset, jnp.sum(report.normal_force))))
+        rotation = [x for row in turn for x in row]
+        columns.append(sp.stack((*rotation, *report.offset, jnp.sum(report.normal_force))))
     return jnp.stack(columns, axis=1)
 
 
@@ -70,19 +70,19 @@ def masses(names: Iterable[str], mechanism: Mechanism) -> Float[Array, " joints"
 
 
 def gap_motion(
-    found: Float[Array, "looks 13 joints"],
+    looks: Float[Array, "looks 13 joints"],
     times: Float[Array, " looks"],
     heavy: Float[Array, " joints"],
 ) -> Float[Array, " joints"]:
     """By joint the force that moves the lighter body along in the gap beside the forces there, from
     where parts were `placed` at looks at these times [s]. Where a force turns round between two
     looks, parts part, which `Trajectory.switchings` tells, and nothing is counted."""
-    if len(found) < 4:
+    if len(looks) < 4:
         return jnp.zeros(len(heavy))
     # Halfway between two looks, for which means stand.
-    turns = 0.5 * (found[1:, :9] + found[:-1, :9]).reshape(-1, 3, 3, len(heavy))
-    places = jnp.einsum("labj,lbj->laj", turns, found[1:, 9:12])
-    times, forces = 0.5 * (times[1:] + times[:-1]), found[2:-1, 12]
+    turns = 0.5 * (looks[1:, :9] + looks[:-1, :9]).reshape(-1, 3, 3, len(heavy))
+    places = jnp.einsum("labj,lbj->laj", turns, looks[1:, 9:12])
+    times, forces = 0.5 * (times[1:] + times[:-1]), looks[2:-1, 12]
     lengths = jnp.diff(times)[:, None, None]
     speeds = jnp.diff(places, axis=0) / lengths
     between = 0.5 * (lengths[1:] + lengths[:-1])
@@ -100,17 +100,17 @@ def shared(
     how much they are others where these rows carry what makes the squares of the forces on all ends
     least, as equal contacts between rigid bodies would. None where there are no such rows.
     `report`: what is told of a joint."""
-    held = touching(now.model.system)
-    rows = unmoved(now, mechanism) if held else []
+    joints = touching(now.model.system)
+    rows = unmoved(now, mechanism) if joints else []
     if not rows:
         return None
-    reports = [report(one.name) for one in held]
+    reports = [report(one.name) for one in joints]
     acting = [Reaction(tuple(one.force), tuple(one.torque)) for one in reports]
-    forces = [_on_ends(one, own) for one, own in zip(held, acting, strict=True)]
+    forces = [_on_ends(one, forces_of) for one, forces_of in zip(joints, acting, strict=True)]
     added = [
         [
-            _on_ends(one, _sum(own, extra)) - force
-            for one, own, extra, force in zip(held, acting, row, forces, strict=True)
+            _on_ends(one, _sum(forces_of, extra)) - force
+            for one, forces_of, extra, force in zip(joints, acting, row, forces, strict=True)
         ]
         for row in rows
     ]
@@ -142,21 +142,21 @@ def _sum(a: Reaction, b: Reaction) -> Reaction:
 
 
 def _sizes(forces: Float[Array, "ends 3"]) -> Float[Array, " ends"]:
-    return jnp.stack([sp.norm(tuple(own)) for own in forces])
+    return jnp.stack([sp.norm(tuple(force)) for force in forces])
 
 
 def _least_squares(forces: list[Array], added: list[list[Array]]) -> tuple:
     """How much of each row [N, N m] makes the sum of squares of the forces least."""
-    flat = [jnp.concatenate([own.ravel() for own in row]) for row in added]
-    acting = jnp.concatenate([own.ravel() for own in forces])
+    flat = [jnp.concatenate([part.ravel() for part in row]) for row in added]
+    acting = jnp.concatenate([part.ravel() for part in forces])
     damping = DAMPING * sum(row @ row for row in flat) + jnp.finfo(float).tiny
     matrix = [[a @ b + (damping if a is b else 0.0) for b in flat] for a in flat]
     return factorisation.solve(factorisation.factor(matrix), tuple(-(a @ acting) for a in flat))
 
 
-def indeterminate_forces(found: Float[Array, "looks 2 joints"]) -> Float[Array, " joints"]:
+def indeterminate_forces(looks: Float[Array, "looks 2 joints"]) -> Float[Array, " joints"]:
     """By joint how much its forces would be others, beside those of the joint that carries most."""
-    carried, others = jnp.sum(found, axis=0)
+    carried, others = jnp.sum(looks, axis=0)
     return safe_divide(others, jnp.max(carried, initial=0.0))
 
 
@@ -176,8 +176,8 @@ def by_others(now: Instant, mechanism: Mechanism, names: tuple[str, ...]) -> lis
     redundancy, joints = now.model.system.topology.redundancy, touching(now.model.system)
     open_ = set() if redundancy is None else {*redundancy.joints}
     for reactions in unmoved(now, mechanism):
-        own = zip(joints, reactions, strict=True)
-        open_ |= {one.name for one, reaction in own if not sp.is_zero(reaction.force[2])}
+        pairs = zip(joints, reactions, strict=True)
+        open_ |= {one.name for one, reaction in pairs if not sp.is_zero(reaction.force[2])}
     return [name in open_ for name in names]
 
 
@@ -190,18 +190,18 @@ def sliding(system: System) -> tuple[str, ...]:
 def pressed(reports: list[ContactReport], counted: Iterable[bool]) -> Float[Array, "2 joints"]:
     """Of joints that are told of at a look: force along the axis, if that is counted, and that of
     its contacts [N]."""
-    forces = [report.force[2] if own else 0.0 for report, own in zip(reports, counted, strict=True)]
+    forces = [report.force[2] if c else 0.0 for report, c in zip(reports, counted, strict=True)]
     along = [abs(jnp.asarray(force, float)) for force in forces]
     return jnp.stack([jnp.stack(along), jnp.stack([jnp.sum(r.normal_force) for r in reports])])
 
 
-def share_along(found: Float[Array, "looks 2 joints"]) -> Float[Array, " joints"]:
+def share_along(looks: Float[Array, "looks 2 joints"]) -> Float[Array, " joints"]:
     """By joint the share of all its forces that acts along its axis."""
-    along, across = jnp.sum(found, axis=0)
+    along, across = jnp.sum(looks, axis=0)
     return safe_divide(along, along + across)
 
 
-def left(system: System, reports: dict[str, ContactReport]) -> Float[Array, " joints"]:
+def contact_loss(system: System, reports: dict[str, ContactReport]) -> Float[Array, " joints"]:
     """By joint how much of its bearing a journal has left at a look, in lengths of the bearing."""
     gaps = [system.bearings[name].joint for name in reports]
     shares = [
@@ -215,12 +215,12 @@ def laws_of_others(model: Model, formulation: AbstractFormulation) -> dict[str, 
     if not formulation.rubs_as_coulombs:
         return {}
     laws = {
-        name: own.friction
+        name: law.friction
         for name, bearing in model.system.bearings.items()
-        for own in bearing.contact_laws
-        if own.friction is not None
+        for law in bearing.contact_laws
+        if law.friction is not None
     }
-    laws |= {held.name: held.joint.friction for held in touching(model.system)}
+    laws |= {joint.name: joint.joint.friction for joint in touching(model.system)}
     return {name: law for name, law in laws.items() if law is not None and not law.set_valued}
 
 
@@ -232,10 +232,10 @@ def rubbed_as_coulombs(
     yield under the friction of this instant [J]."""
     columns = []
     for name, law in laws.items():
-        told = report(name)
-        contacts = zip(told.normal_force, told.traction, told.slip_speed, strict=True)
-        own = [_of_contact(law, *numbers) for numbers in contacts]
-        columns.append(jnp.stack([sum(part) for part in zip(*own, strict=True)]))
+        reported = report(name)
+        contacts = zip(reported.normal_force, reported.traction, reported.slip_speed, strict=True)
+        powers = [_of_contact(law, *numbers) for numbers in contacts]
+        columns.append(jnp.stack([sum(part) for part in zip(*powers, strict=True)]))
     return jnp.stack(columns, axis=1)
 
 
@@ -250,18 +250,18 @@ def _of_contact(law: Any, normal: Any, drag: Any, slip: Any) -> tuple[Any, Any, 
     slides = slip > creep
     fast = jnp.where(slides, slip, 1.0)
     coulombs = jnp.where(slides, normal * law.coulomb().bound(fast), drag) * slip
-    its_own = jnp.where(slides, normal * law.steady_coefficient(fast) * slip, drag * creep)
-    return jnp.maximum(coulombs, its_own), abs(coulombs - its_own), settled
+    loss = jnp.where(slides, normal * law.steady_coefficient(fast) * slip, drag * creep)
+    return jnp.maximum(coulombs, loss), abs(coulombs - loss), settled
 
 
 def coulomb_friction(
-    found: Float[Array, "looks 3 joints"], times: Float[Array, " looks"]
+    looks: Float[Array, "looks 3 joints"], times: Float[Array, " looks"]
 ) -> Float[Array, " joints"]:
     """By joint the share of its friction loss that its own law takes and Coulomb's does not, or the
     other way round, from what was told by `rubbed_as_coulombs` at looks at these times [s]."""
-    power, apart, settled = (found[:, k] for k in range(3))
+    power, other_loss, settled = (looks[:, k] for k in range(3))
     widths = jnp.diff(times)[:, None]
     over_run = lambda rate: jnp.sum(0.5 * widths * (rate[1:] + rate[:-1]), axis=0)
     yielded = settled[0] + jnp.sum(abs(jnp.diff(settled, axis=0)), axis=0)
-    whole, other = over_run(power) + yielded, over_run(apart) + yielded
-    return safe_divide(other, jnp.maximum(whole, NEGLIGIBLE * jnp.max(whole, initial=0.0)))
+    total, other = over_run(power) + yielded, over_run(other_loss) + yielded
+    return safe_divide(other, jnp.maximum(total, NEGLIGIBLE * jnp.max(total, initial=0.0)))

@@ -30,7 +30,7 @@ from jaxclear.simulation.error_weights import settling_length
 STABLE = 2.78
 
 
-def told_of_the_end(trajectory: Trajectory) -> str:
+def message_of_the_end(trajectory: Trajectory) -> str:
     """Why a run of one mechanism ended, with a sentence more where it is known why its state is not
     finite."""
     trajectory = constant(trajectory)
@@ -96,28 +96,28 @@ def _of_loads(history: StateHistory) -> str:
     if not any(is_own(load) for load in history.mechanism.loads.values()):
         return ""
 
-    def given(now: Instant) -> dict[str, Any]:
+    def loads_at(now: Instant) -> dict[str, Any]:
         system = now.model.system
         out: dict[str, Any] = {}
         for name, load in body_loads(system):
             if is_own(load):
-                found = effect_of(system, name, load, now.motions, now.time)
-                out[name] = sp.total(x for each in found.actions for x in (*each[1], *each[2]))
-        for name, held in coordinate_loads(system):
-            if is_own(held):
+                effect = effect_of(system, name, load, now.motions, now.time)
+                out[name] = sp.total(x for each in effect.actions for x in (*each[1], *each[2]))
+        for name, resisting in coordinate_loads(system):
+            if is_own(resisting):
                 acts, _ = load_rows(system, now.motions, name, now.time, now.followed)
                 out[name] = sp.total(jax.tree.leaves(acts.forces))
         return {name: jnp.asarray(x, float) for name, x in out.items()}
 
-    seen = [history]
+    histories = [history]
     layout, length = history.layout(), jnp.max(jnp.diff(history.time))
     count = layout.coordinates
     if layout.memory_start == 2 * count:
         speeds = history.states[:, count : 2 * count]
         ahead = history.states.at[:, :count].add(length * speeds)
-        seen.append(dataclasses.replace(history, states=ahead))
-    for each in seen:
-        for name, found in over_time(each, given).items():
-            if not np.all(np.isfinite(found)):
+        histories.append(dataclasses.replace(history, states=ahead))
+    for each in histories:
+        for name, values in over_time(each, loads_at).items():
+            if not np.all(np.isfinite(values)):
                 return f'What load "{name}" gives is not finite; it must be wherever the run leads.'
     return ""

@@ -16,44 +16,44 @@ Part = Callable[[float], AbstractContextManager[None]]
 
 
 @contextmanager
-def bar(shown: bool, label: str, whole: float = 1.0) -> Iterator[Part]:
-    """Shows a bar from 0 to 100 % while the block runs; nested or hidden bars do nothing. `whole`:
+def bar(visible: bool, label: str, total: float = 1.0) -> Iterator[Part]:
+    """Shows a bar from 0 to 100 % while the block runs; nested or hidden bars do nothing. `total`:
     the work that is known of, beside that of one run. Gives what says, `with part(work):`, that
     what runs within is so much of it."""
-    if not shown or _bars:
+    if not visible or _bars:
         yield lambda work: nullcontext()
         return
     layout = "{l_bar}{bar}| {elapsed}<{remaining}"
-    with tqdm(total=whole, desc=label, bar_format=layout) as shown_bar:
-        _bars.append((shown_bar, [1.0]))
+    with tqdm(total=total, desc=label, bar_format=layout) as widget:
+        _bars.append((widget, [1.0]))
         try:
             yield _part
         finally:
-            shown_bar.update(shown_bar.total - shown_bar.n)
+            widget.update(widget.total - widget.n)
             _bars.pop()
 
 
 @contextmanager
 def _part(work: float) -> Iterator[None]:
-    shown_bar, of_now = _bars[-1]
-    begun = shown_bar.n
-    shown_bar.total, of_now[0] = max(shown_bar.total, begun + work), work
+    widget, of_now = _bars[-1]
+    first = widget.n
+    widget.total, of_now[0] = max(widget.total, first + work), work
     yield
     # What told nothing on its way, and what fell short of its end.
-    _to(shown_bar, begun + work)
+    _to(widget, first + work)
 
 
 def advance(share) -> None:
     """Moves the bar by a share of what runs now."""
     if not _bars:
         return
-    shown_bar, (work,) = _bars[-1]
-    if shown_bar.n == 0:
+    widget, (work,) = _bars[-1]
+    if widget.n == 0:
         # What is left is not told by how long the program took to be compiled.
-        shown_bar.unpause()
-    _to(shown_bar, shown_bar.n + work * float(share))
+        widget.unpause()
+    _to(widget, widget.n + work * float(share))
 
 
-def _to(shown_bar: tqdm, place: float) -> None:
+def _to(widget: tqdm, place: float) -> None:
     """Moves a bar so far, never back."""
-    shown_bar.update(max(min(place, NEARLY * shown_bar.total) - shown_bar.n, 0.0))
+    widget.update(max(min(place, NEARLY * widget.total) - widget.n, 0.0))

@@ -67,11 +67,11 @@ def sampled(model: Model, time: Any, state: Float[Array, " n"]) -> Float[Array, 
     owners = [owner for owner, _ in layout.states]
     for name, load in sampled_loads(system).items():
         positions, speeds, _ = read_load(system, motions, load, name, followed)
-        held = followed.states[name]
-        found = load.sampled(time, positions, speeds, held)
+        states = followed.states[name]
+        result = load.sampled(time, positions, speeds, states)
         turns = time / load.sampled_every()
-        due = jnp.abs(turns - jnp.round(turns)) < SLIVER
+        is_now = jnp.abs(turns - jnp.round(turns)) < SLIVER
         first = layout.state_start + owners.index(name)
-        for i, (before, after) in enumerate(zip(held, found, strict=True)):
-            state = state.at[first + i].set(jnp.where(due, after, before))
+        for i, (before, after) in enumerate(zip(states, result, strict=True)):
+            state = state.at[first + i].set(jnp.where(is_now, after, before))
     return state

@@ -59,7 +59,7 @@ LITTLE = 0.01
 MOST_LISTED = 1e8
 # Steps to the end of a run below which the time grows at each of them: past it, rounding takes
 # them.
-MOST_TOLD_APART = 1e15
+LARGEST_DISTINCT = 1e15
 
 
 def saving_times(duration: Any, save: Any) -> Any:
@@ -67,8 +67,8 @@ def saving_times(duration: Any, save: Any) -> Any:
     missing. NumPy's, unless the duration is traced.
     """
     if not isinstance(save, (list, tuple)) and not getattr(save, "ndim", 0):
-        whole = isinstance(save, (int, float, np.number)) and not isinstance(save, bool)
-        if not whole or not 2 <= save < np.inf or int(save) != save:
+        is_count = isinstance(save, (int, float, np.number)) and not isinstance(save, bool)
+        if not is_count or not 2 <= save < np.inf or int(save) != save:
             raise ValueError(
                 f"save={described(save)}: it must be a whole number of saving times, at least 2, "
                 "or the times themselves."
@@ -154,7 +154,7 @@ def _check_work(integrator: AbstractIntegrator, times: Any) -> None:
             f"which no machine goes through; for at most {MOST_STEPS:.0e} give a step of at least "
             f"{duration / MOST_STEPS:.1g} s."
         )
-    if shortest_steps > MOST_TOLD_APART:
+    if shortest_steps > LARGEST_DISTINCT:
         raise ValueError(
             f"{public_name(kind)} has steps of {shortest:.6g} s in contact, which the time of a "
             f"run to {duration:.6g} s does not resolve; give fewer contact_steps."

@@ -36,13 +36,13 @@ from jaxclear.simulation.derivatives import (
     in_other_steps,
     is_compared,
     order_of,
-    run_where_alike,
+    refuse_run,
     until_the_end,
 )
 from jaxclear.simulation.initial_state import Beginning, beginning, state_of
 from jaxclear.simulation.load_steps import LoadSteps, felt_along, judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
-from jaxclear.simulation.not_finite import told_of_the_end
+from jaxclear.simulation.not_finite import message_of_the_end
 from jaxclear.simulation.sampling import check_instants
 from jaxclear.simulation.saving import Saving, as_saving, check_steps, checked_saving, saving_times
 from jaxclear.simulation.singular_positions import diagnosed
@@ -76,35 +76,35 @@ NOT_BACKWARDS = (
 FEW_COORDINATES = 32
 
 
-def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, updates):
+def _run_differentiable(mechanism, coordinates, speeds, times, integrator, extras, past, updates):
     """A run that can be differentiated forwards and, where it shows no progress, backwards."""
-    given = mechanism, coordinates, speeds, times, integrator, extras, past, updates
-    whole: Any = run
+    inputs = mechanism, coordinates, speeds, times, integrator, extras, past, updates
+    runner: Any = run
     if is_compared(mechanism, integrator):
-        finer = lambda share, *own: (*own[:4], in_other_steps(own[4], share, own[3]), *own[5:])
-        steps = lambda *own: (own[4].asked_step(), own[3])
-        whole = compared(run, finer, run_where_alike, steps, order_of(mechanism, integrator))
-    found = backwards(integrator)(whole, *given)
-    shown = extras.report and integrator.steps_between_saves is None
-    return forwards_only(NOT_BACKWARDS, found) if shown else found
+        finer = lambda share, *args: (*args[:4], in_other_steps(args[4], share, args[3]), *args[5:])
+        steps = lambda *args: (args[4].asked_step(), args[3])
+        runner = compared(run, finer, refuse_run, steps, order_of(mechanism, integrator))
+    result = backwards(integrator)(runner, *inputs)
+    visible = extras.report and integrator.steps_between_saves is None
+    return forwards_only(NOT_BACKWARDS, result) if visible else result
 
 
 # Where runs from a mechanism's own start began, and in which steps, but for what was warned of;
 # which forms of mechanisms suit their integrators.
-_BEGUN: Latest[Beginning] = Latest(16)
+_INITIAL: Latest[Beginning] = Latest(16)
 _STEPS: Latest[LoadSteps] = Latest(16)
 _SUITS: Latest[bool] = Latest(64)
 
-_run = compiled_quickly(_both_ways, AROUND_A_KERNEL)
-_run_soon = compiled_for_kernels(_both_ways)
+_run = compiled_quickly(_run_differentiable, AROUND_A_KERNEL)
+_run_soon = compiled_for_kernels(_run_differentiable)
 
 
 def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
     """Whether a mechanism suits an integrator and its formulation. Raises `ValueError` with a
     sentence."""
     expect(mechanism, Mechanism, "what is simulated", "a jaxclear.Mechanism")
-    wanted = "one of jaxclear.integrator, such as Adaptive()"
-    expect(integrator, AbstractIntegrator, "the integrator", wanted)
+    expected = "one of jaxclear.integrator, such as Adaptive()"
+    expect(integrator, AbstractIntegrator, "the integrator", expected)
     key = None if is_traced(mechanism.couplings) else _form(mechanism, integrator)
     if key is None or _SUITS.get(key) is None:
         _check_suited(mechanism, integrator)
@@ -121,8 +121,8 @@ def _form(mechanism: Mechanism, integrator: AbstractIntegrator) -> Key:
 def _check_suited(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
     name = f"integrator.{type(integrator).__name__}"
     mechanism = on_host(mechanism)
-    held = held_as_needed(mechanism, integrator.opens_loops)
-    if held.projects and not integrator.projects:
+    joints = held_as_needed(mechanism, integrator.opens_loops)
+    if joints.projects and not integrator.projects:
         raise ValueError(
             f'the loop through joint "{mechanism.topology.loops[0]}" is to be closed by '
             f"projection, which {name} "
@@ -147,17 +147,17 @@ def _check_end(trajectory: Trajectory) -> None:
             "throw=False and look at `outcome`, or map jaxclear.Problem.evaluate."
         )
     if not trajectory.succeeded:
-        raise SimulationError(told_of_the_end(trajectory), trajectory)
+        raise SimulationError(message_of_the_end(trajectory), trajectory)
 
 
-def is_all_kernel(mechanism: Mechanism, integrator: AbstractIntegrator, told: bool = False) -> bool:
+def is_all_kernel(mechanism: Mechanism, integrator: AbstractIntegrator, loud: bool = False) -> bool:
     """Whether next to all work of a run is that of its kernels, if it has any and its progress is
-    not `told`: then XLA need not optimise the rest, of however many cells worn surfaces are."""
+    not `loud`: then XLA need not optimise the rest, of however many cells worn surfaces are."""
     # A motor has an equation of its own, whatever the others do.
-    own = (branch for branch in mechanism.topology.branches if not branch.motor)
-    small = sum(branch.coordinate_count for branch in own) <= FEW_COORDINATES
+    branch = (branch for branch in mechanism.topology.branches if not branch.motor)
+    small = sum(branch.coordinate_count for branch in branch) <= FEW_COORDINATES
     ready = has_kernels() and integrator.in_kernels
-    return small and ready and not told and integrator.steps_between_saves is None
+    return small and ready and not loud and integrator.steps_between_saves is None
 
 
 class How(NamedTuple):
@@ -220,22 +220,22 @@ def simulate(
         SimulationError: if the run ends early, unless `throw=False`.
     """
     how = How(save, state, balance, progress_bar, verify)
-    _check_asked(duration, how, throw)
-    asked = None
+    _check_options(duration, how, throw)
+    bounds = None
     if accuracy is not None:
         check_one_of_two("simulate", integrator)
-        asked = bounds_of_run(accuracy)
-        found = chosen_for(mechanism, duration, asked.observe, asked.compare, how)
-        integrator, asked = found.integrator, asked._replace(why=found.why)
+        bounds = bounds_of_run(accuracy)
+        choice = chosen_for(mechanism, duration, bounds.observe, bounds.compare, how)
+        integrator, bounds = choice.integrator, bounds._replace(why=choice.why)
         how = how._replace(verify=True if verify is None else verify)
     integrator = Adaptive() if integrator is None else integrator
-    trajectory = _simulated(mechanism, duration, integrator, how, asked)
+    trajectory = _simulated(mechanism, duration, integrator, how, bounds)
     if throw:
         _check_end(trajectory)
     return trajectory
 
 
-def _check_asked(duration: Any, how: How, throw: bool) -> None:
+def _check_options(duration: Any, how: How, throw: bool) -> None:
     """Raises where something is not what a run may be asked."""
     check_double_precision()
     check_duration(duration)
@@ -259,16 +259,16 @@ def _key(mechanism: Mechanism, integrator: AbstractIntegrator) -> Key | None:
     return None if is_traced(key.leaves) else key
 
 
-def _kept(latest: Latest[Value], key: Any, find: Callable[[], Value]) -> Value:
+def _get_or_compute(latest: Latest[Value], key: Any, find: Callable[[], Value]) -> Value:
     """What was found lately under a key, or what is found now (None: nobody may find it again).
     What warns is looked for each time."""
-    known = None if key is None else latest.get(key)
-    if known is not None:
-        return known
-    before, found = count_warnings(), find()
+    cached = None if key is None else latest.get(key)
+    if cached is not None:
+        return cached
+    before, value = count_warnings(), find()
     if key is not None and count_warnings() == before:
-        latest.keep(key, found)
-    return found
+        latest.keep(key, value)
+    return value
 
 
 def _simulated(
@@ -276,12 +276,12 @@ def _simulated(
     duration: float,
     integrator: AbstractIntegrator,
     how: How,
-    asked: Bounds | None = None,
+    bounds: Bounds | None = None,
 ) -> Trajectory:
-    """A run, however it ended. `asked`: its accuracy (None: what the integrator promises)."""
+    """A run, however it ended. `bounds`: its accuracy (None: what the integrator promises)."""
     mechanism, integrator = with_quantities((mechanism, integrator))
     key = None if how.state is not None else _key(mechanism, integrator)
-    if key is None or _BEGUN.get(key) is None:
+    if key is None or _INITIAL.get(key) is None:
         check_run(mechanism, integrator)
     saving = checked_saving(how.save, integrator)
     times = saving_times(duration, saving.at)
@@ -292,42 +292,42 @@ def _simulated(
         check_steps(integrator, times)
         return load_steps(mechanism, integrator, saved)
 
-    def begins() -> Beginning:
+    def start_state() -> Beginning:
         formulation = integrator.formulation
         return beginning(formulation.seen(mechanism), formulation, state)
 
     of_times = None if key is None or is_traced(times) else (key, np.asarray(times).tobytes())
-    own = _kept(_STEPS, of_times, steps)
-    mechanism, start, past, doubt = _kept(_BEGUN, key, begins)
-    integrator, passed = own
-    whole = 1.0 if how.verify is False else 1.0 + 1 / HALF + bool(wearing_in(mechanism))
-    with progress.bar(how.progress_bar, "simulating", whole) as part:
+    steps_found = _get_or_compute(_STEPS, of_times, steps)
+    mechanism, start, past, doubt = _get_or_compute(_INITIAL, key, start_state)
+    integrator, shares = steps_found
+    total = 1.0 if how.verify is False else 1.0 + 1 / HALF + bool(wearing_in(mechanism))
+    with progress.bar(how.progress_bar, "simulating", total) as part:
         extras = Extras(how.balance, how.progress_bar, saving.events)
         kernel = is_all_kernel(mechanism, integrator, how.progress_bar)
         runs = _run_soon if kernel else _run
 
         def again(one: Replica, moved: float = 0.0) -> Trajectory:
-            begun = on_host(start.coordinates) + moved if moved else start.coordinates
+            coordinates = on_host(start.coordinates) + moved if moved else start.coordinates
             wearing = with_coarser_cells(mechanism, one.coarseness)
-            given = wearing, begun, start.speeds, on_host(one.times)
+            inputs = wearing, coordinates, start.speeds, on_host(one.times)
             more = one.integrator, extras, past, np.asarray(one.updates)
             with part(one.work):
-                found = runs(*given, *more)
+                result = runs(*inputs, *more)
                 # All of a program is there when some of it is.
-                jax.block_until_ready(found.outcome)
-                return found
+                jax.block_until_ready(result.outcome)
+                return result
 
         with stoppable():
-            found = again(Replica(integrator, saved))
+            run = again(Replica(integrator, saved))
             for _ in range(2):
-                refined, more = felt_along(found, integrator)
-                passed = passed | more
+                refined, more = felt_along(run, integrator)
+                shares = shares | more
                 if refined is integrator:
                     break
-                integrator, found = refined, again(Replica(refined, saved))
-            found = judged_by(passed, until_the_end(diagnosed(guarded(found, integrator))))
-        found = verify_run(found, integrator, again, how.verify, asked)
-    return dataclasses.replace(found, doubts=(doubt,)) if doubt else found
+                integrator, run = refined, again(Replica(refined, saved))
+            run = judged_by(shares, until_the_end(diagnosed(guarded(run, integrator))))
+        run = verify_run(run, integrator, again, how.verify, bounds)
+    return dataclasses.replace(run, doubts=(doubt,)) if doubt else run
 
 
 def check_one_of_two(owner: str, integrator: Any) -> None:
@@ -342,8 +342,8 @@ def check_one_of_two(owner: str, integrator: Any) -> None:
 def chosen_for(
     mechanism: Mechanism,
     duration: float,
-    seen: Callable[[Trajectory], Any],
-    beside: Callable[[Trajectory, Any, Any], dict[str, float]],
+    observe: Callable[[Trajectory], Any],
+    compare: Callable[[Trajectory, Any, Any], dict[str, float]],
     how: How,
 ) -> Chosen:
     """The integrator that keeps an accuracy at the least work, from runs; what is compared of
@@ -356,7 +356,9 @@ def chosen_for(
         )
     times = np.asarray(saving_times(duration, as_saving(how.save).at))
     rungs = rungs_of(mechanism, times, lambda integrator: check_run(mechanism, integrator))
-    return choose_setting(rungs, repeated(mechanism, duration, how), Question(seen, beside, times))
+    return choose_setting(
+        rungs, repeated(mechanism, duration, how), Question(observe, compare, times)
+    )
 
 
 def repeated(mechanism: Mechanism, duration: float, how: How) -> Again:

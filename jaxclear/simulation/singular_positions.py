@@ -9,10 +9,10 @@ loops with the drives as they move (`_closable`), and does the rank of their Jac
 (`_where_it_ended`)?
 
 Of runs of one mechanism that reach their end, loops that drives hold are looked at all along
-(`met`): the determinant of their rows is 0 at a singular position. Between saved states the motion
-is followed, its loops closed, in parts so short that the determinant cannot miss a zero; what saved
-states show to be far from one is not followed. So what is told does not hang on saving times.
-Newton's method on [loops, determinant] = 0 confirms what is found, or drops it.
+(`singular_positions`): the determinant of their rows is 0 at a singular position. Between saved
+states the motion is followed, its loops closed, in parts so short that the determinant cannot miss
+a zero; what saved states show to be far from one is not followed. So what is told does not hang on
+saving times. Newton's method on [loops, determinant] = 0 confirms what is found, or drops it.
 """
 
 import dataclasses
@@ -62,12 +62,12 @@ CLOSED = 1e-6
 NEARLY = 1e-2
 # A loop is followed in parts in which no coordinate moves farther [rad, longest arms]: a zero of
 # its determinant is a share of a radian from the next. Saved states show as much where their
-# motion between is no more than `SHOWN`.
-FOLLOWED, SHOWN = 0.05, 0.5
+# motion between is no more than `CONFIRMED`.
+FOLLOWED, CONFIRMED = 0.05, 0.5
 # Share of a time over which rates are taken.
 AHEAD = 1e-4
 # Instants within a saving interval at which it is asked how far drives have moved.
-DRIVES_ASKED = 16
+DRIVES_LISTED = 16
 # Parts of a saving interval, steps to close the loops of each, candidates that are kept of it, and
 # steps of Newton's method that confirm one (at a dead centre the drive stands still, and it halves
 # what is left).
@@ -83,8 +83,10 @@ def diagnosed(trajectory: Trajectory) -> Trajectory:
     if is_traced(trajectory.outcome) or np.ndim(trajectory.outcome):
         return trajectory
     if trajectory.succeeded:
-        found = met(trajectory)
-        return dataclasses.replace(trajectory, singular_positions=found) if found else trajectory
+        singular = singular_positions(trajectory)
+        return (
+            dataclasses.replace(trajectory, singular_positions=singular) if singular else trajectory
+        )
     outcome = diagnosed_outcome(trajectory)
     near = None
     if int(outcome) in MAY_BE_SINGULAR:
@@ -114,24 +116,24 @@ def diagnosed_outcome(trajectory: Trajectory) -> Int[Array, ""]:
 
 @eqx.filter_jit
 def _closable(
-    mechanism: Mechanism, q: Float[Array, " q"], start: Any, stop: Any, asked_for: Bool[Array, ""]
+    mechanism: Mechanism, q: Float[Array, " q"], start: Any, stop: Any, requested: Bool[Array, ""]
 ) -> Bool[Array, ""]:
     """Whether coordinates that close the loops follow from q at all times from `start` to `stop`
     [s]; true without a look where that is not asked for."""
-    asked = ask(mechanism, False)
+    problem = ask(mechanism, False)
 
-    def goes_on(carry):
+    def continues(carry):
         done, _, follows = carry
-        return (done < INSTANTS) & follows & asked_for
+        return (done < INSTANTS) & follows & requested
 
     def follow(carry):
         done, q, _ = carry
         time = start + (stop - start) * done / (INSTANTS - 1)
-        q = closed(asked, q, time, ITERATIONS)
-        left = jnp.max(jnp.abs(stacked(asked, blocks_of(asked, q, time))[1]), initial=0.0)
-        return done + 1, q, left <= CLOSED * jnp.minimum(asked.arm, 1.0)
+        q = closed(problem, q, time, ITERATIONS)
+        residual = jnp.max(jnp.abs(stacked(problem, blocks_of(problem, q, time))[1]), initial=0.0)
+        return done + 1, q, residual <= CLOSED * jnp.minimum(problem.arm, 1.0)
 
-    return jax.lax.while_loop(goes_on, follow, (jnp.asarray(0), q, jnp.asarray(True)))[2]
+    return jax.lax.while_loop(continues, follow, (jnp.asarray(0), q, jnp.asarray(True)))[2]
 
 
 def _where_it_ended(history: StateHistory, ended: Any) -> SingularPosition | None:
@@ -151,13 +153,13 @@ def _where_it_ended(history: StateHistory, ended: Any) -> SingularPosition | Non
     rows = np.asarray(rows)[np.asarray(follows)]
     if not rows.size or rows.shape[1] > rows.shape[2] or not np.all(np.isfinite(rows)):
         return None
-    ways, sizes, _ = np.linalg.svd(rows)
+    left_vectors, sizes, _ = np.linalg.svd(rows)
     shares = sizes[:, -1] / sizes[:, 0]
     place = int(np.argmin(shares))
     if shares[place] > NEARLY:
         return None
     # The forces that no motion feels: the loop in which they are largest.
-    forces = ways[place][:, -1] ** 2
+    forces = left_vectors[place][:, -1] ** 2
     each = [float(forces[np.asarray(closures) == k].sum()) for k in range(len(topology.loops))]
     time = np.asarray(instants)[np.asarray(follows)][place]
     return SingularPosition(topology.loops[int(np.argmax(each))], float(time))
@@ -169,21 +171,21 @@ def _carried_on(
 ) -> tuple[Array, Array, Array]:
     """(at each time the Jacobian of the loops' rows that count alike, whether the loops were
     closed there; the place of the loop of each row)."""
-    asked = ask(mechanism, False)
+    problem = ask(mechanism, False)
 
     def follow(q, ahead):
         time, length = ahead
-        q = retract(asked.system, q, length * v)
-        q = closed(asked, q, time, FEW_ITERATIONS, damped=True)
-        blocks = blocks_of(asked, q, time)
-        left = stacked(asked, blocks)[1]
+        q = retract(problem.system, q, length * v)
+        q = closed(problem, q, time, FEW_ITERATIONS, damped=True)
+        blocks = blocks_of(problem, q, time)
+        residual = stacked(problem, blocks)[1]
         # To first order in what is left the position is the same.
-        closed_enough = jnp.max(jnp.abs(left), initial=0.0) <= NEARLY**2 * asked.arm
-        return q, (alike(asked, blocks)[0], closed_enough)
+        closed_enough = jnp.max(jnp.abs(residual), initial=0.0) <= NEARLY**2 * problem.arm
+        return q, (alike(problem, blocks)[0], closed_enough)
 
     lengths = jnp.diff(times, prepend=times[:1])
     rows, follows = jax.lax.scan(follow, q, (times, lengths))[1]
-    sizes = [len(block.left) for block in blocks_of(asked, q, times[0])]
+    sizes = [len(block.left) for block in blocks_of(problem, q, times[0])]
     return rows, follows, jnp.asarray(np.repeat(np.arange(len(sizes)), sizes))
 
 
@@ -192,42 +194,44 @@ class _Rows(NamedTuple):
     its loop."""
 
     entries: list[dict[int, Any]]
-    left: Float[Array, " rows"]
+    residuals: Float[Array, " rows"]
     closures: list[int]
 
 
-def _rows_of(asked: Ask, q: Array, time: Any) -> _Rows:
+def _rows_of(problem: Ask, q: Array, time: Any) -> _Rows:
     """In radians and longest arms."""
-    system, scales = asked.system, speed_scales(asked)
-    motions = motions_at(asked, q, jnp.zeros(system.topology.speed_count), time)[2]
-    entries, left, closures = [], [], []
+    system, scales = problem.system, speed_scales(problem)
+    motions = motions_at(problem, q, jnp.zeros(system.topology.speed_count), time)[2]
+    entries, misfits, closures = [], [], []
     for k, closure in enumerate(system.closures):
-        found = constraints.constraint_rows(system, motions, closure)
-        counts = constraints.measures(closure, found, asked.arm)
-        for measure, row, residual in zip(counts, found.jacobian, found.residuals, strict=True):
+        loop_rows = constraints.constraint_rows(system, motions, closure)
+        counts = constraints.measures(closure, loop_rows, problem.arm)
+        for measure, row, residual in zip(
+            counts, loop_rows.jacobian, loop_rows.residuals, strict=True
+        ):
             entries.append({j: x * scales[j] / measure for j, x in row.items()})
-            left.append(jnp.asarray(residual / measure, float))
+            misfits.append(jnp.asarray(residual / measure, float))
             closures.append(k)
-    return _Rows(entries, jnp.stack(left) if left else jnp.zeros(0), closures)
+    return _Rows(entries, jnp.stack(misfits) if misfits else jnp.zeros(0), closures)
 
 
-def _matrix(rows: _Rows, held: HeldLoop) -> Float[Array, "n n"]:
-    own = [[rows.entries[i].get(j, 0.0) for j in held.columns] for i in held.rows]
-    return jnp.stack([jnp.stack([jnp.asarray(x, float) for x in row]) for row in own])
+def _matrix(rows: _Rows, r: HeldLoop) -> Float[Array, "n n"]:
+    matrix = [[rows.entries[i].get(j, 0.0) for j in r.columns] for i in r.rows]
+    return jnp.stack([jnp.stack([jnp.asarray(x, float) for x in row]) for row in matrix])
 
 
-def _determinants(asked: Ask, q: Array, time: Any) -> Float[Array, " held"]:
-    rows = _rows_of(asked, q, time)
-    found = [jnp.linalg.det(_matrix(rows, held)) for held in held_loops(rows.entries)]
-    return jnp.stack(found) if found else jnp.zeros(0)
+def _determinants(problem: Ask, q: Array, time: Any) -> Float[Array, " held"]:
+    rows = _rows_of(problem, q, time)
+    values = [jnp.linalg.det(_matrix(rows, loop)) for loop in held_loops(rows.entries)]
+    return jnp.stack(values) if values else jnp.zeros(0)
 
 
-def _rates(asked: Ask, q: Array, v: Array, time: Any, length: Any) -> tuple[Array, Array]:
+def _rates(problem: Ask, q: Array, v: Array, time: Any, length: Any) -> tuple[Array, Array]:
     """Determinants of the loops that drives hold, and their rates along a motion, by a difference
     over a share of a `length` [s]: a derivative takes twice as long to compile."""
     ahead = AHEAD * length
-    places = jnp.stack([q, retract(asked.system, q, ahead * v)])
-    now, then = jax.vmap(lambda *at: _determinants(asked, *at))(
+    places = jnp.stack([q, retract(problem.system, q, ahead * v)])
+    now, then = jax.vmap(lambda *at: _determinants(problem, *at))(
         places, time + ahead * jnp.arange(2)
     )
     return now, (then - now) / ahead
@@ -237,17 +241,17 @@ def _rates(asked: Ask, q: Array, v: Array, time: Any, length: Any) -> tuple[Arra
 def _along(mechanism: Mechanism, q: Array, v: Array, times: Array) -> tuple[Array, ...]:
     """At each saved state: determinants, their rates, how fast the fastest coordinate is
     [rad/s, longest arms/s]; and how far the drives move in each saving interval."""
-    asked = ask(mechanism, False)
-    scales = speed_scales(asked)
+    problem = ask(mechanism, False)
+    scales = speed_scales(problem)
     lengths = jnp.diff(times, append=times[-1:] + times[-1:] - times[-2:-1])
-    values, rates = jax.vmap(lambda *state: _rates(asked, *state))(q, v, times, lengths)
-    shares = jnp.linspace(0.0, 1.0, DRIVES_ASKED)
+    values, rates = jax.vmap(lambda *state: _rates(problem, *state))(q, v, times, lengths)
+    shares = jnp.linspace(0.0, 1.0, DRIVES_LISTED)
     instants = times[:-1, None] + jnp.diff(times)[:, None] * shares
     moved = jnp.zeros(len(times) - 1)
     for name in mechanism.driven:
         joint = mechanism.connections[name].joint
         place = jax.vmap(jax.vmap(lambda time, j=joint: 1.0 * j.drive.motion(time)[0]))(instants)
-        unit = asked.arm if joint.units == ("m",) else 1.0
+        unit = problem.arm if joint.units == ("m",) else 1.0
         moved = jnp.maximum(moved, jnp.sum(abs(jnp.diff(place, axis=1)), axis=1) / unit)
     return values, rates, jnp.max(abs(v / scales), axis=1, initial=0.0), moved
 
@@ -257,9 +261,9 @@ class _Candidates(NamedTuple):
     loop, from which coordinates on."""
 
     number: Int[Array, " intervals"]
-    begins: Float[Array, "intervals most"]
+    starts: Float[Array, "intervals most"]
     ends: Float[Array, "intervals most"]
-    held: Int[Array, "intervals most"]
+    loop: Int[Array, "intervals most"]
     places: Float[Array, "intervals most q"]
 
 
@@ -279,41 +283,41 @@ def _followed(
 ) -> _Candidates:
     """The candidates of intervals, from the motion (q, v) at their begins; `spans`: when they begin
     and end [s], and how many of them count."""
-    asked, (q, v), (begins, ends, number) = ask(mechanism, False), motion, spans
-    scales = speed_scales(asked)
+    problem, (q, v), (starts, ends, number) = ask(mechanism, False), motion, spans
+    scales = speed_scales(problem)
 
-    def closer(place, gone, time):
-        step = scales * levenberg(*alike(asked, blocks_of(asked, place, time)), HALVING)
-        return retract(asked.system, place, step), gone + step
+    def closer(place, done, time):
+        step = scales * levenberg(*alike(problem, blocks_of(problem, place, time)), HALVING)
+        return retract(problem.system, place, step), done + step
 
     def part(carry):
-        k, parts, time, place, speed, last, found = carry
-        left = ends[k] - time
+        k, parts, time, place, speed, last, results = carry
+        remaining = ends[k] - time
         fast = jnp.max(abs(speed / scales))
-        length = jnp.minimum(left, FOLLOWED / jnp.maximum(fast, FOLLOWED / left))
-        there = jnp.where(length < left, time + length, ends[k])
-        ahead = retract(asked.system, place, length * speed), length * speed
-        after, gone = jax.lax.fori_loop(0, CLOSING, lambda _, now: closer(*now, there), ahead)
-        now = _rates(asked, after, gone / length, there, length)
+        length = jnp.minimum(remaining, FOLLOWED / jnp.maximum(fast, FOLLOWED / remaining))
+        there = jnp.where(length < remaining, time + length, ends[k])
+        ahead = retract(problem.system, place, length * speed), length * speed
+        after, done = jax.lax.fori_loop(0, CLOSING, lambda _, now: closer(*now, there), ahead)
+        now = _rates(problem, after, done / length, there, length)
         zero = _nearly_zero(last, now, length, usual)
-        any_zero, at = jnp.any(zero), jnp.minimum(found.number[k], CANDIDATES - 1)
+        any_zero, at = jnp.any(zero), jnp.minimum(results.number[k], CANDIDATES - 1)
         keep = lambda array, value: array.at[k, at].set(jnp.where(any_zero, value, array[k, at]))
-        found = _Candidates(
-            found.number.at[k].add(jnp.where(any_zero, 1, 0)),
-            keep(found.begins, time),
-            keep(found.ends, there),
-            keep(found.held, jnp.argmax(zero)),
-            keep(found.places, place),
+        results = _Candidates(
+            results.number.at[k].add(jnp.where(any_zero, 1, 0)),
+            keep(results.starts, time),
+            keep(results.ends, there),
+            keep(results.loop, jnp.argmax(zero)),
+            keep(results.places, place),
         )
-        return k, parts + 1, there, after, gone / length, now, found
+        return k, parts + 1, there, after, done / length, now, results
 
-    def interval(k, found):
-        first = _rates(asked, q[k], v[k], begins[k], ends[k] - begins[k])
-        begun = k, 0, begins[k], q[k], v[k], first, found
-        goes_on = lambda carry: (carry[2] < ends[k]) & (carry[1] < MOST_PARTS)
-        return jax.lax.while_loop(goes_on, part, begun)[-1]
+    def interval(k, results):
+        first = _rates(problem, q[k], v[k], starts[k], ends[k] - starts[k])
+        entry = k, 0, starts[k], q[k], v[k], first, results
+        continues = lambda carry: (carry[2] < ends[k]) & (carry[1] < MOST_PARTS)
+        return jax.lax.while_loop(continues, part, entry)[-1]
 
-    many = (len(begins), CANDIDATES)
+    many = (len(starts), CANDIDATES)
     nothing = _Candidates(
         jnp.zeros(many[0], int),
         jnp.zeros(many),
@@ -326,18 +330,18 @@ def _followed(
 
 @compiled_quickly
 def _confirmed(
-    mechanism: Mechanism, q: Array, begin: Any, end: Any, held: Any, usual: Array
+    mechanism: Mechanism, q: Array, begin: Any, end: Any, loop_index: Any, usual: Array
 ) -> tuple[Array, ...]:
     """(when the loops are closed and the determinant is 0, what is left of either, for each free
     speed how much it moves where nothing moves the loops, for each row its share of the forces
     that no motion feels), by Newton's method from the middle of a time [s] on."""
-    asked = ask(mechanism, False)
-    scales, span = speed_scales(asked), end - begin
+    problem = ask(mechanism, False)
+    scales, span = speed_scales(problem), end - begin
 
     def missed(moved):
-        place, time = retract(asked.system, q, scales * moved[:-1]), begin + span * moved[-1]
-        rows = _rows_of(asked, place, time)
-        return jnp.append(rows.left, (_determinants(asked, place, time) / usual)[held])
+        place, time = retract(problem.system, q, scales * moved[:-1]), begin + span * moved[-1]
+        rows = _rows_of(problem, place, time)
+        return jnp.append(rows.residuals, (_determinants(problem, place, time) / usual)[loop_index])
 
     def nearer_to_it(_, moved):
         step = levenberg(jax.jacfwd(missed)(moved), missed(moved), HALVING)
@@ -345,23 +349,23 @@ def _confirmed(
 
     first = jnp.zeros(len(scales) + 1).at[-1].set(0.5)
     moved = jax.lax.fori_loop(0, NEWTON, nearer_to_it, first)
-    time, place = begin + span * moved[-1], retract(asked.system, q, scales * moved[:-1])
-    rows = _rows_of(asked, place, time)
+    time, place = begin + span * moved[-1], retract(problem.system, q, scales * moved[:-1])
+    rows = _rows_of(problem, place, time)
     columns, forces = [], []
-    for own in held_loops(rows.entries):
-        left, _, right = jnp.linalg.svd(_matrix(rows, own))
-        columns.append(jnp.zeros(len(scales)).at[jnp.array(own.columns)].set(abs(right[-1])))
-        forces.append(jnp.zeros(len(rows.left)).at[jnp.array(own.rows)].set(left[:, -1] ** 2))
+    for part in held_loops(rows.entries):
+        u, _, right = jnp.linalg.svd(_matrix(rows, part))
+        columns.append(jnp.zeros(len(scales)).at[jnp.array(part.columns)].set(abs(right[-1])))
+        forces.append(jnp.zeros(len(rows.residuals)).at[jnp.array(part.rows)].set(u[:, -1] ** 2))
     loops = jnp.zeros(len(mechanism.topology.loops)).at[jnp.array(rows.closures)]
     return (
         time,
         jnp.max(abs(missed(moved))),
-        jnp.stack(columns)[held],
-        loops.add(jnp.stack(forces)[held]),
+        jnp.stack(columns)[loop_index],
+        loops.add(jnp.stack(forces)[loop_index]),
     )
 
 
-def met(trajectory: Trajectory) -> tuple[SingularPosition, ...]:
+def singular_positions(trajectory: Trajectory) -> tuple[SingularPosition, ...]:
     """The singular positions of loops that drives hold, in a run of one mechanism that has reached
     its end; nothing is worked out where no drive moves a loop."""
     history = trajectory.history
@@ -382,17 +386,21 @@ def met(trajectory: Trajectory) -> tuple[SingularPosition, ...]:
         return ()
     places = np.resize(doubtful, 2 ** int(np.ceil(np.log2(max(len(doubtful), 8)))))
     spans = times[places], times[places + 1], jnp.asarray(len(doubtful))
-    found = _followed(mechanism, (q[places], v[places]), spans, jnp.asarray(usual))
+    candidates = _followed(mechanism, (q[places], v[places]), spans, jnp.asarray(usual))
     sure = []
     for k in range(len(doubtful)):
-        for at in range(min(int(found.number[k]), CANDIDATES)):
-            begin, end, held = found.begins[k, at], found.ends[k, at], found.held[k, at]
-            one = _confirmed(mechanism, found.places[k, at], begin, end, held, usual)
-            time, left = float(one[0]), float(one[1])
+        for at in range(min(int(candidates.number[k]), CANDIDATES)):
+            begin, end, loop = (
+                candidates.starts[k, at],
+                candidates.ends[k, at],
+                candidates.loop[k, at],
+            )
+            one = _confirmed(mechanism, candidates.places[k, at], begin, end, loop, usual)
+            time, residual = float(one[0]), float(one[1])
             near = begin - (end - begin) <= time <= end + (end - begin)
-            if left <= CLOSED and near:
-                sure.append((time, int(held), np.asarray(one[2]), np.asarray(one[3])))
-    return _told(history, sure, instants, values, np.asarray(v))
+            if residual <= CLOSED and near:
+                sure.append((time, int(loop), np.asarray(one[2]), np.asarray(one[3])))
+    return _describe(history, sure, instants, values, np.asarray(v))
 
 
 def _doubtful(
@@ -405,10 +413,10 @@ def _doubtful(
     reached |= after < 2 * steps * abs(rates[1:])
     moved = np.maximum(lengths * np.maximum(fast[:-1], fast[1:]), driven)
     changed = values[:-1] * values[1:] <= 0
-    return np.any(reached | changed, axis=1) | (moved > SHOWN)
+    return np.any(reached | changed, axis=1) | (moved > CONFIRMED)
 
 
-def _told(
+def _describe(
     history: StateHistory, sure: list[tuple], times: np.ndarray, values: np.ndarray, v: np.ndarray
 ) -> tuple[SingularPosition, ...]:
     """What is found, each once, with what the run did there."""
@@ -416,24 +424,24 @@ def _told(
     alone: list[tuple] = []
     for one in sorted(sure, key=lambda one: one[0]):
         close = CLOSED * (times[-1] - times[0])
-        if not any(one[1] == known[1] and one[0] - known[0] <= close for known in alone):
+        if not any(one[1] == other[1] and one[0] - other[0] <= close for other in alone):
             alone.append(one)
     speeds = [branch.name for branch in topology.branches for _ in range(branch.speed_count)]
-    found = []
-    for time, held, columns, forces in alone:
-        clear = abs(values[:, held]) > NEARLY * np.max(abs(values[:, held]))
+    positions = []
+    for time, driven, columns, forces in alone:
+        clear = abs(values[:, driven]) > NEARLY * np.max(abs(values[:, driven]))
         before = np.flatnonzero(clear & (times < time))
         after = np.flatnonzero(clear & (times > time))
         # Of several that move alike the one nearest to the ground.
         free = int(np.argmax(columns > 0.5 * np.max(columns)))
-        turned, around = None, (0.0, 0.0)
+        reversed_, around = None, (0.0, 0.0)
         if len(before) and len(after):
             a, b = before[-1], after[0]
-            between = [x for x in alone if x[1] == held and times[a] < x[0] < times[b]]
+            between = [x for x in alone if x[1] == driven and times[a] < x[0] < times[b]]
             if len(between) == 1:
-                turned = bool(values[a, held] * values[b, held] > 0)
+                reversed_ = bool(values[a, driven] * values[b, driven] > 0)
                 around = float(v[a, free]), float(v[b, free])
         loop = topology.loops[int(np.argmax(forces))]
         drives = history.mechanism.driven
-        found.append(SingularPosition(loop, time, speeds[free], drives, turned, around))
-    return tuple(found)
+        positions.append(SingularPosition(loop, time, speeds[free], drives, reversed_, around))
+    return tuple(positions)

@@ -31,23 +31,23 @@ def unworn(system: System) -> Worn:
     }
 
 
-def worn_as_given(mechanism: Mechanism, given: Worn | None) -> Worn | None:
+def initial_depths(mechanism: Mechanism, depths: Worn | None) -> Worn | None:
     """Depth maps from which a run sets out: those given [m], by joint and surface, zero where
     nothing is given; None for None. Raises `ValueError` with a sentence for what is no such map."""
-    if given is None:
+    if depths is None:
         return None
     cells = {
-        name: {surface: wear_map.cells for surface, (wear_map, _) in own.maps().items()}
-        for name, own in wearing_in(mechanism).items()
+        name: {surface: wear_map.cells for surface, (wear_map, _) in maps.maps().items()}
+        for name, maps in wearing_in(mechanism).items()
     }
-    for joint, surfaces in given.items():
+    for joint, surfaces in depths.items():
         check_name("worn joint", joint, cells, " in this mechanism")
         for surface in surfaces:
             check_name("worn surface", surface, cells[joint], f' of joint "{joint}"')
     return {
         joint: {
-            surface: _depths(f'worn["{joint}"]["{surface}"]', given[joint][surface], shape)
-            if surface in given.get(joint, {})
+            surface: _depths(f'worn["{joint}"]["{surface}"]', depths[joint][surface], shape)
+            if surface in depths.get(joint, {})
             else jnp.zeros(shape)
             for surface, shape in surfaces.items()
         }
@@ -79,7 +79,7 @@ def _depths(name: str, depths: Any, cells: tuple[int, ...]) -> Array:
     return depths
 
 
-def lost_between(
+def losses_between(
     layout: Layout, states: Float[Array, "time n"], every: int = 1
 ) -> dict[tuple[str, str], tuple[Array, ...]]:
     """What each surface lost from one saving time to the next, in a run that had these states then
@@ -89,12 +89,12 @@ def lost_between(
     return jax.vmap(lambda before, after: losses(layout, before, after))(some[:-1], some[1:])
 
 
-def worn_by(system: System, worn: Worn, lost: Losses) -> Worn:
+def worn_by(system: System, worn: Worn, losses: Losses) -> Worn:
     """Depth maps after losses one after the other, whose arrays have an axis of time in front. No
     derivatives."""
-    if not lost:
+    if not losses:
         return worn
-    system, worn, lost = constant((system, worn, lost))
+    system, worn, losses = constant((system, worn, losses))
     maps = wear_maps(system)
     if has_kernels():
         # No gap reads these surfaces.
@@ -102,30 +102,30 @@ def worn_by(system: System, worn: Worn, lost: Losses) -> Worn:
             (joint, surface): tuple(
                 jnp.zeros(maps[joint][surface][0].cells) for _ in range(volumes.shape[1])
             )
-            for (joint, surface), (volumes, _) in lost.items()
+            for (joint, surface), (volumes, _) in losses.items()
         }
 
-        def turn(now, lost):
+        def turn(now, losses):
             worn, pressures = now
-            worn, pressures = {name: dict(own) for name, own in worn.items()}, dict(pressures)
-            for (joint, surface), event in lost.items():
-                given = worn[joint][surface], None, pressures[joint, surface]
-                found = maps[joint][surface][0].deposit_in_turn(*given, *event)
-                worn[joint][surface], _, pressures[joint, surface] = found
+            worn, pressures = {name: dict(m) for name, m in worn.items()}, dict(pressures)
+            for (joint, surface), event in losses.items():
+                inputs = worn[joint][surface], None, pressures[joint, surface]
+                result = maps[joint][surface][0].deposit_in_turn(*inputs, *event)
+                worn[joint][surface], _, pressures[joint, surface] = result
             return (worn, pressures), ()
 
-        return scan(turn, (worn, spare), lost, long=True)[0][0]
+        return scan(turn, (worn, spare), losses, long=True)[0][0]
     numbers, rest = eqx.partition(system, eqx.is_array)
 
-    def through(numbers, worn, lost):
+    def through(numbers, worn, losses):
         system = eqx.combine(numbers, rest)
         one = lambda worn, events: (deposited(system, worn, events), None)
-        return jax.lax.scan(one, worn, lost)[0]
+        return jax.lax.scan(one, worn, losses)[0]
 
-    return one_by_one(through)(numbers, worn, lost)
+    return one_by_one(through)(numbers, worn, losses)
 
 
-def left_its_surface(system: System, layout: Layout, state: Array) -> Any:
+def is_off_surface(system: System, layout: Layout, state: Array) -> Any:
     """Whether locations of wear are all that is no number in a state, because a part has left the
     surface that it wears; False where none can."""
     maps = wear_maps(system)
@@ -135,35 +135,35 @@ def left_its_surface(system: System, layout: Layout, state: Array) -> Any:
             places += range(slot.start + 1, slot.start + 1 + len(slot.averaged))
     if not places:
         return False
-    known = jnp.isfinite(state)
-    return jnp.all(known.at[np.array(places)].set(True)) & ~jnp.all(known)
+    finite = jnp.isfinite(state)
+    return jnp.all(finite.at[np.array(places)].set(True)) & ~jnp.all(finite)
 
 
 def losses(layout: Layout, before: Array, after: Array) -> Losses:
     """What each surface lost between two states."""
-    lost: dict[tuple[str, str], list] = {}
+    events: dict[tuple[str, str], list] = {}
     for slot in layout.wear:
-        lost.setdefault((slot.bearing, slot.surface), []).append(slot.loss(before, after))
+        events.setdefault((slot.bearing, slot.surface), []).append(slot.loss(before, after))
     return {
         surface: tuple(jnp.stack(parts) for parts in zip(*events, strict=True))
-        for surface, events in lost.items()
+        for surface, events in events.items()
     }
 
 
-def deposited(system: System, worn: Worn, lost: Losses) -> Worn:
+def deposited(system: System, worn: Worn, losses: Losses) -> Worn:
     """Depth maps after these losses."""
     worn, maps = {name: dict(surfaces) for name, surfaces in worn.items()}, wear_maps(system)
-    for (bearing, surface), (volumes, places) in lost.items():
+    for (bearing, surface), (volumes, places) in losses.items():
         wear_map = maps[bearing][surface][0]
         # All events of a surface see it as it was: none comes before the others.
         worn[bearing][surface] = wear_map.deposit(worn[bearing][surface], volumes, places)
     return worn
 
 
-def longest_path(system: System, lost: Losses) -> Array:
+def longest_path(system: System, losses: Losses) -> Array:
     """The longest path [cells] of a contact on the surface that it wears, in these losses."""
     maps, paths = wear_maps(system), [jnp.zeros(())]
-    for (joint, surface), (volumes, places) in lost.items():
+    for (joint, surface), (volumes, places) in losses.items():
         path = maps[joint][surface][0].path
         # Where nothing is lost, locations are zeros.
         paths += [
@@ -192,22 +192,22 @@ def pending_wear(system: System, layout: Layout, state: Array) -> Pending:
 
 
 def worn_so_far(
-    system: System, layout: Layout, now: tuple[Worn, Any, Pending], state: Array, due: Any = None
+    system: System, layout: Layout, now: tuple[Worn, Any, Pending], state: Array, wears: Any = None
 ) -> tuple[Worn, Any, Pending]:
     """(depth maps, as gaps read them, what is pending) once surfaces are worn by all that was lost
-    up to a state, where they are `due` (None: they are): cell by cell, for a kernel. None where no
-    gap reads one.
+    up to a state, where they are `wears` (None: they are): cell by cell, for a kernel. None where
+    no gap reads one.
     """
     worn, read, before = now
     entries = _of_wear(layout)
-    reached = state[entries] if due is None else jnp.where(due, state[entries], before.since)
-    lost = losses(layout, *(state.at[entries].set(each) for each in (before.since, reached)))
-    worn, read = ({name: dict(own) for name, own in each.items()} for each in (worn, read))
+    reached = state[entries] if wears is None else jnp.where(wears, state[entries], before.since)
+    events = losses(layout, *(state.at[entries].set(each) for each in (before.since, reached)))
+    worn, read = ({name: dict(m) for name, m in each.items()} for each in (worn, read))
     maps, pressures = wear_maps(system), dict(before.pressures)
-    for (joint, surface), (volumes, places) in lost.items():
-        given = worn[joint][surface], read[joint][surface], pressures[joint, surface]
-        found = maps[joint][surface][0].deposit_in_turn(*given, volumes, places)
-        worn[joint][surface], read[joint][surface], pressures[joint, surface] = found
+    for (joint, surface), (volumes, places) in events.items():
+        inputs = worn[joint][surface], read[joint][surface], pressures[joint, surface]
+        result = maps[joint][surface][0].deposit_in_turn(*inputs, volumes, places)
+        worn[joint][surface], read[joint][surface], pressures[joint, surface] = result
     return worn, read, Pending(reached, pressures)
 
 
@@ -219,27 +219,27 @@ def _of_wear(layout: Layout) -> slice:
     return slice(layout.wear[0].start, last.start + 1 + len(last.averaged))
 
 
-def worn_at_once(system: System, worn: Worn, _: Worn, lost: Losses) -> tuple[Worn, Worn]:
+def wear_all(system: System, worn: Worn, _: Worn, losses: Losses) -> tuple[Worn, Worn]:
     """Depth maps after these losses, and as gaps read them."""
-    worn = deposited(system, worn, lost)
+    worn = deposited(system, worn, losses)
     return worn, readings(system, worn)
 
 
-def worn_where_lost(system: System, worn: Worn, read: Worn, lost: Losses) -> tuple[Worn, Worn]:
-    """As `worn_at_once`, and surfaces that lost nothing stay as they are. Of a batch one sample
+def wear_changed(system: System, worn: Worn, read: Worn, losses: Losses) -> tuple[Worn, Worn]:
+    """As `wear_all`, and surfaces that lost nothing stay as they are. Of a batch one sample
     after the other, so that each enters only what its own losses ask for. Not for derivatives in
     reverse mode."""
-    if not lost:
+    if not losses:
         return worn, read
     numbers, rest = eqx.partition(system, eqx.is_array)
 
-    def one(numbers, worn, read, lost):
+    def one(numbers, worn, read, losses):
         # A loop of one turn or none: XLA makes one function of a loop that stands by itself. In a
         # turn of a longer loop it starts operation by operation, some in another thread.
-        some = [jnp.any(volumes != 0) for volumes, _ in lost.values()]
+        some = [jnp.any(volumes != 0) for volumes, _ in losses.values()]
         system = eqx.combine(numbers, rest)
-        turn = lambda now: (jnp.zeros((), bool), *worn_at_once(system, now[1], now[2], lost))
+        turn = lambda now: (jnp.zeros((), bool), *wear_all(system, now[1], now[2], losses))
         begin = jnp.any(jnp.stack(some)), worn, read
         return jax.lax.while_loop(lambda now: now[0], turn, begin)[1:]
 
-    return one_by_one(one)(numbers, worn, read, lost)
+    return one_by_one(one)(numbers, worn, read, losses)

@@ -92,14 +92,14 @@ class Rounded(eqx.Module):
 
 def rounded(mechanism: Any) -> Rounded:
     """Of a mechanism with numbers."""
-    found = {}
+    radii = {}
     for name in mechanism.topology.clearances:
         joint = mechanism.connections[name].joint
         slopes = jax.jacfwd(lambda place, joint=joint: jnp.stack(_overlaps(joint, place)))
         steep = np.abs(np.asarray(slopes(jnp.zeros(6)))).max(axis=1)
         roomy = -np.asarray(jnp.stack(_at_the_middle(joint))) > 0
-        found[name] = tuple(bool(x) for x in (steep < LEVEL) & roomy)
-    return Rounded(found)
+        radii[name] = tuple(bool(x) for x in (steep < LEVEL) & roomy)
+    return Rounded(radii)
 
 
 def _overlaps(joint: AbstractClearance, place: Array) -> list:
@@ -148,26 +148,26 @@ def restraints(case: Case, q: Array) -> tuple[Array, Array]:
     """What is left of the loops' closure [m, 1], and the gaps of all contacts [m]."""
     system = case.system
     motions = _motions(system, q)[2]
-    rows = [own.residuals for own in loop_rows(system, motions)]
+    rows = [rows_of.residuals for rows_of in loop_rows(system, motions)]
     gaps: list[Any] = []
     for name, bearing in system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]
         depths = contact_point.depths(bearing.joint, pose, {})
         gaps += case.rounded.gaps(name, bearing.joint, depths)
-    return sp.stack([x for own in rows for x in own]), sp.stack(gaps)
+    return sp.stack([x for rows_of in rows for x in rows_of]), sp.stack(gaps)
 
 
 def terms(case: Case, measures: Measures, q: Array, closing: Array, pushing: Array) -> Terms:
     """What is to be 0 at coordinates, under multipliers of loops and normal forces without
     units."""
 
-    def beside(step):
+    def at_step(step):
         loops, gaps = restraints(case, retract(case.system, q, measures.speeds * step))
         return loops / measures.loops, gaps / measures.arm
 
-    (loops, gaps), along = jax.vjp(beside, jnp.zeros(len(measures.speeds)))
-    (held,) = along((closing, pushing))
-    return Terms(work(case, q) * measures.speeds / measures.energy + held, loops, gaps)
+    (loops, gaps), along = jax.vjp(at_step, jnp.zeros(len(measures.speeds)))
+    (pushes,) = along((closing, pushing))
+    return Terms(work(case, q) * measures.speeds / measures.energy + pushes, loops, gaps)
 
 
 def measures_of(case: Case, q: Array) -> Measures:
@@ -179,15 +179,15 @@ def measures_of(case: Case, q: Array) -> Measures:
     speeds = speed_scales(system, arm)
     motions = _motions(system, q)[2]
     each = zip(system.closures, loop_rows(system, motions), strict=True)
-    units = [x for closure, own in each for x in constraints.measures(closure, own, arm)]
+    units = [x for closure, u in each for x in constraints.measures(closure, u, arm)]
     rooms = _rooms(case)
     # There, and a play away along every freedom; a radian where there is none.
     play = jnp.max(rooms, initial=0.0, where=rooms > 0) / arm if len(rooms) else 1.0
     both = jnp.array([0.0, 1.0])[:, None] * play * speeds
-    there, beside = jax.vmap(lambda step: work(case, retract(system, q, step)) * speeds)(both)
+    there, changed = jax.vmap(lambda step: work(case, retract(system, q, step)) * speeds)(both)
     weight = sum(link.mass for link in system.links) * sp.norm(system.gravity)
     energy = weight * arm + jnp.max(jnp.abs(there), initial=0.0)
-    energy = energy + jnp.max(jnp.abs(beside - there), initial=0.0)
+    energy = energy + jnp.max(jnp.abs(changed - there), initial=0.0)
     energy = jax.lax.stop_gradient(jnp.where(energy > 0, energy, 1.0))
     return Measures(speeds, jax.lax.stop_gradient(sp.stack(units)), arm, energy)
 

@@ -35,14 +35,14 @@ MOST_TURNS, LAST_TURNS = 300, 4
 # Source, eqs. 7, 8, 15: by which the barrier falls, when it may, how much of a slack a step leaves.
 # Where it begins and ends, beside the work of the largest force over the play.
 BARRIER_FALLS, BARRIER_POWER, SETTLED_AT, LEAVES = 0.2, 1.5, 10.0, 0.005
-BARRIER_BEGINS, BARRIER_ENDS = 0.1, 1e-10
+FIRST_BARRIER, LAST_BARRIER = 0.1, 1e-10
 # Of a step in radians or shares of the longest arm; how often it is halved until the merit falls by
 # this share of what it promises (Armijo's rule).
 LONGEST, HALVINGS, PROMISED = 0.3, 12, 1e-4
 # Beside the largest singular value of loops, or of all equations: what counts as 0.
 DEPENDENT, SINGULAR = 1e-9, 1e-11
 # What is left where a position is found, without units; of gaps beside the longest arm.
-LEFT = 1e-9
+TINY = 1e-9
 # By how much a contact may pull beside the largest force: rounding where several share what one
 # could carry.
 PULLS = 1e-6
@@ -52,7 +52,7 @@ FLAT, ROUNDING = 1e-9, 1e-12
 # Rounding of lengths and forces that follow from others, in units of the last place of the largest.
 ROUNDED = 100
 # Beside the play: how far from its start the search begins.
-BESIDE = 1e-3
+STEP = 1e-3
 # How near a place from which the energy falls to both sides counts as at it, and how far it is
 # left [rad, longest arms].
 AT_A_SADDLE, PUSHED = 1e-6, 1e-3
@@ -97,25 +97,27 @@ class ByEnergy(eqx.Module):
     def each(self, scene: Posed, position: Array, starts: Rest) -> Rest:
         """Where it rests at positions (positions, drives), each from its own start; pure."""
         if is_traced((scene, position, starts)) or is_tracing():
-            one = lambda own, start: settle(scene.at(own), start, self, near=True)
+            one = lambda p, start: settle(scene.at(p), start, self, near=True)
             return _split_before(jax.vmap(one)(position, starts), starts)
         # One after the other, by the program that has led from one to the next.
         count = range(len(position))
-        found = [
+        rest = [
             self.alone(scene.at(position[i]), jax.tree.map(lambda x, i=i: x[i], starts))
             for i in count
         ]
-        return _split_before(jax.tree.map(lambda *own: jnp.stack(own), *found), starts)
+        return _split_before(jax.tree.map(lambda *p: jnp.stack(p), *rest), starts)
 
     def read(self, scene: Posed, position: Array, spots: Rest) -> Read:
         """What is read of the mechanism at positions (positions, drives) and where it rests."""
-        lies = lambda own, spot: equilibrium.offsets(_case(scene.at(own), spot, self), spot.q)
-        seats = jax.vmap(lies)(position, spots)
-        held = (spots.closing, spots.pushes, spots.angles, spots.loose, spots.split)
-        carried = Carried(*held, self.rounded, self.side)
+        offsets = lambda place, spot: equilibrium.offsets(
+            _case(scene.at(place), spot, self), spot.q
+        )
+        seats = jax.vmap(offsets)(position, spots)
+        unknowns = (spots.closing, spots.pushes, spots.angles, spots.loose, spots.split)
+        carried = Carried(*unknowns, self.rounded, self.side)
         moving = {name: tuple(range(SEAT)) for name in seats}
-        found = spots.change <= LEFT
-        return Read(spots.q, seats, found, 1.0, moving, None, carried)
+        is_solved = spots.change <= TINY
+        return Read(spots.q, seats, is_solved, 1.0, moving, None, carried)
 
     def amiss(self, scene: Posed, spot: Rest) -> tuple[dict[str, Any], dict[str, Any]]:
         """By how much loops are open [m, 1] and journals deep in their bearings [m], by joint."""
@@ -152,30 +154,30 @@ class Search(NamedTuple):
     here: Linear
 
 
-def settle(scene: Posed, start: Rest, way: ByEnergy, near: bool = False) -> Rest:
+def settle(scene: Posed, start: Rest, method: ByEnergy, near: bool = False) -> Rest:
     """Where the mechanism rests, sought from a start; pure, with the derivatives of the solved
     equations with respect to the numbers of the scene. `near`: the start is where a mechanism of
     nearly the same numbers rests, so that the same contacts may carry."""
     arrays, rest = eqx.partition(scene, eqx.is_inexact_array)
 
     @jax.custom_jvp
-    def found(arrays, start):
-        case = _case(eqx.combine(arrays, rest), start, way)
+    def solution(arrays, start):
+        case = _case(eqx.combine(arrays, rest), start, method)
         measures = equilibrium.measures_of(case, start.q)
-        begun = _begun(case, measures, start.q)
+        first = _first_search(case, measures, start.q)
         if near:
-            begun = _continued(case, measures, begun, start)
-        return _rest(case, measures, _searched(case, measures, begun), start)
+            first = _continued(case, measures, first, start)
+        return _rest(case, measures, _searched(case, measures, first), start)
 
-    @found.defjvp
+    @solution.defjvp
     def tangents(primals, moved):
-        out = found(*primals)
-        return out, _tangent(primals[0], moved[0], rest, out, way)
+        out = solution(*primals)
+        return out, _tangent(primals[0], moved[0], rest, out, method)
 
-    return found(arrays, start)
+    return solution(arrays, start)
 
 
-def begun(scene: Posed) -> tuple[Rest, ByEnergy]:
+def initial_rest(scene: Posed) -> tuple[Rest, ByEnergy]:
     """Where the search begins, with journals in the middle of their bearings where the loops let
     them, and how it goes on."""
     try:
@@ -184,13 +186,13 @@ def begun(scene: Posed) -> tuple[Rest, ByEnergy]:
         # Journals that share a load need not be concentric, all at once; what does not fit at all
         # is refused, by name, where nothing is found from there.
         start = nearest(scene.mechanism, False).start
-    way = ByEnergy(equilibrium.rounded(scene.mechanism), jnp.ones(()))
-    asked = ask(scene.mechanism, False)
-    system, still = asked.system, jnp.zeros(asked.system.topology.speed_count)
-    motions = motions_at(asked, start.coordinates, still, 0.0)[2]
-    names = tuple(name for name, own in system.measured.items() if own.followed)
+    method = ByEnergy(equilibrium.rounded(scene.mechanism), jnp.ones(()))
+    problem = ask(scene.mechanism, False)
+    system, still = problem.system, jnp.zeros(problem.system.topology.speed_count)
+    motions = motions_at(problem, start.coordinates, still, 0.0)[2]
+    names = tuple(name for name, joint in system.measured.items() if joint.followed)
     angles = angles_at_start(scene.mechanism, system, names, motions)
-    case = equilibrium.case_of(scene, way.side, angles, way.rounded)
+    case = equilibrium.case_of(scene, method.side, angles, method.rounded)
     # Not by `jax.eval_shape`, which hides what is zero whatever moves.
     loops, gaps = equilibrium.restraints(case, start.coordinates)
     nothing = jnp.zeros(())
@@ -205,34 +207,34 @@ def begun(scene: Posed) -> tuple[Rest, ByEnergy]:
         still,
         jnp.zeros((), bool),
     )
-    return rest, way
+    return rest, method
 
 
-def _split_before(found: Rest, starts: Rest) -> Rest:
+def _split_before(rest: Rest, starts: Rest) -> Rest:
     """What was found, from where a side had been taken before."""
-    return eqx.tree_at(lambda own: own.split, found, found.split | starts.split)
+    return eqx.tree_at(lambda r: r.split, rest, rest.split | starts.split)
 
 
 _settled = compiled_quickly(settle)
 
 
-def _case(scene: Posed, start: Rest, way: ByEnergy) -> Case:
-    return equilibrium.case_of(scene, way.side, start.angles, way.rounded)
+def _case(scene: Posed, start: Rest, method: ByEnergy) -> Case:
+    return equilibrium.case_of(scene, method.side, start.angles, method.rounded)
 
 
 def linear(case: Case, measures: Measures, q: Array, closing: Array, pushing: Array) -> Linear:
     """The equations at coordinates with their derivatives."""
 
-    def beside(step):
+    def at_step(step):
         there = retract(case.system, q, measures.speeds * step)
         now = equilibrium.terms(case, measures, there, closing, pushing)
         return now, now
 
-    rows, now = jax.jacfwd(beside, has_aux=True)(jnp.zeros(len(measures.speeds)))
+    rows, now = jax.jacfwd(at_step, has_aux=True)(jnp.zeros(len(measures.speeds)))
     return Linear(now, -0.5 * (rows.balance + rows.balance.T), rows.loops, rows.gaps)
 
 
-def _begun(case: Case, measures: Measures, q: Array) -> Search:
+def _first_search(case: Case, measures: Measures, q: Array) -> Search:
     """The search at its beginning."""
     # Not by `jax.eval_shape`, which hides what is zero whatever moves.
     counts = equilibrium.restraints(case, q)
@@ -241,10 +243,10 @@ def _begun(case: Case, measures: Measures, q: Array) -> Search:
     none = lambda *shape: jnp.zeros(shape)
     now = Terms(none(free), none(rows), none(contacts))
     # Without contacts there is no barrier that had to fall.
-    barrier = (BARRIER_BEGINS if contacts else _ends_at(play)) * play
+    barrier = (FIRST_BARRIER if contacts else _ends_at(play)) * play
     slacks = jnp.full(contacts, play)
     # A journal in its very middle does not know a direction.
-    aside = BESIDE * play * jnp.cos(1.0 + jnp.arange(free))
+    aside = STEP * play * jnp.cos(1.0 + jnp.arange(free))
     return Search(
         retract(case.system, q, measures.speeds * aside) if contacts else q,
         slacks,
@@ -261,7 +263,7 @@ def _begun(case: Case, measures: Measures, q: Array) -> Search:
     )
 
 
-def _continued(case: Case, measures: Measures, begun: Search, start: Rest) -> Search:
+def _continued(case: Case, measures: Measures, first: Search, start: Rest) -> Search:
     """The search at its end, where Newton's method on the contacts that carry at the start leads to
     a place of rest; else at its beginning."""
 
@@ -271,39 +273,39 @@ def _continued(case: Case, measures: Measures, begun: Search, start: Rest) -> Se
 
     closing = start.closing * measures.loops / measures.energy
     pushing = start.pushes * measures.arm / measures.energy
-    now = begun._replace(q=start.q, closing=closing, pushing=pushing, carries=start.carries)
-    unfinished = lambda now: (now.last == 0) | ((_left(now) > LEFT) & (now.last <= LAST_TURNS))
+    now = first._replace(q=start.q, closing=closing, pushing=pushing, carries=start.carries)
+    unfinished = lambda now: (now.last == 0) | ((_residual(now) > TINY) & (now.last <= LAST_TURNS))
     now = jax.lax.while_loop(unfinished, stepped, now)
     now = now._replace(last=jnp.full_like(now.last, LAST_TURNS + 1))
     loose, saddle = _loose(now.here, now.carries)
     # Along what nothing resists the barrier says where a journal lies.
-    rests = _is_sound(now) & (_left(now) <= LEFT) & ~saddle & ~jnp.any(loose > 0)
-    return jax.tree.map(lambda a, b: jnp.where(rests, a, b), now, begun)
+    rests = _is_sound(now) & (_residual(now) <= TINY) & ~saddle & ~jnp.any(loose > 0)
+    return jax.tree.map(lambda a, b: jnp.where(rests, a, b), now, first)
 
 
-def _searched(case: Case, measures: Measures, begun: Search) -> Search:
+def _searched(case: Case, measures: Measures, first: Search) -> Search:
     """Where contacts that carry are closed and the others carry nothing, to rounding; or what is
     reached in `MOST_TURNS`."""
     play = equilibrium.play(case, measures)
 
-    def turned(now):
-        then = _turned(case, measures, now, play)
+    def advance(now):
+        then = _advance(case, measures, now, play)
         numbers = jax.tree.leaves((then.q, then.slacks, then.pushing, then.closing))
         fine = jnp.all(jnp.isfinite(jnp.concatenate(numbers)))
-        given_up = now._replace(turns=jnp.full_like(now.turns, MOST_TURNS))
-        return jax.tree.map(lambda a, b: jnp.where(fine, a, b), then, given_up)
+        stopped = now._replace(turns=jnp.full_like(now.turns, MOST_TURNS))
+        return jax.tree.map(lambda a, b: jnp.where(fine, a, b), then, stopped)
 
     unfinished = lambda now: (now.last <= LAST_TURNS) & (now.turns < MOST_TURNS)
-    return jax.lax.while_loop(unfinished, turned, begun)
+    return jax.lax.while_loop(unfinished, advance, first)
 
 
-def _turned(case: Case, measures: Measures, now: Search, play: Array) -> Search:
+def _advance(case: Case, measures: Measures, now: Search, play: Array) -> Search:
     """The search after a turn: towards the least energy within the barrier, or, once this has
     ended, Newton's step on the contacts that carry."""
     here = linear(case, measures, now.q, now.closing, now.pushing)
     first = now.turns == 0
     # Slacks begin as wide as the gaps, as far as these are open.
-    gaps = jnp.maximum(here.now.gaps, BARRIER_BEGINS * play)
+    gaps = jnp.maximum(here.now.gaps, FIRST_BARRIER * play)
     slacks = jnp.where(first, gaps, now.slacks)
     now = now._replace(slacks=slacks, here=here, turns=now.turns + 1)
     now = _lowered(now, play, first)
@@ -315,16 +317,16 @@ def _turned(case: Case, measures: Measures, now: Search, play: Array) -> Search:
 def _lowered(now: Search, play: Array, first: Array) -> Search:
     """The search with a lower barrier where it has settled within this one (source, eqs. 5, 7), and
     without one where that was the last."""
-    own = now.here.now
+    terms_now = now.here.now
     parts = (
-        own.balance,
-        own.loops / play,
-        (own.gaps - now.slacks) / play,
+        terms_now.balance,
+        terms_now.loops / play,
+        (terms_now.gaps - now.slacks) / play,
         (now.slacks * now.pushing - now.barrier) / play,
     )
-    left = jnp.max(jnp.abs(jnp.concatenate(parts)), initial=0.0)
+    residual = jnp.max(jnp.abs(jnp.concatenate(parts)), initial=0.0)
     relative, least = now.barrier / play, _ends_at(play)
-    settled = ~first & (left <= SETTLED_AT * jnp.maximum(relative, least))
+    settled = ~first & (residual <= SETTLED_AT * jnp.maximum(relative, least))
     ends = settled & (relative <= least) & (now.last == 0)
     falls = settled & ~ends & (now.last == 0)
     lower = jnp.minimum(BARRIER_FALLS * relative, relative**BARRIER_POWER)
@@ -345,19 +347,19 @@ def _lowered(now: Search, play: Array, first: Array) -> Search:
 
 def _ends_at(play: Array) -> Array:
     """The last barrier, beside the play; not below what rounding of lengths is beside that."""
-    return jnp.maximum(BARRIER_ENDS, ROUNDED * jnp.finfo(float).eps / play)
+    return jnp.maximum(LAST_BARRIER, ROUNDED * jnp.finfo(float).eps / play)
 
 
 def _within(case: Case, measures: Measures, now: Search) -> Search:
     """The search after a step within the barrier."""
-    here, own = now.here, now.here.now
+    here, terms_now = now.here, now.here.now
     free, across = _directions(here.rows)
-    inside, stiff = own.gaps - now.slacks, now.pushing / now.slacks
+    inside, stiff = terms_now.gaps - now.slacks, now.pushing / now.slacks
     # Contacts count with the stiffness that the barrier gives them (source, eq. 11).
     bends = here.bends + (here.gaps.T * stiff) @ here.gaps
-    forces = own.balance - here.rows.T @ now.closing - here.gaps.T @ now.pushing
+    forces = terms_now.balance - here.rows.T @ now.closing - here.gaps.T @ now.pushing
     pull = forces + here.gaps.T @ (now.barrier / now.slacks - stiff * inside)
-    closed = -across.T @ own.loops
+    closed = -across.T @ terms_now.loops
     along, split = _downhill(free, bends, pull - bends @ closed)
     step = closed + along
     closing = across @ (bends @ step - pull)
@@ -365,7 +367,7 @@ def _within(case: Case, measures: Measures, now: Search) -> Search:
     pushing = now.barrier / now.slacks - stiff * slack - now.pushing
     size = jnp.max(jnp.abs(step), initial=0.0)
     most = jnp.minimum(LONGEST / jnp.maximum(size, LONGEST), _inside(now.slacks, slack))
-    trial = _trial(case, measures, now, (forces, step, slack), (own.loops, inside, closing))
+    trial = _trial(case, measures, now, (forces, step, slack), (terms_now.loops, inside, closing))
     share = _halved(trial, most)
     return now._replace(
         q=retract(case.system, now.q, measures.speeds * share * step),
@@ -395,19 +397,19 @@ def _directions(rows: Array) -> tuple[Array, Array]:
     count = rows.shape[1]
     if not len(rows):
         return jnp.eye(count), jnp.zeros((0, count))
-    left, sizes, right = jnp.linalg.svd(rows, full_matrices=False)
+    left_vectors, sizes, right = jnp.linalg.svd(rows, full_matrices=False)
     independent = sizes > DEPENDENT * jnp.max(sizes, initial=0.0)
     inverse = jnp.where(independent, 1 / jnp.where(independent, sizes, 1.0), 0.0)
-    kept = right * independent[:, None]
-    return jnp.eye(count) - kept.T @ kept, (left * inverse) @ right
+    basis = right * independent[:, None]
+    return jnp.eye(count) - basis.T @ basis, (left_vectors * inverse) @ right
 
 
 def _downhill(free: Array, bends: Array, pull: Array) -> tuple[Array, Array]:
     """The step along the loops on which the energy falls, and whether there is none although the
     energy falls to both sides."""
     along, largest = free @ bends @ free, jnp.max(jnp.abs(bends), initial=0.0)
-    sizes, ways = jnp.linalg.eigh(0.5 * (along + along.T))
-    slopes = ways.T @ (free @ pull)
+    sizes, vectors = jnp.linalg.eigh(0.5 * (along + along.T))
+    slopes = vectors.T @ (free @ pull)
     floor = jnp.maximum(jnp.finfo(float).eps * largest, jnp.abs(slopes) / LONGEST)
     step = safe_divide(slopes, jnp.maximum(jnp.abs(sizes), floor))
     least = FLAT + ROUNDED * jnp.finfo(float).eps * largest
@@ -415,14 +417,14 @@ def _downhill(free: Array, bends: Array, pull: Array) -> tuple[Array, Array]:
     step = jnp.where(flat, 0.0, step)
     saddle = (sizes < -least) & (jnp.abs(step) < AT_A_SADDLE)
     step = jnp.where(saddle, PUSHED, step)
-    return free @ (ways @ step), jnp.any(saddle)
+    return free @ (vectors @ step), jnp.any(saddle)
 
 
 def _inside(values: Array, step: Array) -> Array:
     """The longest share of a step after which values are above 0 (source, eq. 15)."""
     shrinks = step < 0
-    room = (1 - LEAVES) * values / jnp.where(shrinks, -step, 1.0)
-    return jnp.min(jnp.where(shrinks, room, 1.0), initial=1.0)
+    limit = (1 - LEAVES) * values / jnp.where(shrinks, -step, 1.0)
+    return jnp.min(jnp.where(shrinks, limit, 1.0), initial=1.0)
 
 
 def _trial(case: Case, measures: Measures, now: Search, moves: tuple, missed: tuple) -> Any:
@@ -457,39 +459,39 @@ def _halved(is_less: Any, most: Array) -> Array:
         share = 0.5 * now[0]
         return share, now[1] + 1, is_less(share)
 
-    begun = 2.0 * most, jnp.zeros((), int), jnp.zeros((), bool)
-    return jax.lax.while_loop(more, half, begun)[0]
+    first = 2.0 * most, jnp.zeros((), int), jnp.zeros((), bool)
+    return jax.lax.while_loop(more, half, first)[0]
 
 
-def _rest(case: Case, measures: Measures, found: Search, start: Rest) -> Rest:
+def _rest(case: Case, measures: Measures, end: Search, start: Rest) -> Rest:
     """What was found; its equations are those of the last turn but one."""
-    carries = found.carries
-    loose, saddle = _loose(found.here, carries)
-    angles = equilibrium.angles_near(case, found.q) if case.angles else start.angles
+    carries = end.carries
+    loose, saddle = _loose(end.here, carries)
+    angles = equilibrium.angles_near(case, end.q) if case.angles else start.angles
     return Rest(
-        found.q,
-        measures.multipliers(found.closing),
-        measures.pushes(found.pushing),
+        end.q,
+        measures.multipliers(end.closing),
+        measures.pushes(end.pushing),
         carries,
         angles,
-        jnp.where(_is_sound(found), _left(found), jnp.nan),
+        jnp.where(_is_sound(end), _residual(end), jnp.nan),
         jnp.zeros(()),
         loose,
-        found.split | saddle,
+        end.split | saddle,
     )
 
 
-def _left(found: Search) -> Array:
+def _residual(end: Search) -> Array:
     """What is left of the equations, at the last turn but one."""
-    missed = _equations(found.here.now, found.pushing, found.carries)
+    missed = _equations(end.here.now, end.pushing, end.carries)
     return jnp.max(jnp.abs(missed), initial=0.0)
 
 
-def _is_sound(found: Search) -> Array:
+def _is_sound(end: Search) -> Array:
     """Whether the search has ended with gaps open and contacts that push."""
-    deep = jnp.max(-found.here.now.gaps, initial=0.0)
-    pulls = jnp.max(-found.pushing, initial=0.0)
-    return (found.last > LAST_TURNS) & (deep <= LEFT) & (pulls <= PULLS)
+    deep = jnp.max(-end.here.now.gaps, initial=0.0)
+    pulls = jnp.max(-end.pushing, initial=0.0)
+    return (end.last > LAST_TURNS) & (deep <= TINY) & (pulls <= PULLS)
 
 
 def _equations(now: Terms, pushing: Array, carries: Array) -> Array:
@@ -499,11 +501,11 @@ def _equations(now: Terms, pushing: Array, carries: Array) -> Array:
 def _square(here: Linear, carries: Array) -> Array:
     """Derivatives of these equations by speeds, multipliers and normal forces."""
     n, m, k = here.bends.shape[0], len(here.rows), len(here.gaps)
-    own = jnp.where(carries, 1.0, 0.0)
+    mask = jnp.where(carries, 1.0, 0.0)
     first = jnp.concatenate([-here.bends, here.rows.T, here.gaps.T], axis=1)
     second = jnp.concatenate([here.rows, jnp.zeros((m, m + k))], axis=1)
     third = jnp.concatenate(
-        [own[:, None] * here.gaps, jnp.zeros((k, m)), jnp.diag(1.0 - own)], axis=1
+        [mask[:, None] * here.gaps, jnp.zeros((k, m)), jnp.diag(1.0 - mask)], axis=1
     )
     return jnp.concatenate([first, second, third]).reshape(n + m + k, n + m + k)
 
@@ -517,41 +519,41 @@ def _inverse(matrix: Array) -> Array:
 def _loose(here: Linear, carries: Array) -> tuple[Array, Array]:
     """How much each free speed takes part in motions that nothing resists, and whether the energy
     falls along one that contacts and loops allow."""
-    held = jnp.concatenate([here.rows, jnp.where(carries[:, None], here.gaps, 0.0)])
-    free = _directions(held)[0]
-    sizes, ways = jnp.linalg.eigh(free @ here.bends @ free)
+    rows = jnp.concatenate([here.rows, jnp.where(carries[:, None], here.gaps, 0.0)])
+    free = _directions(rows)[0]
+    sizes, vectors = jnp.linalg.eigh(free @ here.bends @ free)
     least = FLAT + ROUNDED * jnp.finfo(float).eps * jnp.max(jnp.abs(here.bends), initial=0.0)
     # What is held has no part in the projected directions.
-    own = jnp.sum((free @ ways) ** 2, axis=0) > 0.5
-    flat = own & (jnp.abs(sizes) <= least)
-    parts = jnp.where(flat, (free @ ways) ** 2, 0.0)
-    return jnp.sqrt(jnp.sum(parts, axis=1)), jnp.any(own & (sizes < -least))
+    is_free = jnp.sum((free @ vectors) ** 2, axis=0) > 0.5
+    flat = is_free & (jnp.abs(sizes) <= least)
+    parts = jnp.where(flat, (free @ vectors) ** 2, 0.0)
+    return jnp.sqrt(jnp.sum(parts, axis=1)), jnp.any(is_free & (sizes < -least))
 
 
-def _tangent(arrays: Any, moved: Any, rest: Any, out: Rest, way: ByEnergy) -> Rest:
+def _tangent(arrays: Any, moved: Any, rest: Any, out: Rest, method: ByEnergy) -> Rest:
     """How the place of rest moves with the numbers of the scene: implicit function theorem."""
-    case = _case(eqx.combine(arrays, rest), out, way)
+    case = _case(eqx.combine(arrays, rest), out, method)
     measures = equilibrium.measures_of(case, out.q)
     closing = out.closing * measures.loops / measures.energy
     pushing = out.pushes * measures.arm / measures.energy
 
     def equations(arrays):
-        own = _case(eqx.combine(arrays, rest), out, way)
-        now = equilibrium.terms(own, measures, out.q, closing, pushing)
+        case_of = _case(eqx.combine(arrays, rest), out, method)
+        now = equilibrium.terms(case_of, measures, out.q, closing, pushing)
         return _equations(now, pushing, out.carries)
 
     right = jax.jvp(equations, (arrays,), (moved,))[1]
     here = linear(case, measures, out.q, closing, pushing)
     inverse = _inverse(_square(here, out.carries))
-    found = -jnp.sum(inverse * right[None, :], axis=1)
+    change = -jnp.sum(inverse * right[None, :], axis=1)
     n, m = len(measures.speeds), len(closing)
     place = lambda step: retract(case.system, out.q, measures.speeds * step)
-    q = jax.jvp(place, (jnp.zeros(n),), (found[:n],))[1]
+    q = jax.jvp(place, (jnp.zeros(n),), (change[:n],))[1]
     still = jax.tree.map(lambda x: _no_tangent(x), out)
     return eqx.tree_at(
-        lambda own: (own.q, own.closing, own.pushes),
+        lambda r: (r.q, r.closing, r.pushes),
         still,
-        (q, measures.multipliers(found[n : n + m]), measures.pushes(found[n + m :])),
+        (q, measures.multipliers(change[n : n + m]), measures.pushes(change[n + m :])),
     )
 
 

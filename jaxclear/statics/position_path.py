@@ -35,17 +35,17 @@ from jaxclear.statics.least_energy import ByEnergy, Rest
 from jaxclear.statics.positions import Positions
 from jaxclear.statics.quasi_static import (
     SETTLED,
+    ByLoops,
     Posed,
     Spot,
     Undetermined,
-    Way,
-    left_open,
+    loop_method,
     loop_rows,
     moved_by,
     open_loops,
     posed,
+    residuals_of,
     standing_motion,
-    way_of,
 )
 
 # Steps from a position to the next, at the least and at the most: they are halved where coordinates
@@ -65,29 +65,29 @@ class Sought(NamedTuple):
     """A mechanism whose positions are sought, how, and where it stands at each of them."""
 
     scene: Posed
-    way: Way | ByEnergy
+    method: ByLoops | ByEnergy
     spots: Spot | Rest
 
 
-def sought(mechanism: Mechanism, held: tuple[str, ...], position: np.ndarray) -> Sought:
+def sought(mechanism: Mechanism, drives: tuple[str, ...], position: np.ndarray) -> Sought:
     """Where a mechanism stands with these joints held, at each position (positions, joints).
 
     By its loops where they determine it, with every journal where its own reaction presses it; else
     by its energy. Raises `ValueError` with a sentence for what cannot be asked, and for the first
     position that it does not reach.
     """
-    scene, way = _by_loops(mechanism, held, position[0])
-    if way is not None:
-        spots = spots_along(scene, position, way)
-        _check_closed(scene, position, spots.q, lambda i: way.opened(_at(spots.seats, i)))
-        return Sought(scene, way, spots)
-    scene = posed(mechanism, held, loose=True)
+    scene, method = _by_loops(mechanism, drives, position[0])
+    if method is not None:
+        spots = spots_along(scene, position, method)
+        _check_closed(scene, position, spots.q, lambda i: method.opened(_at(spots.seats, i)))
+        return Sought(scene, method, spots)
+    scene = posed(mechanism, drives, loose=True)
     if is_traced((scene, jnp.zeros(1))):
         raise ValueError(
             "where a mechanism rests by its energy is sought with numbers and cannot be traced: "
             "ask a jaxclear.PositionProblem, which is differentiated and batched."
         )
-    start, by_energy = least_energy.begun(scene.at(position[0]))
+    start, by_energy = least_energy.initial_rest(scene.at(position[0]))
     spots = spots_along(scene, position, by_energy, start)
     _check_closed(scene, position, spots.q, lambda i: {})
     return Sought(scene, by_energy, spots)
@@ -100,25 +100,25 @@ def _at(spots: Any, i: int) -> Any:
 def _check_closed(scene: Posed, position: np.ndarray, q: Array, seats: Callable) -> None:
     """Raises `ValueError` where positions, or couplings, contradict each other in rows of loops
     that were not asked."""
-    found = loop_rows(*standing_motion(scene.at(position[0]), q[0], seats(0)))
-    if scene.rows is None and not any(own.fixed for own in found):
+    rows = loop_rows(*standing_motion(scene.at(position[0]), q[0], seats(0)))
+    if scene.rows is None and not any(row.fixed for row in rows):
         return
     for i, now in enumerate(position):
         system, motions = standing_motion(scene.at(now), q[i], seats(i))
-        left = open_loops(system, motions)
-        worst = max(left, key=lambda name: float(left[name]))
-        if float(left[worst]) > HELD * max(1.0, float(longest_arm(system))):
+        residuals = open_loops(system, motions)
+        worst = max(residuals, key=lambda name: float(residuals[name]))
+        if float(residuals[worst]) > HELD * max(1.0, float(longest_arm(system))):
             raise ValueError(
-                f'{_named(scene, now)} leaves "{worst}" open by {float(left[worst]):.3g} m (or '
-                "rad): what is held, joints and couplings contradict each other there. Leave one "
-                "of them out."
+                f'{_named(scene, now)} leaves "{worst}" open by {float(residuals[worst]):.3g} m '
+                "(or rad): what is held, joints and couplings contradict each other there. Leave "
+                "one of them out."
             )
 
 
-def _by_loops(mechanism: Mechanism, held: tuple[str, ...], first: np.ndarray) -> tuple[Any, Any]:
+def _by_loops(mechanism: Mechanism, drives: tuple[str, ...], first: np.ndarray) -> tuple[Any, Any]:
     """The scene, and how it is sought by its loops; None where these do not determine it."""
     try:
-        scene = posed(mechanism, held)
+        scene = posed(mechanism, drives)
     except ValueError:
         # A joint of which it is not known where a load presses it; what is wrong with the question
         # is refused by `sought`.
@@ -127,17 +127,21 @@ def _by_loops(mechanism: Mechanism, held: tuple[str, ...], first: np.ndarray) ->
     middle: dict[str, tuple[int, ...]] = dict.fromkeys(scene.gaps, ())
     free = scene.mechanism.topology.speed_count
     places = jnp.zeros(scene.mechanism.topology.coordinate_count)
-    rows = len(jax.eval_shape(lambda q: _loops(here, q, Way(middle).opened({}))[0], places))
+    rows = len(jax.eval_shape(lambda q: _loops(here, q, ByLoops(middle).opened({}))[0], places))
     if rows < free:
         return None, None
     if rows != free:
         return _with_rows(scene, here, free)
     try:
-        way = way_of(scene)
+        method = loop_method(scene)
     except Undetermined:
         # Leaning journals let rows speak that say nothing in the plane.
         return None, None
-    return (scene, way) if rank_of(np.asarray(_assembled(here, way)[2])) == free else (None, None)
+    return (
+        (scene, method)
+        if rank_of(np.asarray(_assembled(here, method)[2])) == free
+        else (None, None)
+    )
 
 
 def _with_rows(scene: Posed, here: Posed, free: int) -> tuple[Any, Any]:
@@ -147,45 +151,45 @@ def _with_rows(scene: Posed, here: Posed, free: int) -> tuple[Any, Any]:
         q = ready(here.mechanism).start.coordinates
     except ValueError:
         return None, None
-    way, before = Way(dict.fromkeys(scene.gaps, ())), None
-    while way != before:
-        rows = np.asarray(_slopes(here, q, way)[0])
+    method, before = ByLoops(dict.fromkeys(scene.gaps, ())), None
+    while method != before:
+        rows = np.asarray(_slopes(here, q, method)[0])
         if rank_of(rows) != free:
             return None, None
         chosen = tuple(i for i, new in enumerate(says_new(rows)) if new)
         scene = dataclasses.replace(scene, rows=chosen)
-        way, before = moved_by(scene, way), way
+        method, before = moved_by(scene, method), method
     anywhere = {n: tuple(map(PLACES.index, gap.ideal_rows)) for n, gap in scene.gaps.items()}
-    every, shifts = map(np.asarray, _slopes(here, q, Way(anywhere)))
+    every, shifts = map(np.asarray, _slopes(here, q, ByLoops(anywhere)))
     if len(every) != len(rows):
         return None, None
-    left = shifts - rows @ np.linalg.lstsq(rows, shifts, rcond=DEPENDENT)[0]
-    return (scene, way) if np.abs(left).max(initial=0.0) <= DEPENDENT else (None, None)
+    residual = shifts - rows @ np.linalg.lstsq(rows, shifts, rcond=DEPENDENT)[0]
+    return (scene, method) if np.abs(residual).max(initial=0.0) <= DEPENDENT else (None, None)
 
 
 def _loops(scene: Posed, q: Array, seats: dict[str, tuple]) -> tuple[Array, Array]:
     """Jacobian of all rows of loops (rows, v), and what counts as much as a radian in each."""
     system, motions = standing_motion(scene, q, seats)
-    found, count, arm = loop_rows(system, motions), system.topology.speed_count, longest_arm(system)
-    rows = tuple(tuple(x.get(j, 0) for j in range(count)) for own in found for x in own.jacobian)
-    each = zip(system.closures, found, strict=True)
-    units = [x for closure, own in each for x in constraints.measures(closure, own, arm)]
+    loops, count, arm = loop_rows(system, motions), system.topology.speed_count, longest_arm(system)
+    rows = tuple(tuple(x.get(j, 0) for j in range(count)) for loop in loops for x in loop.jacobian)
+    each = zip(system.closures, loops, strict=True)
+    units = [x for closure, loop in each for x in constraints.measures(closure, loop, arm)]
     dense = factorisation.to_array(rows).reshape(len(rows), count)
     return dense * speed_scales(system, arm), sp.stack(units)
 
 
 @compiled_quickly
-def _slopes(scene: Posed, q: Array, way: Way) -> tuple[Array, Array]:
+def _slopes(scene: Posed, q: Array, method: ByLoops) -> tuple[Array, Array]:
     """How rows of loops change with coordinates and with the seats of journals in the middle, in
     shares of a radian or the longest arm."""
-    rows, units = _loops(scene, q, way.opened(way.middle()))
+    rows, units = _loops(scene, q, method.opened(method.middle()))
     arm = longest_arm(prepare(scene.mechanism))
-    left = lambda seats: sp.stack(left_open(scene, q, way.opened(seats)))
-    middle = way.middle()
-    shifts = jax.jacfwd(left)(middle) if jax.tree.leaves(middle) else middle
+    residual = lambda seats: sp.stack(residuals_of(scene, q, method.opened(seats)))
+    middle = method.middle()
+    shifts = jax.jacfwd(residual)(middle) if jax.tree.leaves(middle) else middle
     sizes = {
         n: jnp.stack([arm if k < 3 else jnp.ones(()) for k in x])
-        for n, x in way.moving.items()
+        for n, x in method.moving.items()
         if x
     }
     none = jnp.zeros((len(units), 0))
@@ -193,28 +197,28 @@ def _slopes(scene: Posed, q: Array, way: Way) -> tuple[Array, Array]:
     return rows / units[:, None], every / units[:, None]
 
 
-def _assembled(scene: Posed, way: Way) -> tuple[Spot, Any, Any]:
-    found = nearest(scene.mechanism)
-    spot = Spot(found.start.coordinates, way.middle(), jnp.zeros(()), jnp.zeros(()))
+def _assembled(scene: Posed, method: ByLoops) -> tuple[Spot, Any, Any]:
+    start = nearest(scene.mechanism)
+    spot = Spot(start.start.coordinates, method.middle(), jnp.zeros(()), jnp.zeros(()))
     system = prepare(scene.mechanism)
     none = jnp.zeros((0, system.topology.speed_count))
-    rows = jnp.concatenate([none, *found.start.jacobians.values()])
-    return spot, found.sound, rows * speed_scales(system, longest_arm(system))
+    rows = jnp.concatenate([none, *start.start.jacobians.values()])
+    return spot, start.sound, rows * speed_scales(system, longest_arm(system))
 
 
-def _led(scene: Posed, start: Any, before: np.ndarray, now: np.ndarray, way: Any) -> Any:
+def _led(scene: Posed, start: Any, before: np.ndarray, now: np.ndarray, method: Any) -> Any:
     """The spot at the next position, led there in steps that are halved where it moves far. Raises
     `ValueError` where it jumps, however short the steps: the sign of the loops' determinant tells
     two ways of assembly apart, and spatial loops may have more of one sign."""
     scale, spot = _scales(scene), start
     share, size = 0.0, 1.0 / STEPS_BETWEEN
     while share < 1.0:
-        found = way.alone(scene.at(before + (share + size) * (now - before)), spot)
-        moved = float(np.max(np.abs(found.q - spot.q) / scale, initial=0.0))
-        settled = bool(found.change <= SETTLED)
-        same = bool(found.branch == spot.branch)
+        result = method.alone(scene.at(before + (share + size) * (now - before)), spot)
+        moved = float(np.max(np.abs(result.q - spot.q) / scale, initial=0.0))
+        settled = bool(result.change <= SETTLED)
+        same = bool(result.branch == spot.branch)
         if settled and moved <= (FURTHEST if same else FURTHEST_ACROSS):
-            spot, share = found, share + size
+            spot, share = result, share + size
             # Twice as long again where the longer step begins at a multiple of itself.
             size *= 2.0 if size < 1.0 / STEPS_BETWEEN and share % (2.0 * size) == 0.0 else 1.0
         elif size > 1.0 / MOST_BETWEEN:
@@ -222,7 +226,7 @@ def _led(scene: Posed, start: Any, before: np.ndarray, now: np.ndarray, way: Any
         elif settled:
             _refuse_jump(scene, now)
         else:
-            return found
+            return result
     return spot
 
 
@@ -238,7 +242,7 @@ def _scales(scene: Posed) -> np.ndarray:
 
 def _named(scene: Posed, now: np.ndarray) -> str:
     """A position in words."""
-    return ", ".join(f"{n} = {x:.6g}" for n, x in zip(scene.held, now, strict=True))
+    return ", ".join(f"{n} = {x:.6g}" for n, x in zip(scene.drives, now, strict=True))
 
 
 def _refuse_jump(scene: Posed, now: np.ndarray) -> NoReturn:
@@ -249,31 +253,31 @@ def _refuse_jump(scene: Posed, now: np.ndarray) -> NoReturn:
     )
 
 
-def spots_along(scene: Posed, position: np.ndarray, way: Any, start: Any = None) -> Any:
+def spots_along(scene: Posed, position: np.ndarray, method: Any, start: Any = None) -> Any:
     """Where the mechanism stands at each position, gone through in their order, from a start
     (None: as it is assembled). Raises `ValueError` for the first that it does not reach."""
-    spot, sound = (start, True) if start is not None else _begun(scene.at(position[0]), way)
+    spot, sound = (start, True) if start is not None else _first_spot(scene.at(position[0]), method)
     spots, before = [], position[0]
     for i, now in enumerate(position):
-        spot = _led(scene, spot, before, now, way) if i else way.alone(scene.at(now), spot)
+        spot = _led(scene, spot, before, now, method) if i else method.alone(scene.at(now), spot)
         if not (sound and spot.change <= SETTLED):
-            _refuse(scene, way, spot, i, now)
+            _refuse(scene, method, spot, i, now)
         spots.append(spot)
         before = now
-    return jax.tree.map(lambda *own: jnp.stack(own), *spots)
+    return jax.tree.map(lambda *parts: jnp.stack(parts), *spots)
 
 
-def _begun(scene: Posed, way: Way) -> tuple[Spot, Any]:
+def _first_spot(scene: Posed, method: ByLoops) -> tuple[Spot, Any]:
     """Where the search begins, and whether the mechanism is assembled there."""
     if scene.rows is None:
-        return _assembled(scene, way)[:2]
+        return _assembled(scene, method)[:2]
     start = ready(scene.mechanism)[1]
-    return Spot(start.coordinates, way.middle(), jnp.zeros(()), jnp.zeros(())), True
+    return Spot(start.coordinates, method.middle(), jnp.zeros(()), jnp.zeros(())), True
 
 
-def _refuse(scene: Posed, way: Any, spot: Any, i: int, now: np.ndarray) -> NoReturn:
+def _refuse(scene: Posed, method: Any, spot: Any, i: int, now: np.ndarray) -> NoReturn:
     """Raises `ValueError` for a position at which nothing was found."""
-    loops, deep = ({n: float(x) for n, x in own.items()} for own in way.amiss(scene.at(now), spot))
+    loops, deep = ({n: float(x) for n, x in x.items()} for x in method.amiss(scene.at(now), spot))
     amiss = {n: x for n, x in (loops | deep).items() if not x <= SETTLED}
     where = _named(scene, now)
     place = f"at position {i}" + (f" ({where})" if where else "")
@@ -282,7 +286,7 @@ def _refuse(scene: Posed, way: Any, spot: Any, i: int, now: np.ndarray) -> NoRet
             f"the mechanism finds no rest {place}: something that nothing holds moves away under "
             "its loads. Hold it, or give it a spring or a stop."
         )
-    name = max(amiss, key=lambda own: np.nan_to_num(amiss[own], nan=np.inf))
+    name = max(amiss, key=lambda x: np.nan_to_num(amiss[x], nan=np.inf))
     kind = "the loop through" if name in loops else "the journal of"
     raise ValueError(
         f"the mechanism cannot be assembled {place}: no place of its bodies closes the loops "
@@ -292,15 +296,15 @@ def _refuse(scene: Posed, way: Any, spot: Any, i: int, now: np.ndarray) -> NoRet
 
 
 def positions_at(
-    scene: Posed, position: Float[Array, "positions drives"], starts: Any, way: Any
+    scene: Posed, position: Float[Array, "positions drives"], starts: Any, method: Any
 ) -> Positions:
     """The mechanism at positions of its drives, each from its own start; pure."""
-    spots = way.each(scene, position, starts)
-    read = way.read(scene, position, spots)
+    spots = method.each(scene, position, starts)
+    read = method.read(scene, position, spots)
     finite = jnp.all(jnp.isfinite(spots.q), axis=-1)
     # From where the nominal mechanism stands a sample may fall to another way of assembly.
-    kept = read.found & finite & (spots.branch == starts.branch)
-    return Positions(scene, position, *read._replace(found=kept))
+    sound = read.found & finite & (spots.branch == starts.branch)
+    return Positions(scene, position, *read._replace(found=sound))
 
 
 def checked_positions(positions: Any) -> tuple[tuple[str, ...], np.ndarray]:
@@ -327,7 +331,7 @@ def checked_positions(positions: Any) -> tuple[tuple[str, ...], np.ndarray]:
 
 @answering
 def positions(
-    mechanism: Mechanism, positions: Mapping[str, Any], *, both_ways: bool = False
+    mechanism: Mechanism, positions: Mapping[str, Any], *, reverse_loads: bool = False
 ) -> Positions:
     """A mechanism at rest at positions of its drives, without time.
 
@@ -343,8 +347,8 @@ def positions(
             {} for a mechanism without drives, at rest once. A motor with play or stiffness is held
             by its own name (its coupling's and ".motor"): the joint then rests on the flank on
             which loads press it, twisted by them.
-        both_ways: whether to compute the positions under reversed loads too (`.reversed`), for lost
-            motion; springs and stops stay as they are. False by default.
+        reverse_loads: whether to compute the positions under reversed loads too (`.reversed`), for
+            lost motion; springs and stops stay as they are. False by default.
 
     Returns:
         The `Positions`; their `warnings` name parts that nothing holds.
@@ -354,19 +358,19 @@ def positions(
     """
     check_double_precision()
     expect(mechanism, Mechanism, "what is positioned", "a jaxclear.Mechanism")
-    check_flags("positions", both_ways=both_ways)
-    held, places = checked_positions(positions)
-    scene, way, starts = sought(with_quantities(mechanism), held, places)
-    return both(scene, jnp.asarray(places), starts, way, both_ways)
+    check_flags("positions", reverse_loads=reverse_loads)
+    drives, places = checked_positions(positions)
+    scene, method, starts = sought(with_quantities(mechanism), drives, places)
+    return both(scene, jnp.asarray(places), starts, method, reverse_loads)
 
 
 def both(
-    scene: Posed, places: Array, starts: Any, way: Any, both_ways: bool, others: Any = None
+    scene: Posed, places: Array, starts: Any, method: Any, reverse_loads: bool, others: Any = None
 ) -> Positions:
     """The positions, with those under reversed loads where these are wanted, from `others` (None:
     the same starts)."""
-    found = positions_at(scene, places, starts, way)
-    if not both_ways:
-        return found
-    other = positions_at(scene, places, starts if others is None else others, way.reversed)
-    return eqx.tree_at(lambda p: p.other, found, other, is_leaf=lambda x: x is None)
+    result = positions_at(scene, places, starts, method)
+    if not reverse_loads:
+        return result
+    other = positions_at(scene, places, starts if others is None else others, method.reversed)
+    return eqx.tree_at(lambda p: p.other, result, other, is_leaf=lambda x: x is None)

@@ -5,6 +5,7 @@ It answers to the same names as a run, so a response that reads places serves bo
 """
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -16,7 +17,7 @@ from jaxtyping import Array, Float
 from jaxclear.components.body import Marker
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_name
-from jaxclear.ground.datasets import Column, dataset
+from jaxclear.ground.datasets import Column, dataset, write_csv
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.wording import listed
@@ -100,37 +101,37 @@ class Positions(AbstractShown):
         check_single(self.found)
         if self.carried is None:
             return ()
-        said, count = [], len(self.position)
+        sentences, count = [], len(self.position)
         topology = self.scene.mechanism.topology
         free = np.asarray(self.carried.loose) > LOOSE
         for branch in topology.branches:
             many = int(np.sum(np.any(free[:, branch.speeds], axis=1)))
             if many:
                 what = f'body "{branch.body}"' if branch.connection is None else f'"{branch.name}"'
-                said.append(
+                sentences.append(
                     f"{what} moves freely at {many} of {count} positions: in one of its freedoms "
                     "nothing presses or holds it, and of the places that it may take one was taken."
                 )
         split = int(np.sum(np.asarray(self.carried.split)))
         if split:
-            said.append(
+            sentences.append(
                 f"at {split} of {count} positions the equilibrium next to the start is unstable; "
                 "the mechanism went to one of its two sides. A guess on one side chooses."
             )
-        return tuple(said)
+        return tuple(sentences)
 
     def _shown(self):
         if np.ndim(self.found) > 1:
             return f"A batch of {len(self.found)} at positions each; found[i] is one."
         places = ", ".join(
-            f"{name} from {own.min():.4g} to {own.max():.4g} {self._unit(name)}"
-            for name, own in zip(self.scene.held, np.asarray(self.position).T, strict=True)
+            f"{name} from {values.min():.4g} to {values.max():.4g} {self._unit(name)}"
+            for name, values in zip(self.scene.drives, np.asarray(self.position).T, strict=True)
         )
         both = ", also under reversed loads" if self.other is not None else ""
-        lost = int(np.sum(~np.asarray(self.found)))
-        told = f" {lost} were not found." if lost else ""
+        missing = int(np.sum(~np.asarray(self.found)))
+        note = f" {missing} were not found." if missing else ""
         many = f"{len(self.position)} position{'s' if len(self.position) > 1 else ''}"
-        first = f"{many}{both}: {places or 'at rest under its loads'}.{told}"
+        first = f"{many}{both}: {places or 'at rest under its loads'}.{note}"
         return " ".join([first, *self.warnings])
 
     @property
@@ -138,11 +139,11 @@ class Positions(AbstractShown):
         """The positions under reversed loads.
 
         Raises:
-            ValueError: if they were not computed (`both_ways=True`).
+            ValueError: if they were not computed (`reverse_loads=True`).
         """
         if self.other is None:
             raise ValueError(
-                "positions under reversed loads were not asked for; ask with both_ways=True."
+                "positions under reversed loads were not asked for; ask with reverse_loads=True."
             )
         return self.other
 
@@ -200,11 +201,11 @@ class Positions(AbstractShown):
         """
         check_single(self.found)
         scene = self.scene
-        branches = {own.name: own for own in scene.mechanism.topology.branches}
+        branches = {branch.name: branch for branch in scene.mechanism.topology.branches}
         names = [*scene.mechanism.connections, *branches]
         check_name("joint or floating body", name, dict.fromkeys(names), " in this mechanism")
-        if name in scene.held:
-            return self.position[:, scene.held.index(name)]
+        if name in scene.drives:
+            return self.position[:, scene.drives.index(name)]
         branch = branches.get(name)
         if branch is None and scene.loose:
             return single(self._over(lambda now: sp.stack(_read(scene.mechanism, now, name))))
@@ -256,8 +257,8 @@ class Positions(AbstractShown):
         columns = self._columns()
         if self.other is not None:
             other = self.reversed._columns().items()
-            held = self.scene.held
-            columns |= {f"reversed {name}": own for name, own in other if name not in held}
+            drives = self.scene.drives
+            columns |= {f"reversed {name}": values for name, values in other if name not in drives}
         coordinates = {
             "axis": Column(("axis",), ["x", "y", "z"]),
             "component": Column(("component",), ["w", "x", "y", "z"]),
@@ -265,10 +266,21 @@ class Positions(AbstractShown):
         mechanism = str(self.scene.mechanism)
         return dataset(columns, coordinates, what="positions", mechanism=mechanism)
 
+    def to_csv(self, path: Any) -> Path:
+        """Write a CSV file: a row for each position, names with units, every digit.
+
+        Args:
+            path: name of the file.
+
+        Returns:
+            The path of the file.
+        """
+        return write_csv(self.to_dataset(), path)
+
     def _columns(self) -> dict[str, Column]:
         scene, columns = self.scene, {}
         over, axis = ("position",), ("position", "axis")
-        for name in scene.held:
+        for name in scene.drives:
             columns[name] = Column(
                 over, self.coordinate(name), self._unit(name), "coordinate of a drive"
             )
@@ -300,13 +312,13 @@ class Positions(AbstractShown):
                 case = case_of(scene, carried.side, angles, carried.rounded)
                 return one(resting(case, q, closing, pushes))
 
-            held = carried.closing, carried.pushes, carried.angles
-            return jax.vmap(rests)(self.position, self.coordinates, *held)
+            unknowns = carried.closing, carried.pushes, carried.angles
+            return jax.vmap(rests)(self.position, self.coordinates, *unknowns)
 
         def row(position, q, seats):
             scene = self.scene.at(position)
-            own = {name: opened(seats[name], moving) for name, moving in self.moving.items()}
-            return one(standing(scene, [*q], own, self.side))
+            numbers = {name: opened(seats[name], moving) for name, moving in self.moving.items()}
+            return one(standing(scene, [*q], numbers, self.side))
 
         return jax.vmap(row)(self.position, self.coordinates, self.seats)
 

@@ -71,34 +71,34 @@ class Posed(eqx.Module):
 
     mechanism: Mechanism
     gaps: dict[str, AbstractClearance]
-    held: tuple[str, ...] = eqx.field(static=True)
+    drives: tuple[str, ...] = eqx.field(static=True)
     rows: tuple[int, ...] | None = eqx.field(static=True, default=None)
     loose: bool = eqx.field(static=True, default=False)
     motors: dict[str, HeldMotor] = eqx.field(default_factory=dict)
 
     def of(self, mechanism: Mechanism) -> "Posed":
         """The same of a mechanism with other numbers."""
-        return posed(mechanism, self.held, loose=self.loose, rows=self.rows)
+        return posed(mechanism, self.drives, loose=self.loose, rows=self.rows)
 
     def at(self, position: Any) -> "Posed":
-        """The same at other positions of the drives, in the order of `held` [rad, m]."""
-        if not self.held:
+        """The same at other positions of the drives, in the order of `drives` [rad, m]."""
+        if not self.drives:
             return self
 
         def places(posed):
-            own = posed.mechanism
+            scene = posed.mechanism
             return [
-                own.couplings[self.motors[n].coupling].place
+                scene.couplings[self.motors[n].coupling].place
                 if n in self.motors
-                else own.connections[n].joint.drive.position
-                for n in self.held
+                else scene.connections[n].joint.drive.position
+                for n in self.drives
             ]
 
-        found = [position[i] for i in range(len(self.held))]
-        for i, name in enumerate(self.held):
+        values = [position[i] for i in range(len(self.drives))]
+        for i, name in enumerate(self.drives):
             if name in self.motors:
-                found[i] = self.motors[name].rest + self.motors[name].factor * found[i]
-        return eqx.tree_at(places, self, found)
+                values[i] = self.motors[name].rest + self.motors[name].factor * values[i]
+        return eqx.tree_at(places, self, values)
 
     def determining(self, values: list) -> list:
         """Of values of all rows of loops those of the rows that determine the mechanism."""
@@ -117,13 +117,13 @@ class Undetermined(ValueError):
 
 
 class Standing(NamedTuple):
-    """A mechanism at coordinates and seats: `left` of the loops' closure [m, 1] with its
+    """A mechanism at coordinates and seats: `residual` of the loops' closure [m, 1] with its
     `jacobian` (by free speed), of the rows that determine it, and the `seats` in which the
     reactions there would press the journals."""
 
     system: System
     motions: tuple[Motion, ...]
-    left: list
+    residual: list
     jacobian: list
     reactions: dict[str, Reaction]
     seats: dict[str, tuple]
@@ -131,7 +131,7 @@ class Standing(NamedTuple):
 
 def posed(
     mechanism: Mechanism,
-    held: tuple[str, ...],
+    drives: tuple[str, ...],
     *,
     loose: bool = False,
     rows: tuple[int, ...] | None = None,
@@ -139,17 +139,17 @@ def posed(
     """The mechanism with these joints and motors held; `loose`: with its clearance joints, not with
     ideal ones in their place. Raises `ValueError`, naming the joint or coupling, for what has no
     place under a load or cannot be held."""
-    for name, own in mechanism.couplings.items():
-        if own.gives and own.stiffness is None:
+    for name, coupling in mechanism.couplings.items():
+        if coupling.gives and coupling.stiffness is None:
             raise ValueError(
                 f'coupling "{name}" has play and no stiffness, by which its flanks would press '
                 "where the mechanism rests; give that of its shaft or teeth."
             )
-    mechanism, motors = _with_motors_held(mechanism, held)
-    for name in held:
+    mechanism, motors = _constrain_motors(mechanism, drives)
+    for name in drives:
         if name not in mechanism.connections and name not in motors:
             raise ValueError(unknown("joint", name, mechanism.connections, " to be held"))
-    others = [name for name in mechanism.driven if name not in held]
+    others = [name for name in mechanism.driven if name not in drives]
     if others:
         raise ValueError(
             f"joint {listed(others)} is driven and its positions are not told; give positions of "
@@ -167,59 +167,59 @@ def posed(
                 raise ValueError(f'joint "{name}" {error}') from None
         if isinstance(joint, AbstractPermanentJoint):
             joint = joint.ideal
-        if name in held:
-            joint = _held(name, joint)
+        if name in drives:
+            joint = _drive_of(name, joint)
         connections[name] = Connection(joint, connection.parent, connection.child)
-    start, guess = (_free(mechanism.given[what], held) for what in ("start", "guess"))
-    loads = at_rest_under(mechanism.loads, held)
+    start, guess = (_free(mechanism.given[what], drives) for what in ("start", "guess"))
+    loads = at_rest_under(mechanism.loads, drives)
     # What a run begins with says where the mechanism stands at one position only.
     bare = Mechanism(
         mechanism.bodies, connections, loads, couplings=mechanism.couplings, guess=start | guess
     )
-    return Posed(bare, gaps, held, rows, loose, motors)
+    return Posed(bare, gaps, drives, rows, loose, motors)
 
 
-def _with_motors_held(
-    mechanism: Mechanism, held: tuple[str, ...]
+def _constrain_motors(
+    mechanism: Mechanism, drives: tuple[str, ...]
 ) -> tuple[Mechanism, dict[str, HeldMotor]]:
     """The mechanism whose couplings of motors that are held hold the joints behind these, and no
     load acts on the motors; raises `ValueError` for one that cannot."""
     named = {motor_name(name): name for name in mechanism.couplings}
-    found, couplings = {}, dict(mechanism.couplings)
-    for motor in held:
-        own: Any = couplings.get(named.get(motor, ""))
-        if own is None or own.motor is None or motor in mechanism.connections:
+    motors, couplings = {}, dict(mechanism.couplings)
+    for motor in drives:
+        coupling: Any = couplings.get(named.get(motor, ""))
+        if coupling is None or coupling.motor is None or motor in mechanism.connections:
             continue
-        first, *others = own.terms()
-        if not own.gives or isinstance(first.joint, Motor) or len(others) != 1:
+        first, *others = coupling.terms()
+        if not coupling.gives or isinstance(first.joint, Motor) or len(others) != 1:
             raise ValueError(
                 f'motor "{motor}" cannot be held apart from what it turns: coupling '
                 f'"{named[motor]}" has neither play nor stiffness along the joint behind it. Hold '
                 "joints instead."
             )
-        total = own.total()
-        found[motor] = HeldMotor(named[motor], -others[0].factor, 0.0 if total is None else total)
-        given = {"play": own.play, "stiffness": own.stiffness, "damping": own.damping}
-        couplings[named[motor]] = Latch(str(first.joint), 0.0, **given)
-    if not found:
+        total = coupling.total()
+        motors[motor] = HeldMotor(named[motor], -others[0].factor, 0.0 if total is None else total)
+        args = {"play": coupling.play, "stiffness": coupling.stiffness, "damping": coupling.damping}
+        couplings[named[motor]] = Latch(str(first.joint), 0.0, **args)
+    if not motors:
         return mechanism, {}
     acting = acting_in(mechanism)
     loads = {
         name: load
         for name, load in mechanism.loads.items()
-        if not isinstance(load, AbstractStateLoad) or not {*acting[name].coordinates()} & {*found}
+        if not isinstance(load, AbstractStateLoad) or not {*acting[name].coordinates()} & {*motors}
     }
-    told = ("start", "guess", "speeds")
-    begun = {what: _free(mechanism.given[what], tuple(found)) for what in told}
-    bare = rebuilt(mechanism, couplings=couplings, loads=loads, **begun)
-    return bare, found
+    kinds = ("start", "guess", "speeds")
+    starts = {what: _free(mechanism.given[what], tuple(motors)) for what in kinds}
+    bare = rebuilt(mechanism, couplings=couplings, loads=loads, **starts)
+    return bare, motors
 
 
-def _free(given: dict[str, tuple], held: tuple[str, ...]) -> dict[str, tuple]:
-    return {name: values for name, values in given.items() if name not in held}
+def _free(values_of: dict[str, tuple], drives: tuple[str, ...]) -> dict[str, tuple]:
+    return {name: values for name, values in values_of.items() if name not in drives}
 
 
-def _held(name: str, joint: Any) -> Any:
+def _drive_of(name: str, joint: Any) -> Any:
     """The joint with its coordinate held."""
     if isinstance(joint, AbstractClearance):
         raise ValueError(
@@ -259,10 +259,10 @@ def standing(scene: Posed, q: Any, seats: dict[str, tuple], side: float = 1.0) -
     places, rates = unpack_motion(system, [*q, *(0,) * count])
     motions = kinematics.link_motions(system, places, rates, 0.0)
     rows = loop_rows(system, motions)
-    every = [row for own in rows for row in own.jacobian]
+    every = [row for row_set in rows for row in row_set.jacobian]
     if len(every) < count or (scene.rows is None and len(every) > count):
         raise Undetermined(f"the loops have {len(every)} rows for {count} free coordinates.")
-    left, jacobian = scene.determining(_residuals(rows)), scene.determining(every)
+    residual, jacobian = scene.determining(_residuals(rows)), scene.determining(every)
     loaded, forces = acting(system, motions, places, rates, side)
     transposed = [[row.get(j, 0) for row in jacobian] for j in range(count)]
     multipliers = scene.among(len(every), solved(transposed, unheld(loaded, forces)))
@@ -271,7 +271,7 @@ def standing(scene: Posed, q: Any, seats: dict[str, tuple], side: float = 1.0) -
     for name, gap in scene.gaps.items():
         offset, slope = gap.seat(*reactions[name])
         pressed[name] = (*offset, *slope)
-    return Standing(system, motions, left, jacobian, reactions, pressed)
+    return Standing(system, motions, residual, jacobian, reactions, pressed)
 
 
 def standing_motion(
@@ -284,25 +284,25 @@ def standing_motion(
     return system, kinematics.link_motions(system, *places, 0.0)
 
 
-def left_open(scene: Posed, q: Any, seats: dict[str, tuple]) -> list:
+def residuals_of(scene: Posed, q: Any, seats: dict[str, tuple]) -> list:
     """What is left of the closure of all loops at coordinates `q` and seats [m, 1]."""
     return _residuals(loop_rows(*standing_motion(scene, q, seats)))
 
 
 def loop_rows(system: System, motions: tuple[Motion, ...]) -> list[constraints.ConstraintRows]:
     """The rows of each loop."""
-    return [constraints.constraint_rows(system, motions, own) for own in system.closures]
+    return [constraints.constraint_rows(system, motions, closure) for closure in system.closures]
 
 
 def open_loops(system: System, motions: tuple[Motion, ...]) -> dict[str, Any]:
     """By how much each joint that closes a loop is open [m, 1]."""
-    found = zip(system.topology.loops, loop_rows(system, motions), strict=True)
-    left = {name: [*own.residuals, *own.fixed.values()] for name, own in found}
-    return {n: jnp.max(jnp.abs(sp.stack(own)), initial=0.0) for n, own in left.items()}
+    pairs = zip(system.topology.loops, loop_rows(system, motions), strict=True)
+    residuals = {name: [*rows.residuals, *rows.fixed.values()] for name, rows in pairs}
+    return {n: jnp.max(jnp.abs(sp.stack(rows)), initial=0.0) for n, rows in residuals.items()}
 
 
 def _residuals(rows: list[constraints.ConstraintRows]) -> list:
-    return [value for own in rows for value in own.residuals]
+    return [value for rows_of in rows for value in rows_of.residuals]
 
 
 def acting(
@@ -316,21 +316,21 @@ def acting(
     """What acts on a mechanism at rest, and the mechanism with gravity as it acts; `side` -1
     reverses loads, but neither springs nor stops nor couplings that give. `angles` [rad]: those
     near which coordinates outside the tree are read."""
-    ask = lambda own: applied_forces(own, motions, {}, places, rates, 0.0, Followed(angles or {}))
+    ask = lambda part: applied_forces(part, motions, {}, places, rates, 0.0, Followed(angles or {}))
     if isinstance(side, float) and side == 1.0:
         return system, ask(system)
     springs = {name: load for name, load in system.loads.items() if load.springs_back()}
     loads = {name: load for name, load in system.loads.items() if name not in springs}
     # Couplings that give are springs.
-    kept = ask(dataclasses.replace(system, loads=springs))
-    turned = ask(dataclasses.replace(system, loads=loads, transmissions={}))
+    direct = ask(dataclasses.replace(system, loads=springs))
+    reversible = ask(dataclasses.replace(system, loads=loads, transmissions={}))
     add = lambda a, b: sp.add(a, sp.mul(side, b))
-    wrenches = jax.tree.map(add, kept.wrenches, turned.wrenches)
-    forces = jax.tree.map(add, kept.coordinate_forces, turned.coordinate_forces)
-    rows = *kept.rows, *(row._replace(force=sp.mul(side, row.force)) for row in turned.rows)
+    wrenches = jax.tree.map(add, direct.wrenches, reversible.wrenches)
+    forces = jax.tree.map(add, direct.coordinate_forces, reversible.coordinate_forces)
+    rows = *direct.rows, *(row._replace(force=sp.mul(side, row.force)) for row in reversible.rows)
     gravity = dataclasses.replace(system, gravity=sp.scale(side, system.gravity))
-    found = kept._replace(wrenches=wrenches, coordinate_forces=forces, rows=rows)
-    return gravity, found
+    total = direct._replace(wrenches=wrenches, coordinate_forces=forces, rows=rows)
+    return gravity, total
 
 
 def solved(matrix: list[list], right: list) -> list:
@@ -360,23 +360,23 @@ def reactions_of(
 ) -> dict[str, Reaction]:
     """Reaction of every connection; `contacts`: sums of the contact forces of each joint with
     clearance, on its child about its marker, in the parent marker's axes."""
-    found = constraints.constraint_wrenches(system, forces.motions, multipliers)
-    closed = [Wrench(force, torque) for _, force, torque, _ in found]
+    wrenches = constraints.constraint_wrenches(system, forces.motions, multipliers)
+    closed = [Wrench(force, torque) for _, force, torque, _ in wrenches]
     outside = dict(zip(system.topology.loops, closed, strict=True)) | contacts
     rows = (*forces.rows, *constraints.coupling_rows(system, forces.motions, multipliers))
     reactions = {
         name: Reaction(*sum_wrenches(wrench, wrench_in_joint(rows, name)))
         for name, wrench in outside.items()
     }
-    still = Solution(tuple((0,) * len(own.columns) for own in forces.motions), multipliers)
+    still = Solution(tuple((0,) * len(motion.columns) for motion in forces.motions), multipliers)
     through = dynamics.joint_wrenches(system, forces, still)
     for index, branch in enumerate(system.topology.branches):
         drive = drive_of(system.links[index].joint)
         place = places[index] if drive is None else (drive.motion(0.0)[0],)
         if branch.connection is not None:
             pose = system.links[index].joint.motion(place)
-            own = reaction_through(pose, branch.reversed, through[index])
-            reactions[branch.connection] = own
+            motion = reaction_through(pose, branch.reversed, through[index])
+            reactions[branch.connection] = motion
     return reactions
 
 
@@ -416,7 +416,7 @@ class Read(NamedTuple):
     carried: Any = None
 
 
-class Way(eqx.Module):
+class ByLoops(eqx.Module):
     """How positions are sought: which numbers of each seat move, and whether the loads pull (1) or
     push (-1)."""
 
@@ -424,9 +424,9 @@ class Way(eqx.Module):
     side: float = eqx.field(static=True, default=1.0)
 
     @property
-    def reversed(self) -> "Way":
+    def reversed(self) -> "ByLoops":
         """The same under reversed loads."""
-        return Way(self.moving, -self.side)
+        return ByLoops(self.moving, -self.side)
 
     def alone(self, scene: Posed, start: Spot) -> Spot:
         """Where the mechanism stands at one position, sought from a start."""
@@ -434,25 +434,25 @@ class Way(eqx.Module):
 
     def each(self, scene: Posed, position: Array, starts: Spot) -> Spot:
         """Where it stands at positions (positions, drives), each from its own start; pure."""
-        one = lambda own, start: settle(scene.at(own), start, self)
+        one = lambda place, start: settle(scene.at(place), start, self)
         return jax.vmap(one)(position, starts)
 
     def read(self, scene: Posed, position: Array, spots: Spot) -> Read:
         """What is read of the mechanism at positions (positions, drives) and where it stands."""
         seats = {
-            name: jnp.zeros((len(position), SEAT)).at[:, list(own)].set(spots.seats[name])
-            for name, own in self.moving.items()
+            name: jnp.zeros((len(position), SEAT)).at[:, list(numbers)].set(spots.seats[name])
+            for name, numbers in self.moving.items()
         }
         closed = jnp.ones(len(position), bool)
         if scene.rows is not None:
-            opened = jax.vmap(lambda own, s: self._open(scene.at(own), s))(position, spots)
+            opened = jax.vmap(lambda numbers, s: self._open(scene.at(numbers), s))(position, spots)
             closed = opened <= FOLLOWS
         return Read(spots.q, seats, closed & (spots.change <= SETTLED), self.side, self.moving)
 
     def _open(self, scene: Posed, spot: Spot) -> Array:
         """By how much a row of the loops is open at the most [m, 1]."""
-        left = left_open(scene, spot.q, self.opened(spot.seats))
-        return jnp.max(jnp.abs(sp.stack(left)), initial=0.0)
+        residual = residuals_of(scene, spot.q, self.opened(spot.seats))
+        return jnp.max(jnp.abs(sp.stack(residual)), initial=0.0)
 
     def amiss(self, scene: Posed, spot: Spot) -> tuple[dict[str, Any], dict[str, Any]]:
         """By how much loops are open [m, 1], by the joint that closes them, and how deep journals
@@ -462,55 +462,55 @@ class Way(eqx.Module):
     def opened(self, seats: dict[str, Array]) -> dict[str, tuple]:
         """The five numbers of each seat, those that are zero by construction as such."""
         return {
-            name: tuple(seats[name][own.index(k)] if k in own else 0 for k in range(SEAT))
-            for name, own in self.moving.items()
+            name: tuple(seats[name][numbers.index(k)] if k in numbers else 0 for k in range(SEAT))
+            for name, numbers in self.moving.items()
         }
 
     def middle(self) -> dict[str, Array]:
         """The numbers of each seat that move, of journals in the middle."""
-        return {name: jnp.zeros(len(own)) for name, own in self.moving.items()}
+        return {name: jnp.zeros(len(numbers)) for name, numbers in self.moving.items()}
 
     def closed(self, seats: dict[str, tuple]) -> dict[str, Array]:
         """The numbers of each seat that move."""
-        return {name: sp.stack([seats[name][k] for k in own]) for name, own in self.moving.items()}
+        return {name: sp.stack([seats[name][k] for k in k]) for name, k in self.moving.items()}
 
 
-def way_of(scene: Posed) -> Way:
+def loop_method(scene: Posed) -> ByLoops:
     """Which numbers of the seats move."""
-    way = Way(dict.fromkeys(scene.gaps, ()))
+    method = ByLoops(dict.fromkeys(scene.gaps, ()))
     while True:
-        found = moved_by(scene, way)
-        if found == way:
-            return way
-        way = found
+        moves = moved_by(scene, method)
+        if moves == method:
+            return method
+        method = moves
 
 
-def moved_by(scene: Posed, way: Way) -> Way:
+def moved_by(scene: Posed, method: ByLoops) -> ByLoops:
     """Which numbers of the seats the reactions move where those of a way may."""
-    found: dict[str, tuple[int, ...]] = {}
+    moves: dict[str, tuple[int, ...]] = {}
 
-    def seen(q, seats):
-        now = standing(scene, q, way.opened(seats)).seats
-        found.update({n: tuple(k for k in range(SEAT) if not sp.is_zero(now[n][k])) for n in now})
+    def seats_at(q, seats):
+        now = standing(scene, q, method.opened(seats)).seats
+        moves.update({n: tuple(k for k in range(SEAT) if not sp.is_zero(now[n][k])) for n in now})
         return q
 
     count = prepare(scene.mechanism).topology.coordinate_count
-    jax.eval_shape(seen, jnp.zeros(count), way.middle())
-    return Way(found)
+    jax.eval_shape(seats_at, jnp.zeros(count), method.middle())
+    return ByLoops(moves)
 
 
-def turned(scene: Posed, spot: Spot, way: Way) -> Spot:
+def next_spot(scene: Posed, spot: Spot, method: ByLoops) -> Spot:
     """The spot after a turn: seats from the reactions, coordinates by Newton's step on the loops as
     the new seats have it."""
-    now = standing(scene, spot.q, way.opened(spot.seats), way.side)
-    seats, system = way.closed(now.seats), now.system
+    now = standing(scene, spot.q, method.opened(spot.seats), method.side)
+    seats, system = method.closed(now.seats), now.system
     count, arm = system.topology.speed_count, longest_arm(system)
     changes = [jnp.max(jnp.abs(seats[n] - spot.seats[n]), initial=0.0) / arm for n in seats]
     q = spot.q
     if count:
-        left = scene.determining(left_open(scene, q, way.opened(seats)))
+        residual = scene.determining(residuals_of(scene, q, method.opened(seats)))
         rows = [[row.get(j, 0) for j in range(count)] for row in now.jacobian]
-        step = sp.stack(solved(rows, [sp.neg(x) for x in left]))
+        step = sp.stack(solved(rows, [sp.neg(x) for x in residual]))
         scales = speed_scales(system, arm)
         q = retract(system, q, shortened(step, scales, LONGEST))
         changes.append(jnp.max(jnp.abs(step / scales)))
@@ -518,31 +518,31 @@ def turned(scene: Posed, spot: Spot, way: Way) -> Spot:
     return Spot(q, seats, jnp.max(jnp.stack([*changes, jnp.zeros(())])), branch)
 
 
-def settle(scene: Posed, start: Spot, way: Way) -> Spot:
+def settle(scene: Posed, start: Spot, method: ByLoops) -> Spot:
     """The spot at which the loops close and every seat is that of its reaction; pure, with the
     derivatives of the solved equations with respect to the numbers of the scene."""
     arrays, rest = eqx.partition(scene, eqx.is_inexact_array)
 
     @jax.custom_jvp
-    def found(arrays, start):
-        own = eqx.combine(arrays, rest)
+    def solution(arrays, start):
+        scene_ = eqx.combine(arrays, rest)
         more = lambda s: ~(s[0].change <= SETTLED) & (s[1] < MOST_TURNS)
-        turn = lambda s: (turned(own, s[0], way), s[1] + 1)
+        turn = lambda s: (next_spot(scene_, s[0], method), s[1] + 1)
         first = eqx.tree_at(lambda s: s.change, start, jnp.full((), jnp.inf))
         return while_loop(more, turn, (first, jnp.zeros((), int)))[0]
 
-    @found.defjvp
+    @solution.defjvp
     def tangents(primals, moved):
-        spot = found(*primals)
-        return spot, _tangent(primals[0], moved[0], rest, spot, way)
+        spot = solution(*primals)
+        return spot, _tangent(primals[0], moved[0], rest, spot, method)
 
-    return found(arrays, start)
+    return solution(arrays, start)
 
 
 _settled = eqx.filter_jit(settle)
 
 
-def _tangent(arrays: Any, moved: Any, rest: Any, spot: Spot, way: Way) -> Spot:
+def _tangent(arrays: Any, moved: Any, rest: Any, spot: Spot, method: ByLoops) -> Spot:
     """How the spot moves with the numbers of the scene: implicit function theorem."""
     system = prepare(eqx.combine(arrays, rest).mechanism)
     count = system.topology.speed_count
@@ -551,18 +551,18 @@ def _tangent(arrays: Any, moved: Any, rest: Any, spot: Spot, way: Way) -> Spot:
 
     def equations(arrays, unknowns):
         scene, seats = eqx.combine(arrays, rest), unflatten(unknowns[count:])
-        now = standing(scene, place(unknowns[:count]), way.opened(seats), way.side)
-        misses = unknowns[count:] - ravel_pytree(way.closed(now.seats))[0]
-        return jnp.concatenate([sp.stack(now.left), misses])
+        now = standing(scene, place(unknowns[:count]), method.opened(seats), method.side)
+        misses = unknowns[count:] - ravel_pytree(method.closed(now.seats))[0]
+        return jnp.concatenate([sp.stack(now.residual), misses])
 
     here = jnp.concatenate([jnp.zeros(count), flat])
     rows = jax.jacfwd(equations, argnums=1)(arrays, here)
-    right = jax.jvp(lambda own: equations(own, here), (arrays,), (moved,))[1]
+    right = jax.jvp(lambda scene_: equations(scene_, here), (arrays,), (moved,))[1]
     # The inverse first, so that what is solved for stays linear and can be transposed.
     inverse = jax.vmap(lambda unit: _eliminated(rows, unit))(jnp.eye(len(here)))
-    found = -jnp.sum(inverse * right[:, None], axis=0)
-    q = jax.jvp(place, (here[:count],), (found[:count],))[1]
-    return Spot(q, unflatten(found[count:]), jnp.zeros(()), jnp.zeros(()))
+    change = -jnp.sum(inverse * right[:, None], axis=0)
+    q = jax.jvp(place, (here[:count],), (change[:count],))[1]
+    return Spot(q, unflatten(change[count:]), jnp.zeros(()), jnp.zeros(()))
 
 
 def _eliminated(rows: Array, right: Array) -> Array:

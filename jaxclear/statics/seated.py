@@ -54,7 +54,7 @@ from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.state_history import SavedMotion, State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.simulate import simulate
-from jaxclear.simulation.wear import worn_as_given
+from jaxclear.simulation.wear import initial_depths
 
 # Step [s] over which the first reactions are taken: a motion does not change in it.
 FIRST = 1e-7
@@ -94,15 +94,15 @@ def seated(mechanism: Mechanism, worn: Any = None) -> State:
     check_double_precision()
     expect(mechanism, Mechanism, "what is seated", "a jaxclear.Mechanism")
     mechanism = with_quantities(mechanism)
-    surfaces = worn_as_given(mechanism, worn)
+    surfaces = initial_depths(mechanism, worn)
     if not mechanism.topology.clearances:
         return State(surfaces)
     first = _first_reactions(mechanism)
     read = {} if surfaces is None else readings(prepare(mechanism), surfaces)
-    known, start = _put(first, mechanism, read)
+    moved, start = _put(first, mechanism, read)
     model = model_of(mechanism, CompliantContact())
-    own = names(model.system, model.layout)
-    parts = own[: model.layout.memory_start], own[model.layout.remembered]
+    labels = names(model.system, model.layout)
+    parts = labels[: model.layout.memory_start], labels[model.layout.remembered]
     motion = SavedMotion(
         jnp.zeros(()),
         start.coordinates,
@@ -110,7 +110,7 @@ def seated(mechanism: Mechanism, worn: Any = None) -> State:
         jnp.zeros(len(parts[1])),
         tuple(parts[0]),
         tuple(parts[1]),
-        known.topology.redundancy,
+        moved.topology.redundancy,
     )
     return State(surfaces, motion=motion)
 
@@ -118,17 +118,17 @@ def seated(mechanism: Mechanism, worn: Any = None) -> State:
 def _first_reactions(mechanism: Mechanism) -> Trajectory:
     """A run so short that nothing moves, in which all journals touch; without friction where it
     would hang on reactions that are not unique."""
-    asked: dict[str, Any] = {"save": 2, "integrator": NonColliding(FIRST), "verify": False}
+    options: dict[str, Any] = {"save": 2, "integrator": NonColliding(FIRST), "verify": False}
     try:
-        return simulate(mechanism, FIRST, **asked)
+        return simulate(mechanism, FIRST, **options)
     except ReactionNotUnique:
-        return simulate(_without_friction(mechanism), FIRST, **asked)
+        return simulate(_without_friction(mechanism), FIRST, **options)
 
 
 def _without_friction(mechanism: Mechanism) -> Mechanism:
     for name, connection in mechanism.connections.items():
         if getattr(connection.joint, "friction", None) is not None:
-            joint = eqx.tree_at(lambda own: own.friction, connection.joint, None)
+            joint = eqx.tree_at(lambda joint_of: joint_of.friction, connection.joint, None)
             mechanism = mechanism.with_joint(name, joint)
     return mechanism
 
@@ -154,7 +154,7 @@ def _pressed(
 
 def _put(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
     """(mechanism, its start) with every journal in its seat."""
-    if any(isinstance(own, AbstractBodyCoupling) for own in mechanism.couplings.values()):
+    if any(isinstance(coupling, AbstractBodyCoupling) for coupling in mechanism.couplings.values()):
         # A journal in its seat by a bearing that is moved would mesh elsewhere.
         return _at_rest_together(first, mechanism, read)
     system = prepare(mechanism)
@@ -170,13 +170,13 @@ def _put(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
         warnings.simplefilter("ignore", UnusualMagnitude)
         put = rebuilt(mechanism, connections=connections)
     try:
-        known, start = ready(put)[:2]
+        assembled, start = ready(put)[:2]
     except ValueError:
         # The loops do not let every journal lie as its own reaction presses it.
         return _at_rest_together(first, mechanism, read)
     for doubt in doubts:
         warn(str(doubt.message), doubt.category)
-    return known, start
+    return assembled, start
 
 
 def _at_rest_together(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
@@ -186,13 +186,13 @@ def _at_rest_together(first: Trajectory, mechanism: Mechanism, read: dict) -> tu
         # Reactions that close the loops among themselves move nothing: any of them will do.
         warnings.filterwarnings("ignore", message="the reaction of joint .* is not unique")
         reactions = {n: _reaction(first, mechanism, n) for n in mechanism.topology.clearances}
-    found = resting(mechanism, reactions, read)
-    if found is None:
+    rest = resting(mechanism, reactions, read)
+    if rest is None:
         raise ValueError(
             "the journals of this mechanism find no rest under their reactions without friction: "
             "something that loads hold in no direction moves away. Begin with a state of a run."
         )
-    return ready_from(mechanism, found, ready(mechanism).start.speeds, 0.0)
+    return ready_from(mechanism, rest, ready(mechanism).start.speeds, 0.0)
 
 
 def _reaction(first: Trajectory, mechanism: Mechanism, name: str) -> Pressed:
@@ -248,16 +248,14 @@ def _led_to_seat(marker: Marker, offset: np.ndarray, slope: np.ndarray) -> Marke
     place = at if np.any(at[2]) else at[:2]
     if not np.any(slope):
         # Planar markers stay so.
-        return eqx.tree_at(
-            lambda own: own.at, marker, as_vector(place), is_leaf=lambda x: x is None
-        )
+        return eqx.tree_at(lambda m: m.at, marker, as_vector(place), is_leaf=lambda x: x is None)
     lean = np.asarray(sp.dense(frame_with_axis((*slope, 1.0))), float).reshape(3, 3)
     return Marker(marker.body, place, quaternion=np.asarray(quaternion_from_rotation(turn @ lean)))
 
 
 # Steps after which a rest that has not been found counts as none; forces that are left at one,
 # beside the largest reaction.
-MOST_STEPS, LEFT = 400, 1e-6
+MOST_STEPS, RESIDUAL = 400, 1e-6
 # By which a step that lessens the potential is held back less, and one that does not more.
 LESS, MORE = 0.3, 4.0
 # Points of Gauss and Legendre's rule between touch and an indentation: after t^2 for the share of
@@ -270,32 +268,32 @@ CLOSING = 4
 def resting(mechanism: Mechanism, pressed: dict[str, Pressed], worn: dict) -> Array | None:
     """Coordinates at which the journals rest under these reactions; None where none were found.
     `worn`: readings of worn surfaces, by joint."""
-    known, start = ready(mechanism)[:2]
-    asked = ask(known, False)
-    arm = float(asked.arm)
-    largest = max(float(np.linalg.norm(own.force)) for own in pressed.values())
+    assembled, start = ready(mechanism)[:2]
+    problem = ask(assembled, False)
+    arm = float(problem.arm)
+    largest = max(float(np.linalg.norm(force.force)) for force in pressed.values())
     if largest == 0.0:
         return start.coordinates
-    at = lambda q: _ground(known, q, pressed, worn)
-    moved = lambda q, step: _moved(known, q, step)
-    q, held_back = start.coordinates, largest * arm**2 / float(narrowest_gap(asked.system))
+    at = lambda q: _ground(assembled, q, pressed, worn)
+    moved = lambda q, step: _moved(assembled, q, step)
+    q, softness = start.coordinates, largest * arm**2 / float(narrowest_gap(problem.system))
     now = at(q)
     for _ in range(MOST_STEPS):
         value, *derivatives, rows = now
         free = _free(np.asarray(rows))
-        slope, bend = (free.T @ np.asarray(own) for own in derivatives)
+        slope, bend = (free.T @ np.asarray(force) for force in derivatives)
         bend = bend @ free
-        if np.abs(slope).max(initial=0.0) < LEFT * largest * arm:
+        if np.abs(slope).max(initial=0.0) < RESIDUAL * largest * arm:
             return q
-        sizes, ways = np.linalg.eigh(bend)
+        sizes, vectors = np.linalg.eigh(bend)
         # Where the potential bends down, as far as where it bends up.
-        step = -free @ (ways @ ((ways.T @ slope) / (np.abs(sizes) + held_back)))
+        step = -free @ (vectors @ ((vectors.T @ slope) / (np.abs(sizes) + softness)))
         there = moved(q, jnp.asarray(step))
         then = at(there)
         if float(then[0]) < float(value):
-            q, now, held_back = there, then, LESS * held_back
+            q, now, softness = there, then, LESS * softness
         else:
-            held_back *= MORE
+            softness *= MORE
     return None
 
 
@@ -303,37 +301,39 @@ def _free(rows: np.ndarray) -> np.ndarray:
     """Directions (v, n) in which no row changes."""
     if not len(rows):
         return np.eye(rows.shape[1])
-    _, sizes, ways = np.linalg.svd(rows)
+    _, sizes, vectors = np.linalg.svd(rows)
     rank = int((sizes > 1e-9 * sizes.max(initial=0.0)).sum())
-    return ways[rank:].T
+    return vectors[rank:].T
 
 
 @compiled_quickly
 def _ground(mechanism: Mechanism, q: Array, pressed: dict[str, Pressed], worn: dict) -> tuple:
     """Potential [J] at coordinates, its gradient and Hessian in the scaled speeds, and the rows
     (rows, v) that hold the loops there."""
-    asked = ask(mechanism, False)
-    scales = speed_scales(asked)
-    energy = lambda step: _potential(asked, retract(asked.system, q, scales * step), pressed, worn)
-    none = jnp.zeros(asked.system.topology.speed_count)
+    problem = ask(mechanism, False)
+    scales = speed_scales(problem)
+    energy = lambda step: _potential(
+        problem, retract(problem.system, q, scales * step), pressed, worn
+    )
+    none = jnp.zeros(problem.system.topology.speed_count)
     value, slope = jax.value_and_grad(energy)(none)
-    rows = stacked(asked, blocks_of(asked, q, 0.0, (LOOP, GIVEN)))[0] * scales
+    rows = stacked(problem, blocks_of(problem, q, 0.0, (LOOP, GIVEN)))[0] * scales
     return value, slope, jax.hessian(energy)(none), rows
 
 
 @compiled_quickly
 def _moved(mechanism: Mechanism, q: Array, step: Array) -> Array:
     """Coordinates after a step in the scaled speeds, loops closed."""
-    asked = ask(mechanism, False)
-    q = retract(asked.system, q, speed_scales(asked) * step)
-    return closed(asked, q, 0.0, CLOSING, (LOOP, GIVEN))
+    problem = ask(mechanism, False)
+    q = retract(problem.system, q, speed_scales(problem) * step)
+    return closed(problem, q, 0.0, CLOSING, (LOOP, GIVEN))
 
 
-def _potential(asked: Ask, q: Array, pressed: dict[str, Pressed], worn: dict) -> Array:
-    still = jnp.zeros(asked.system.topology.speed_count)
-    motions = motions_at(asked, q, still, 0.0)[2]
+def _potential(problem: Ask, q: Array, pressed: dict[str, Pressed], worn: dict) -> Array:
+    still = jnp.zeros(problem.system.topology.speed_count)
+    motions = motions_at(problem, q, still, 0.0)[2]
     total: Any = 0.0
-    for name, bearing in asked.system.bearings.items():
+    for name, bearing in problem.system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]
         readings = worn.get(name, {})
         depths = contact_point.depths(bearing.joint, pose, readings)

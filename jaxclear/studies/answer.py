@@ -6,6 +6,7 @@ these.
 import itertools
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -88,6 +89,19 @@ class AbstractAnswer(AbstractShown):
         stated = self._stated()
         said = {"result": self.sentence(), "warnings": " ".join(stated.warned)}
         return dataset_of(stated, **(said | dict(stated.numbers)))
+
+    def to_csv(self, path: Any) -> Path:
+        """Write a CSV file: a row for each label of the first dimension (a sample, a variable).
+
+        Names have units; every digit is kept.
+
+        Args:
+            path: name of the file.
+
+        Returns:
+            The path of the file.
+        """
+        return datasets.write_csv(self.to_dataset(), path)
 
 
 def with_interval(

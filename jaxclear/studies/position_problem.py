@@ -23,7 +23,7 @@ from jaxclear.results.response import unit_of
 from jaxclear.statics.least_energy import ByEnergy, Rest
 from jaxclear.statics.position_path import both, checked_positions, sought
 from jaxclear.statics.positions import Positions
-from jaxclear.statics.quasi_static import Posed, Spot, Way
+from jaxclear.statics.quasi_static import ByLoops, Posed, Spot
 from jaxclear.studies.experiment import (
     AbstractExperiment,
     Cost,
@@ -52,13 +52,13 @@ class PositionExperiment(AbstractExperiment):
     mechanism: Mechanism
     response: dict[str, Callable]
     position: Float[Array, "positions drives"]
-    held: tuple[str, ...] = eqx.field(static=True)
-    both_ways: bool = eqx.field(static=True)
+    drives: tuple[str, ...] = eqx.field(static=True)
+    reverse_loads: bool = eqx.field(static=True)
     scene: Posed = derived()
     starts: Spot | Rest = derived()
     # The same under reversed loads, where energy says where it rests.
     others: Rest | None = derived()
-    way: Way | ByEnergy = derived()
+    method: ByLoops | ByEnergy = derived()
     response_names: tuple[str, ...] = derived(static=True)
 
     def __init__(
@@ -66,17 +66,17 @@ class PositionExperiment(AbstractExperiment):
         mechanism: Mechanism,
         response: dict[str, Callable],
         positions: Mapping[str, Any],
-        both_ways: bool,
+        reverse_loads: bool,
     ):
-        self.mechanism, self.response, self.both_ways = mechanism, response, both_ways
+        self.mechanism, self.response, self.reverse_loads = mechanism, response, reverse_loads
         self.response_names = tuple(response)
-        self.held, places = checked_positions(positions)
+        self.drives, places = checked_positions(positions)
         self.position = jnp.asarray(places)
-        self.scene, self.way, self.starts = sought(mechanism, self.held, places)
+        self.scene, self.method, self.starts = sought(mechanism, self.drives, places)
         self.others = None
-        if both_ways and isinstance(self.way, ByEnergy):
+        if reverse_loads and isinstance(self.method, ByEnergy):
             starts: Any = self.starts
-            others = self.way.reversed.each(self.scene, self.position, starts)
+            others = self.method.reversed.each(self.scene, self.position, starts)
             self.others = others if bool(jnp.all(jnp.isfinite(others.change))) else None
         check_answers(response, lambda: self._at(mechanism))
 
@@ -86,7 +86,7 @@ class PositionExperiment(AbstractExperiment):
 
     def _at(self, mechanism: Mechanism) -> Positions:
         scene = self.scene.of(mechanism)
-        return both(scene, self.position, self.starts, self.way, self.both_ways, self.others)
+        return both(scene, self.position, self.starts, self.method, self.reverse_loads, self.others)
 
     def _positions(self, setting: Setting) -> Positions:
         """The mechanism of one setting at all positions; pure."""
@@ -121,7 +121,7 @@ class PositionExperiment(AbstractExperiment):
                 "the nominal one."
             ),
         }
-        places = f"{many} position{'s' if many > 1 else ''} of {listed(self.held)}"
+        places = f"{many} position{'s' if many > 1 else ''} of {listed(self.drives)}"
         return Description(f"PositionProblem at {places}".rstrip(), known, endings)
 
 
@@ -132,7 +132,7 @@ def PositionProblem(
     variables: Mapping[str, AbstractMechanismVariable],
     *,
     positions: Mapping[str, Any],
-    both_ways: bool = False,
+    reverse_loads: bool = False,
     correlation: Any = None,
 ) -> Problem:
     """A problem of a mechanism over positions of its drives. Each position of each sample is sought
@@ -145,7 +145,7 @@ def PositionProblem(
             `jaxclear.response` that read places serve; `FromFunction` gives a function its unit.
         variables: the numbers that vary, `Variable` or `Condition` by name.
         positions: coordinates [rad, m] by joint, as in `jaxclear.positions`.
-        both_ways: an option, whether loads are reversed as well, as in `jaxclear.positions`.
+        reverse_loads: an option, whether loads are reversed as well, as in `jaxclear.positions`.
         correlation: of the variables' normal scores [1], as in `Problem`.
 
     Raises:
@@ -156,6 +156,6 @@ def PositionProblem(
     of = "a mechanism over positions"
     wanted, varied = checked_question(mechanism, response, variables, "PositionProblem", of)
     correlation = correlation_matrix(correlation, tuple(varied))
-    check_flags("PositionProblem", both_ways=both_ways)
-    experiment = PositionExperiment(mechanism, wanted, positions, both_ways)
+    check_flags("PositionProblem", reverse_loads=reverse_loads)
+    experiment = PositionExperiment(mechanism, wanted, positions, reverse_loads)
     return Problem.of(experiment, varied, correlation)

@@ -49,8 +49,8 @@ from jaxclear.simulation.derivatives import (
     is_compared,
     order_of,
     refusal,
+    refuse_steps,
     until_the_end,
-    where_alike,
 )
 from jaxclear.simulation.initial_state import Past, past_of, state_of
 from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
@@ -375,7 +375,7 @@ def _steps(experiment: RunExperiment, _: Any) -> tuple[Any, Any]:
 def _alike(found: SampleResult, ways: SampleResult, ratios: Array, least: Any) -> SampleResult:
     """Derivatives of what is answered; those of responses are nan where steps decide them."""
     told = {
-        name: where_alike(way, ratios, abs(way[0]), least * abs(found.responses[name]))
+        name: refuse_steps(way, ratios, abs(way[0]), least * abs(found.responses[name]))
         for name, way in ways.responses.items()
     }
     moves = jax.tree.map(lambda each: each[0], ways)

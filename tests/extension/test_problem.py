@@ -45,8 +45,10 @@ def beam():
     return jc.Problem.of(Cantilever(jnp.asarray(100.0)), varied)
 
 
-def test_problem_from_outside_is_sampled_and_its_failures_named(beam):
+def test_problem_from_outside_is_sampled_and_its_failures_named(beam, tmp_path):
     study = jc.monte_carlo(beam, 64)
+    table = np.genfromtxt(study.to_csv(tmp_path / "sample.csv"), delimiter=",", names=True)
+    np.testing.assert_array_equal(table["deflection_m"], study.responses["deflection"])
     length, height = study.values.T
     yields = 600.0 * length / (0.01 * height**2) >= 250e6
     np.testing.assert_array_equal(study.failed, np.flatnonzero(yields))

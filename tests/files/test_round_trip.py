@@ -44,6 +44,11 @@ TOGETHER = {
     "shares": [0.25, 0.75],
     "outer_radius": 0.5,
     "inner_radius": 0.25,
+    "inner_diameter": 0.25,
+    "outer_diameter": 0.5,
+    "GJ": 0.5,
+    "turning_inertia": 0.5,
+    "EA": 0.5,
     "bearing_radius": 0.5,
     "socket_radius": 0.5,
     "width": 0.5,
@@ -84,6 +89,9 @@ ONE_TURN = {
     "values": [0.0, 1.0, 0.5, 0.0],
     "beyond": "repeated",
 }
+# A zone is on a marker, round or between planes.
+ZONE = {"marker": "A.parent", "along": "x", "spherical": False, "width": None, "at_lmc": None}
+LEANS = ("Angularity", "Parallelism", "Perpendicularity")
 # Surfaces of ideal joints have no worn radius.
 ARCHARD_WEAR = {
     "kind": "Wearing",
@@ -121,6 +129,13 @@ OWN = {
     ("FromScipy", "table"): {"scores": [-1, 0, 1], "deviations": [-2, 0, 2], "slopes": [2, 2, 2]},
     ("ContactForce", "memory"): None,
     ("ContactForce", "dissipation"): {"kind": "LankaraniNikravesh", "restitution": 0.75},
+    ("Fit", "fit"): "20 H7/g6",
+    ("Capability", "cp"): 1.5,
+    ("Capability", "cpk"): 1.0,
+    ("Capability", "distribution"): "normal",
+    ("LargestError", "body"): None,
+    ("LargestError", "axis"): 1,
+    ("LargestError", "reference"): [0.0, 1.0],
     ("SliderGuide", "guide_length"): 4.0,
     ("SliderGuide", "guide_wear"): {"law": {"kind": "Archard"}},
     ("SliderGuide", "slider_wear"): {"law": {"kind": "Archard"}},
@@ -132,6 +147,8 @@ OWN = {
     ("TimeTable", "interpolation"): "monotone",
     ("TimeTable", "beyond"): "straight",
 }
+OWN |= {("Coaxiality", name): own for name, own in ZONE.items()}
+OWN |= {(zone, name): own for zone in LEANS for name, own in (ZONE | {"width": 0.5}).items()}
 
 
 def classes_of_package(families):
@@ -323,6 +340,10 @@ FURTHER = {
     "planar four-bar": lambda: jc.scenes.four_bar("planar"),
     "ideal four-bar": lambda: jc.scenes.four_bar("ideal"),
     "step-driven antenna": lambda: jc.scenes.antenna(drive="step"),
+    # Its markers lie on the beam in the file, on pieces of it in the mechanism.
+    "slider-crank with a beam": lambda: jc.scenes.slider_crank().with_body(
+        "rod", jc.Beam(0.12, jc.section.Circle(6e-3), jc.material.steel(), 7850.0, 4, space=False)
+    ),
     "with numbers changed": lambda: eqx.tree_at(
         lambda m: m.bodies["rod"].mass, jc.scenes.slider_crank(), jnp.asarray(1 / 3)
     ),
@@ -375,7 +396,7 @@ def asked_over_positions():
     return jc.Scene(
         rig,
         positions={rig.driven[0]: np.linspace(0.0, 1.0, 3)},
-        both_ways=True,
+        reverse_loads=True,
         variables={
             "clearance": jc.Variable(lambda m: m.connections["B"].joint.clearance, tolerance=1e-5),
             "warmth": jc.Condition(
@@ -402,7 +423,7 @@ def test_a_scene_is_a_run_or_positions(tmp_path):
     rig = jc.scenes.slider_crank()
     for given, sentence in (
         ({"duration": 1.0, "positions": {"O": [0.1]}}, 'positions and "duration"'),
-        ({"both_ways": True}, "both_ways without positions"),
+        ({"reverse_loads": True}, "reverse_loads without positions"),
         ({"positions": {"O": [[0.1]]}}, 'positions of joint "O" are .* numbers in a row'),
     ):
         with pytest.raises(ValueError, match=sentence):

@@ -8,6 +8,7 @@ import pytest
 from jaxclear.formulations import delassus
 from jaxclear.formulations.contact_rows import ContactPoint, FreeMotion
 from jaxclear.multibody.constraints import ClosureEquations
+from jaxclear.multibody.rows import LinearRate
 
 LIMBS = (2, 3)
 
@@ -22,7 +23,8 @@ def equations(rows, closures, seed=1):
     size = sum(LIMBS)
     jacobian, held = random.normal(size=(rows, size)), random.normal(size=(closures, size))
     as_rows = lambda matrix: [dict(enumerate(row)) for row in matrix]
-    contacts = tuple(ContactPoint(None, None, (0.0,), (row,), 1) for row in as_rows(jacobian))
+    rates = [LinearRate(0.0, row) for row in as_rows(jacobian)]
+    contacts = tuple(ContactPoint(None, None, (rate,), 1) for rate in rates)
     right, wanted = random.normal(size=size), random.normal(size=closures)
     apart = FreeMotion(
         None,

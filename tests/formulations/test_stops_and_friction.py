@@ -480,7 +480,7 @@ def test_lost_motion_of_play_is_that_of_both_flanks():
         couplings={"gear": gear},
     )
     held = np.array([0.0, 30.0])
-    found = jc.positions(rig, {"gear.motor": held}, both_ways=True)
+    found = jc.positions(rig, {"gear.motor": held}, reverse_loads=True)
     # The servo acts on the motor, which is held. On gears the joint turns the other way.
     for side, own in ((-1, found), (1, found.reversed)):
         angle = np.asarray(own.coordinate("hinge"))

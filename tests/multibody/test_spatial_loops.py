@@ -12,7 +12,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.ground.factorisation import least_change, of_rank
 from jaxclear.multibody import assembly
-from jaxclear.native import once, rows
+from jaxclear.native import as_kernel, rows
 from jaxclear.native.rows import operations_of
 
 LINKS = [(0.2, 0.0, 0.0), (0.1, 0.15, 0.05), (0.0, 0.2, -0.05), (-0.1, 0.1, 0.1), (0.1, 0.0, 0.15)]
@@ -82,7 +82,7 @@ def test_row_operations_of_any_size_are_kernels(count, caplog):
         chosen = of_rank(matrix, targets, scales, count - 1)
         return least_change(matrix, targets, scales), least_change(*chosen, scales)
 
-    whole, chosen = jax.jit(lambda *given: once(change, *given))(matrix, targets)
+    whole, chosen = jax.jit(lambda *given: as_kernel(change, *given))(matrix, targets)
     wanted = np.linalg.lstsq(matrix, targets)[0]
     np.testing.assert_allclose(whole.change, wanted, atol=1e-11)
     np.testing.assert_allclose(chosen.change, wanted, atol=1e-11)

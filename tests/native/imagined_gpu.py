@@ -128,7 +128,7 @@ def imagined(monkeypatch) -> Iterator[ImaginedGpu]:
     monkeypatch.setattr(gpu_driver, "driver", lambda: device)
     monkeypatch.setattr(gpu_threads, "text_of", watched)
     monkeypatch.setattr(gpu_ptx, "ptx_of", lambda text, _: text)
-    monkeypatch.setattr(gpu_call, "known_to_xla", dispatch.known_to_xla)
+    monkeypatch.setattr(gpu_call, "register_with_xla", dispatch.register_with_xla)
     assert ASKED in gpu_call.HANDLER
     monkeypatch.setattr(gpu_call, "HANDLER", gpu_call.HANDLER.replace(ASKED, PASSED_OVER))
     monkeypatch.setattr(gpu, "_KERNELS", {})

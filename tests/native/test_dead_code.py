@@ -11,7 +11,7 @@ import pytest
 from jax.interpreters import partial_eval as pe
 
 import jaxclear as jc
-from jaxclear.native import Kept, by_columns, loop, once, scan, while_loop
+from jaxclear.native import TableLayout, as_kernel, by_columns, loop, scan, while_loop
 from jaxclear.native.derivative_rules import columns_p
 
 PLACE = jnp.array([1.0, 0.7, 0.5])
@@ -47,7 +47,7 @@ def written(p):
         return (x, largest, marks), (x * p[1], (aside, largest))
 
     places = np.arange(6)
-    kept = [Kept(places + 1, 7, p[0]), Kept(places, 6)]
+    kept = [TableLayout(places + 1, 7, p[0]), TableLayout(places, 6)]
     begun = p[2], jnp.zeros(()), jnp.zeros(80)
     (x, largest, marks), (table, (aside, most)) = scan(
         turn, begun, numbers, kept, (False, False, True)
@@ -57,7 +57,7 @@ def written(p):
 
 def called(p):
     """A function of one turn."""
-    return once(lambda q: (jnp.sin(q[0]), q[1] * q[2], jnp.tanh(q[2])), p)
+    return as_kernel(lambda q: (jnp.sin(q[0]), q[1] * q[2], jnp.tanh(q[2])), p)
 
 
 WAYS = {

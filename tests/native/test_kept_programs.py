@@ -18,7 +18,7 @@ from jax.experimental.compilation_cache import compilation_cache
 import jaxclear as jc
 from jaxclear.ground import cache_folder
 from jaxclear.ground.latest import Latest
-from jaxclear.native import as_written, compiled, forms
+from jaxclear.native import compiled, forms, source_check
 from jaxclear.native.compiled import compiled_quickly
 from jaxclear.native.forms import Untold, in_text, surroundings, tree_in_text
 
@@ -45,9 +45,9 @@ def kept(tmp_path, monkeypatch):
     monkeypatch.setenv(cache_folder.VARIABLE, str(tmp_path))
     monkeypatch.setattr(compiled, "_AT_HAND", Latest(compiled.AT_HAND))
     # These tests put other things in the place of the package's.
-    monkeypatch.setattr(as_written, "is_as_written", lambda: True)
+    monkeypatch.setattr(source_check, "is_unmodified", lambda: True)
     # Files may have been installed a moment ago.
-    monkeypatch.setattr(as_written, "BEGUN", float("inf"))
+    monkeypatch.setattr(source_check, "READ_BEFORE", float("inf"))
     # What JAX finds on disk is not kept again.
     jax.config.update("jax_enable_compilation_cache", False)
     compilation_cache.reset_cache()
@@ -98,8 +98,8 @@ def scaled(x, by, words):
 
 
 def test_what_is_no_array_comes_back_as_it_was(kept, monkeypatch):
-    monkeypatch.setattr(forms, "OWN", (*forms.OWN, "tests"))
-    monkeypatch.setattr(compiled, "_known", lambda options, _: dict(options))
+    monkeypatch.setattr(forms, "TRUSTED", (*forms.TRUSTED, "tests"))
+    monkeypatch.setattr(compiled, "_supported", lambda options, _: dict(options))
     known = compiled_quickly(scaled)
     TRACED.clear()
     found = known(jnp.arange(3.0), 2, ("a", None))
@@ -139,7 +139,7 @@ def test_what_belongs_to_a_user_is_never_found_by_its_name(kept):
 
 
 def test_settings_make_another_program(monkeypatch):
-    monkeypatch.setattr(as_written, "_SEEN", {})
+    monkeypatch.setattr(source_check, "_CONTENTS", {})
     before = surroundings()
     assert surroundings() == before
     monkeypatch.setenv("JAXCLEAR_PLAIN_LOOPS", "1")
@@ -150,7 +150,7 @@ def test_settings_make_another_program(monkeypatch):
 
 
 def test_settings_that_change_within_a_process_make_another_program(kept, monkeypatch):
-    monkeypatch.setattr(forms, "OWN", (*forms.OWN, "tests"))
+    monkeypatch.setattr(forms, "TRUSTED", (*forms.TRUSTED, "tests"))
     known = compiled_quickly(scaled)
     x = np.ones(2, np.float32)
     wide = known(x, np.float64(2.0), "")["scaled"].dtype
@@ -173,7 +173,7 @@ def test_a_package_that_is_changed_in_a_process_is_not_found_by_its_names(monkey
         lambda on: on.setattr(compiled, "_key", lambda *_: None),
         lambda on: on.delattr(regression, "LINE"),
     ]
-    monkeypatch.setattr(as_written, "_SEEN", {})
+    monkeypatch.setattr(source_check, "_CONTENTS", {})
     for patch in patches:
         surroundings()
         with monkeypatch.context() as on:
@@ -194,7 +194,7 @@ def test_files_count_by_what_stands_in_them(tmp_path):
         written("MU = 0.3")
     # A day from now this process began.
     with pytest.MonkeyPatch.context() as on:
-        on.setattr(as_written, "BEGUN", time.time() + 86400)
+        on.setattr(source_check, "READ_BEFORE", time.time() + 86400)
         before = written("MU = 0.3")
         assert written("MU = 0.4") != before == written("MU = 0.3", days=2)
 
@@ -205,10 +205,10 @@ def test_a_program_that_jax_has_found_is_not_kept(hits, kept, monkeypatch):
 
     def found(self, **given):
         for _ in range(hits):
-            jax.monitoring.record_event(compiled.FOUND_BY_JAX)
+            jax.monitoring.record_event(compiled.CACHE_HIT_EVENT)
         return real(self, **given)
 
-    monkeypatch.setattr(forms, "OWN", (*forms.OWN, "tests"))
+    monkeypatch.setattr(forms, "TRUSTED", (*forms.TRUSTED, "tests"))
     monkeypatch.setattr(jax.stages.Lowered, "compile", found)
     compiled_quickly(scaled)(jnp.ones(2), 3.0, ("a",))
     assert (
@@ -217,7 +217,7 @@ def test_a_program_that_jax_has_found_is_not_kept(hits, kept, monkeypatch):
 
 
 def test_a_program_that_calls_back_is_not_kept_and_runs(kept, monkeypatch):
-    monkeypatch.setattr(forms, "OWN", (*forms.OWN, "tests"))
+    monkeypatch.setattr(forms, "TRUSTED", (*forms.TRUSTED, "tests"))
     heard = []
     monkeypatch.setitem(globals(), "calling", None)
 
@@ -236,7 +236,7 @@ def test_a_program_that_calls_back_is_not_kept_and_runs(kept, monkeypatch):
 
 @pytest.mark.parametrize("within", [jax.jit, jax.vmap, jax.grad])
 def test_within_another_program_nothing_is_looked_up(kept, within, monkeypatch):
-    monkeypatch.setattr(forms, "OWN", (*forms.OWN, "tests"))
+    monkeypatch.setattr(forms, "TRUSTED", (*forms.TRUSTED, "tests"))
     known = compiled_quickly(scaled)
     x = jnp.ones(2) if within is jax.vmap else jnp.asarray(1.0)
     assert jnp.all(within(lambda x: known(x, 2.0, "")["scaled"])(x) == 2.0)
@@ -254,7 +254,7 @@ def test_a_number_of_any_type_compiles_nothing_anew(kept, monkeypatch):
         verify=False,
     )
     first = run(np.float64(2.0))
-    monkeypatch.setattr(compiled, "_kept_or_compiled", lambda *_: pytest.fail("compiled anew"))
+    monkeypatch.setattr(compiled, "_load_or_compile", lambda *_: pytest.fail("compiled anew"))
     for kind in (float, int, np.float32, np.float64, np.int64, np.asarray, jnp.float32):
         with warnings.catch_warnings():
             warnings.simplefilter("error")

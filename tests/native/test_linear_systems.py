@@ -7,7 +7,7 @@ import pytest
 
 import jaxclear  # noqa: F401  (float64)
 from jaxclear.ground.elimination import Pattern, solved, tables_of
-from jaxclear.native import explain, once, verdict
+from jaxclear.native import as_kernel, explain, verdict
 from jaxclear.native.linear_systems import MOST_FACTORISED
 from jaxclear.native.verdicts import KERNELS
 
@@ -49,7 +49,7 @@ def test_kernels_solve_as_numpy_does(kind, size):
         return tuple(solved(pattern, entries, None, b) for b in (right, 2 * right + 1))
 
     def one(entries, right):
-        found = once(both, entries, right)
+        found = as_kernel(both, entries, right)
         return found, verdict(found[0][0])
 
     def near(found, draw):
@@ -72,7 +72,7 @@ def test_a_row_that_follows_from_others_has_no_unknown():
     """x0 + x1 = 2 twice, the second row left out."""
     pattern = Pattern(2, ((0, 0), (1, 0), (1, 1)))
     least = jnp.array([-jnp.inf, 1e-10])
-    found = once(lambda b: solved(pattern, jnp.ones(3), least, b), jnp.array([2.0, 2.0]))
+    found = as_kernel(lambda b: solved(pattern, jnp.ones(3), least, b), jnp.array([2.0, 2.0]))
     np.testing.assert_allclose(found, [2.0, 0.0], rtol=0, atol=0)
 
 
@@ -86,7 +86,7 @@ def test_slopes_are_those_of_the_solution():
     solution = np.linalg.solve(matrix, right)
     wanted = -np.linalg.solve(matrix, change @ solution)
 
-    def at(t, run=once):
+    def at(t, run=as_kernel):
         moved = jnp.asarray(entries) + t * jnp.asarray(change[rows, columns])
         return run(lambda given: solved(pattern, given, None, right), moved)
 
@@ -114,7 +114,7 @@ def test_more_systems_than_stay_factorised():
     def all_twice(given):
         return [solved(pattern, entries, None, right) for _ in range(2) for entries in given]
 
-    found = jax.jit(lambda given: once(all_twice, given))(given)
+    found = jax.jit(lambda given: as_kernel(all_twice, given))(given)
     for (_, matrix, _), *twice in zip(draws, found[: len(draws)], found[len(draws) :], strict=True):
         for each in twice:
             np.testing.assert_allclose(each, np.linalg.solve(matrix, right), rtol=0, atol=ROUNDING)

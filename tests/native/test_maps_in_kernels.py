@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxclear.ground.grouping import stacked, unstacked
-from jaxclear.native import once, only_kernels
+from jaxclear.native import as_kernel, only_kernels
 
 
 def _springs(state, parameters):
@@ -39,7 +39,7 @@ def test_a_map_over_many_rows_is_what_jax_makes_of_it(samples):
         return jax.lax.scan(step, wide, length=30)[0]
 
     with only_kernels():
-        found = jax.jit(jax.vmap(lambda state: once(run, state)))(states)
+        found = jax.jit(jax.vmap(lambda state: as_kernel(run, state)))(states)
     np.testing.assert_allclose(found, jax.vmap(run)(states), rtol=1e-12, atol=1e-14)
 
 
@@ -59,6 +59,6 @@ def test_an_axis_of_length_one_stands_for_all_beside_a_long_array(samples):
 
     given = jnp.asarray(np.random.default_rng(3).normal(size=(samples, 40)))
     with only_kernels():
-        found = jax.jit(jax.vmap(lambda first: once(turned, first)))(given)
+        found = jax.jit(jax.vmap(lambda first: as_kernel(turned, first)))(given)
     # Sums are rounded in another order.
     np.testing.assert_allclose(found, jax.vmap(turned)(given), rtol=1e-12, atol=1e-12)

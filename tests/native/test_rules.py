@@ -25,7 +25,7 @@ from jaxclear.ground.grouping import in_memory, looked_up
 from jaxclear.ground.grouping import summed as summed_by_place
 from jaxclear.native import explain, verdict, while_loop
 from jaxclear.native.verdicts import KERNELS
-from jaxclear.native.while_loops import once
+from jaxclear.native.while_loops import as_kernel
 from jaxclear.native.writer import RULES
 
 # Functions of the C library and XLA's own series differ by a few units in the last place.
@@ -133,7 +133,7 @@ def count(x):
 
 def native_count(x):
     """As `count`, by the loops of this room: the one of one turn, and around it the other."""
-    turn = lambda s: (s[0] + 1.0, once(lambda y: 1.5 * y, s[1]))
+    turn = lambda s: (s[0] + 1.0, as_kernel(lambda y: 1.5 * y, s[1]))
     return while_loop(lambda s: s[0] < x[0], turn, (jnp.zeros(()), x))
 
 

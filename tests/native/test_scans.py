@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxclear  # noqa: F401  (float64)
-from jaxclear.native import Kept, explain, loop, scan, stop, stoppable, verdict, while_loop
+from jaxclear.native import TableLayout, explain, loop, scan, stop, stoppable, verdict, while_loop
 from jaxclear.native.verdicts import KERNELS
 
 # Sums of products in another order, beside numbers up to some ten.
@@ -170,9 +170,9 @@ def by_parts(turn, first, rows):
         return state, (states, (steps, scaled), knocked)
 
     kept = [
-        Kept(numbers + 1, TURNS + 1, jnp.stack([first[0], 2 * first[1]])),
-        Kept(looks, len(SEEN)),
-        Kept(numbers[::-1], TURNS),
+        TableLayout(numbers + 1, TURNS + 1, jnp.stack([first[0], 2 * first[1]])),
+        TableLayout(looks, len(SEEN)),
+        TableLayout(numbers[::-1], TURNS),
     ]
     last, (states, (steps, scaled), knocked) = scan(one, first, rows, kept)
     return last, (states, steps, knocked, scaled)
@@ -208,6 +208,6 @@ def test_parts_go_to_their_places(way, monkeypatch):
     ],
 )
 def test_a_table_that_is_none_is_refused(places, height, sentence):
-    kept = [Kept(np.array(places), height)]
+    kept = [TableLayout(np.array(places), height)]
     with pytest.raises(ValueError, match=sentence):
         scan(lambda state, row: (state, (row,)), jnp.zeros(()), jnp.zeros(2), kept)

@@ -2,6 +2,9 @@
 says when it cannot be.
 """
 
+import csv
+import re
+
 import numpy as np
 import pytest
 
@@ -43,6 +46,35 @@ def test_responses_are_what_their_names_say(run):
         )
     error = jc.response.PositionError("journal", np.zeros_like(com), axes=(1,))
     assert float(error(run)) == pytest.approx(np.sqrt((com[:, 1] ** 2).mean()))
+
+
+@pytest.mark.parametrize("at", [None, (0.02, 0.01, 0.0)])
+def test_the_error_of_a_point_is_that_of_its_path(run, at):
+    marker = jc.Marker("journal", at)
+    path = np.asarray(run.body("journal").origin)
+    if at is not None:
+        path = path + np.asarray(run.body("journal").rotation) @ np.array(at)
+    shift = np.array([3e-3, 0.0, 4e-3])
+    assert float(jc.response.PositionError(marker, path + shift)(run)) == pytest.approx(5e-3)
+
+
+def test_a_run_as_a_table_keeps_every_digit(run, tmp_path):
+    with run.to_csv(tmp_path / "run.csv").open(newline="") as file:
+        head, *rows = csv.reader(file)
+    table = dict(zip(head, np.array(rows, float).T, strict=True))
+    assert head[0] == "time [s]" and len(rows) == len(run.time)
+    np.testing.assert_array_equal(table["journal.com.y [m]"], run.body("journal").com[:, 1])
+    force = np.asarray(run.contact("B").normal_force)[:, 0]
+    np.testing.assert_array_equal(table["B.normal_force.0 [N]"], force)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [("plot", "plot.result(run)"), ("position", "run.marker(body, at).position"), ("x", "no 'x'.")],
+)
+def test_a_name_that_a_run_has_not_says_what_is_meant(run, name, meant):
+    with pytest.raises(AttributeError, match=re.escape(meant)):
+        getattr(run, name)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.integrators.checks import Check
-from jaxclear.simulation.load_steps import load_steps, passed_over, step_ends
+from jaxclear.simulation.load_steps import load_steps, missed_shares, step_ends
 
 MASS, FORCE, BEGIN, LASTS = 2.0, 3e4, 0.051, 3e-5
 PULSE = jc.TimeTable(
@@ -49,7 +49,7 @@ def test_steps_longer_than_a_push_say_so(step):
 def test_what_vibrates_faster_than_steps_is_told(frequency, said):
     functions = {"load": lambda time: jnp.cos(2 * jnp.pi * frequency * time)}
     edges = step_ends(np.linspace(0.0, 0.1, 6), 1e-4)
-    assert (passed_over(functions, edges)["load"] > Check.LOAD_STEP.limit) == said
+    assert (missed_shares(functions, edges)["load"] > Check.LOAD_STEP.limit) == said
 
 
 def test_what_changes_slowly_leaves_adaptive_as_it_is():

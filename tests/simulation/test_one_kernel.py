@@ -50,7 +50,7 @@ def told(rung, saves=jc.Saving(7), scene=jc.scenes.slider_crank):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(loop.kernels, "build", watched)
         found = jax.device_get(jax.jit(whole)())
-    return found, [program for program in built if not program.once]
+    return found, [program for program in built if not program.single_turn]
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_a_run_is_one_kernel_and_keeps_its_numbers(rung, monkeypatch):
     events = 3 if RUNGS[rung].notes_events else 0
     saving = jc.Saving(7, events=events)
     found, kernels = told(rung, saving)
-    monkeypatch.setattr(simulation, "_whole", lambda *_: False)
+    monkeypatch.setattr(simulation, "_fits_one_kernel", lambda *_: False)
     wanted, by_save = told(rung, saving)
     # One that leaves its rows; before, one without rows for every saving interval. Another goes
     # through the looks, at every saving time here.
@@ -97,7 +97,7 @@ def test_slopes_through_the_one_kernel_are_those_by_saving_interval(rung, monkey
 
     slopes = lambda: jax.jit(jax.jacfwd(states))(jnp.asarray(0.2))
     found = slopes()
-    monkeypatch.setattr(simulation, "_whole", lambda *_: False)
+    monkeypatch.setattr(simulation, "_fits_one_kernel", lambda *_: False)
     wanted = slopes()
     # From where impacts decide them, derivatives of rigid contact are nan.
     assert np.all(np.isfinite(found[1])) and np.max(np.abs(found[1])) > 0
@@ -140,9 +140,9 @@ def test_surfaces_wear_within_the_one_kernel(rung, monkeypatch):
     found = told()
     # Turns of six saving intervals; what the last one wears.
     assert {program.length for program in built if program.long} == {6, 1}
-    monkeypatch.setattr(simulation, "_whole", lambda *_: False)
+    monkeypatch.setattr(simulation, "_fits_one_kernel", lambda *_: False)
     monkeypatch.setattr(simulation, "_as_a_kernel", lambda motion: motion)
-    monkeypatch.setattr(simulation, "worn_where_lost", wear.worn_at_once)
+    monkeypatch.setattr(simulation, "wear_changed", wear.wear_all)
     wanted = told()
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
         assert one.shape == other.shape and np.all(np.isfinite(one))

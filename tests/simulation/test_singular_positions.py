@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.simulation.singular_positions import met
+from jaxclear.simulation.singular_positions import singular_positions
 from tests.simulation.test_dead_points import cranks_through, full_stroke
 
 HINGE = jc.joint.Revolute()
@@ -90,7 +90,7 @@ def test_a_crank_that_is_turned_round_is_a_warning(passing):
     turned = dataclasses.replace(
         passing, history=dataclasses.replace(history, states=states), singular_positions=()
     )
-    first = met(turned)[0]
+    first = singular_positions(turned)[0]
     assert first.turned and first.speeds[0] == pytest.approx(-first.speeds[1], rel=0.01)
     told = dataclasses.replace(turned, singular_positions=(first,))
     (warning,) = told.warnings

@@ -53,11 +53,11 @@ def lost(stands, joint="L"):
 
 @pytest.fixture(scope="module")
 def sprung():
-    return jc.positions(servo(), {}, both_ways=True)
+    return jc.positions(servo(), {}, reverse_loads=True)
 
 
 def test_a_held_horn_leaves_its_lever_the_angle_of_its_play():
-    stands = jc.positions(servo(stiffness=None), {"M0": [0.0, 0.7]}, both_ways=True)
+    stands = jc.positions(servo(stiffness=None), {"M0": [0.0, 0.7]}, reverse_loads=True)
     turned = np.asarray(stands.coordinate("L") - stands.reversed.coordinate("L"))
     np.testing.assert_allclose(turned, 2 * ANGLE, rtol=1e-9)
     assert np.all(stands.found) and not stands.warnings
@@ -90,7 +90,7 @@ def test_springs_of_horns_add_to_the_play(sprung):
 def test_two_horns_share_the_load():
     """Their rests apart by less than the play: first one carries, then both."""
     apart = 0.4 * ANGLE
-    stands = jc.positions(servo(horns=2, apart=apart), {}, both_ways=True)
+    stands = jc.positions(servo(horns=2, apart=apart), {}, reverse_loads=True)
     # lever x, horns x - angle -+ apart / 2 from their rests, to first order in the small angles
     turn = lambda x: 2 * STIFFNESS * (x - ANGLE) - FORCE * ARM * np.cos(x)
     wanted = brentq(turn, 0.0, 0.1, xtol=1e-15)
@@ -104,7 +104,7 @@ def test_reversed_loads_leave_springs_as_they_are():
     """A preload that the load does not overcome holds the pin on its side both ways."""
     rig = servo(force=1.0)
     loads = rig.loads | {"P": jc.load.JointSpring("L", 20.0, 0.1)}
-    stands = jc.positions(rig.with_loads(loads), {}, both_ways=True)
+    stands = jc.positions(rig.with_loads(loads), {}, reverse_loads=True)
     ends = [float(own.coordinate("L")[0]) for own in (stands, stands.reversed)]
     for end, force in zip(ends, (1.0, -1.0), strict=True):
         turn = lambda x, f=force: STIFFNESS * (x - ANGLE) + 20.0 * (x - 0.1) - f * ARM * np.cos(x)
@@ -282,10 +282,10 @@ def test_samples_near_the_nominal_mechanism_rest_where_a_search_finds_and_need_n
             "clearance": jc.Variable(lambda m: m.connections["B0"].joint.clearance, tolerance=2e-5),
         },
         positions={},
-        both_ways=True,
+        reverse_loads=True,
     )
     at = study.nominal() * jnp.array([[0.9, 1.2], [1.1, 0.8]])
-    searched = [jc.positions(study.with_values(own), {}, both_ways=True) for own in at]
+    searched = [jc.positions(study.with_values(own), {}, reverse_loads=True) for own in at]
     monkeypatch.setattr(least_energy, "MOST_TURNS", 0)
     found = jax.jit(jax.vmap(study.evaluate))(at)
     assert np.all(found.outcome == jc.integrator.Outcome.REACHED)
@@ -359,7 +359,7 @@ def test_energy_and_loops_find_the_same_place():
     angles, rig = np.array([0.4, 1.9]), four_bar()
     by_loops = jc.positions(rig, {"O": angles})
     scene = posed(rig, ("O",), loose=True)
-    start, way = least_energy.begun(scene.at(angles[:1]))
+    start, way = least_energy.initial_rest(scene.at(angles[:1]))
     position = jnp.asarray(angles[:, None])
     spots = spots_along(scene, angles[:, None], way, start)
     by_energy = Positions(scene, position, *way.read(scene, position, spots))
@@ -390,7 +390,7 @@ def block(axis, other):
 def test_an_inclined_guide_by_numbers_holds_a_pin():
     """Lost motion by the chord of the clearance: 2 c / distance."""
     slope = (np.cos(0.5), np.sin(0.5), 0.0)
-    stands = jc.positions(block(slope, {"axis": slope}), {"G": [0.0]}, both_ways=True)
+    stands = jc.positions(block(slope, {"axis": slope}), {"G": [0.0]}, reverse_loads=True)
     wanted = 4 * np.arcsin(0.5 * PLAY / 0.08)
     assert lost(stands, "O") == pytest.approx(wanted, rel=1e-9)
     assert lost(stands, "O") == pytest.approx(2 * PLAY / 0.08, rel=1e-6)
@@ -494,7 +494,7 @@ def test_a_loose_slider_tilts_between_its_walls():
         },
         guess={"slider": (0.0, 0.0, 2 * half)},
     )
-    stands = jc.positions(rig, {}, both_ways=True)
+    stands = jc.positions(rig, {}, reverse_loads=True)
     tilts = [float(own.coordinate("slider")[0, 2]) - 2 * half for own in (stands, stands.reversed)]
     room = lambda a: 0.5 * LENGTH * np.sin(a) + 0.5 * WIDTH * np.cos(a) - 0.5 * WIDTH - PLAY
     wanted = brentq(room, 0.0, 0.1, xtol=1e-15)

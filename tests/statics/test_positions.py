@@ -11,7 +11,7 @@ from scipy.optimize import brentq, minimize
 
 import jaxclear as jc
 from jaxclear.statics.position_path import positions_at, spots_along
-from jaxclear.statics.quasi_static import posed, settle, way_of
+from jaxclear.statics.quasi_static import loop_method, posed, settle
 
 CRANK, COUPLER, FOLLOWER, GROUND, CLEARANCE, GRAVITY = 0.1, 0.4, 0.3, 0.3, 0.3e-3, 9.81
 ANGLES = np.array([0.2, 1.5, 2.8, 4.1, 5.4])
@@ -100,7 +100,7 @@ def least_energy(crank, clearance, gravity):
 
 @pytest.fixture(scope="module")
 def found():
-    return jc.positions(four_bar(), {"O": ANGLES}, both_ways=True)
+    return jc.positions(four_bar(), {"O": ANGLES}, reverse_loads=True)
 
 
 @pytest.mark.slow
@@ -184,7 +184,7 @@ def test_a_position_out_of_reach_is_named():
 def test_the_way_of_assembly_is_told_and_a_fall_to_the_other_is_found_out():
     """A four-bar closes in two ways, whose loops' determinants have opposite signs."""
     scene = posed(four_bar(""), ("O",))
-    way, places = way_of(scene), ANGLES[:2, None]
+    way, places = loop_method(scene), ANGLES[:2, None]
     here = spots_along(scene, places, way)
     assert np.all(here.branch == here.branch[0]) and abs(here.branch[0]) == 1
     # Started near the other way, mirrored at the line from A to D, but told to be on this one.
@@ -273,7 +273,7 @@ def test_what_a_run_starts_with_holds_no_position():
 
 
 def test_positions_are_shown_in_words():
-    found = jc.positions(four_bar(), {"O": ANGLES}, both_ways=True)
+    found = jc.positions(four_bar(), {"O": ANGLES}, reverse_loads=True)
     assert str(found) == "5 positions, also under reversed loads: O from 0.2 to 5.4 rad."
 
 

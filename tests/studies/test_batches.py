@@ -122,8 +122,8 @@ def test_a_program_is_looked_up_once_and_gives_what_it_gives_among_others(monkey
     varied = {"a": jc.Dimension(2.0, tolerance=0.1), "b": jc.Dimension(1.0, tolerance=0.1)}
     question = jc.FunctionProblem(root, varied)
     values = np.random.default_rng(0).uniform(1.0, 2.0, (12, 2))
-    sought, own = [], compiled._found
-    monkeypatch.setattr(compiled, "_found", lambda *given: sought.append(given) or own(*given))
+    sought, own = [], compiled._find
+    monkeypatch.setattr(compiled, "_find", lambda *given: sought.append(given) or own(*given))
     program = batch.Program(question)
     for piece in (values[:4], values[4:8], values[8:]):
         found, wanted = program.run(piece, stops()), batch.evaluate_chunk(question, piece)

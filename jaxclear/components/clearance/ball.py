@@ -104,6 +104,13 @@ class BallSocket(AbstractClearance):
         gap = socket - inner * self.ball_radius
         return eqx.tree_at(lambda own: (own.socket_radius, own.clearance), self, (socket, gap))
 
+    def diameters(self):
+        return 2.0 * self.socket_radius, 2.0 * self.ball_radius
+
+    def with_diameters(self, outer, inner):
+        sizes = 0.5 * outer, 0.5 * (outer - inner)
+        return eqx.tree_at(lambda own: (own.socket_radius, own.clearance), self, sizes)
+
     def seat(self, force, torque):
         return sp.scale(-self.clearance, direction(force, 3)), (0, 0)
 

@@ -238,6 +238,30 @@ class AbstractClearance(AbstractQuantified):
             "joint of one's own tells it by its method `grown`."
         )
 
+    def diameters(self) -> tuple[Scalar, Scalar]:
+        """Size of the outer and of the inner part across the gap [m].
+
+        Raises:
+            ValueError: with a sentence that goes behind the joint's name, if the joint has no such
+                sizes.
+        """
+        raise ValueError(
+            f"is a {type(self).__name__}, which has no hole and no shaft; a joint of one's own "
+            "tells its sizes by its methods `diameters` and `with_diameters`."
+        )
+
+    def with_diameters(self, outer: Scalar, inner: Scalar) -> "AbstractClearance":
+        """The joint with other sizes across the gap.
+
+        Args:
+            outer: size of the outer part (bearing, socket, guide) [m].
+            inner: size of the inner part (journal, ball, slider) [m].
+
+        Returns:
+            the joint with these sizes.
+        """
+        raise NotImplementedError(f"a {type(self).__name__} has no hole and no shaft.")
+
     def check_plane(self, heights: tuple[float, float, float]) -> None:
         """Refuse a joint that finds no contact in the plane; nothing is refused unless overridden.
 

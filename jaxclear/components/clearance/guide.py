@@ -171,6 +171,13 @@ class SliderGuide(AbstractClearance):
                 joint = eqx.tree_at(lambda own, name=name: getattr(own, name), joint, factor * size)
         return joint
 
+    def diameters(self):
+        return self.width + 2.0 * self.clearance, self.width
+
+    def with_diameters(self, outer, inner):
+        sizes = inner, 0.5 * (outer - inner)
+        return eqx.tree_at(lambda own: (own.width, own.clearance), self, sizes)
+
     def seat(self, force, torque):
         first, last = self.permanent_form().carrying_ends(force, torque, 0.0)
         slope = sp.mul(1 / self.length, sp.sub(last.offset[0], first.offset[0]))

@@ -162,6 +162,13 @@ class AbstractJournalBearing(AbstractClearance):
         joint = eqx.tree_at(sizes, self, (bore, gap, outer * self.length))
         return joint.grown_along(self.length, outer, inner)
 
+    def diameters(self):
+        return 2.0 * self.bearing_radius, 2.0 * (self.bearing_radius - self.clearance)
+
+    def with_diameters(self, outer, inner):
+        sizes = 0.5 * outer, 0.5 * (outer - inner)
+        return eqx.tree_at(lambda own: (own.bearing_radius, own.clearance), self, sizes)
+
     def grown_along(self, length: Scalar, outer: Scalar, inner: Scalar) -> "AbstractJournalBearing":
         """The joint with larger sizes along its axis; nothing else changes unless overridden.
 

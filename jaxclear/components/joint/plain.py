@@ -87,7 +87,7 @@ class PlainBearing(AbstractRubbingJoint, AbstractLikeIdeal, AbstractDrivenJoint)
         return self.radius
 
     def friction_wrench(self, friction):
-        return sp.ZERO, (0, 0, self.radius * friction)
+        return sp.ZERO, (0, 0, sp.mul(self.radius, friction))
 
     def carrying_ends(self, force, torque, ratio):
         if self.load is not None:

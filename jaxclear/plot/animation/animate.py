@@ -21,8 +21,8 @@ import matplotlib
 import matplotlib.colors
 import numpy as np
 
-from jaxclear.components.beam import beam_of
-from jaxclear.components.body import GROUND
+from jaxclear.components.beam import beam_of, wholes
+from jaxclear.components.body import GROUND, Marker
 from jaxclear.components.load import Gravity
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_number
@@ -151,6 +151,7 @@ def animate(
     slower: float | None = None,
     fps: int = 60,
     meshes: Mapping[str, Any] | None = None,
+    trace: Sequence[Marker] = (),
     title: str | None = None,
 ) -> Animation:
     """An animation of a run in space, with a magnified view of every joint with clearance.
@@ -170,6 +171,7 @@ def animate(
             or (points [m], triangles), or several of these by name, as `jaxclear.read_shapes`
             returns them. Other bodies are cuboids with their inertia, no larger than the distance
             of their joints.
+        trace: markers whose path is drawn as a line; none by default.
         title: text above the page; None (default) for none.
 
     Returns:
@@ -197,7 +199,7 @@ def animate(
     frames = np.unique(np.searchsorted(time, moments - 1e-9 * duration).clip(0, last - 1))
     forces = pushes(run, frames, last, size_of(run))
     data = _script_data(run, frames, last, slower, title) | {"largest": forces.largest}
-    page = _page(run, solids, frames, data, forces)
+    page = _page(run, solids, frames, data, forces, [(m.body, run.marker(m)) for m in trace])
     return Animation(page, len(frames), duration * slower)
 
 
@@ -221,7 +223,7 @@ def _script_data(
         "time": np.asarray(run.time)[frames],
         "bodies": [
             {"name": name, "colour": colours[name], "com": np.asarray(run.body(name).com)[frames]}
-            for name in run.mechanism.bodies
+            for name in wholes(run.mechanism.bodies)
         ],
         "joints": [inset(run, name, frames, last) for name in joints],
         "warnings": list(run.warnings),
@@ -240,11 +242,13 @@ def _colours(run: Trajectory) -> dict[str, str]:
     palette = [matplotlib.colors.to_hex(f"C{k}") for k in range(10)]
     palette.pop(7)  # the grey of the ground
     bodies = run.mechanism.bodies
-    wholes = list(dict.fromkeys(beam_of(bodies, name) for name in bodies))
-    return {n: palette[wholes.index(beam_of(bodies, n)) % len(palette)] for n in bodies}
+    names = wholes(bodies)
+    return {n: palette[names.index(beam_of(bodies, n)) % len(palette)] for n in bodies}
 
 
-def _page(run: Trajectory, solids: dict, frames: np.ndarray, data: dict, forces: Pushes) -> str:
+def _page(
+    run: Trajectory, solids: dict, frames: np.ndarray, data: dict, forces: Pushes, traces: list
+) -> str:
     """The page: K3D's own, with the script of the insets in it."""
     import k3d
 
@@ -285,6 +289,10 @@ def _page(run: Trajectory, solids: dict, frames: np.ndarray, data: dict, forces:
         mesh.model_matrix = {str(t): m for t, m in zip(time, bodies, strict=True)}
         data["arrows"].append(mesh.id)
         scene += mesh
+    for name, motion in traces:
+        path = np.asarray(motion.position, np.float32)[frames]
+        colour = int(colours[name][1:], 16)
+        scene += k3d.line(path, color=colour, width=0.004 * size, name=f"path on {name}")
     scene.snapshot_type = "full"
     script = resources.files("jaxclear.plot.animation").joinpath("viewer.js").read_text("utf-8")
     safe = json.dumps(data, default=_packed).replace("</", "<\\/")

@@ -13,33 +13,13 @@ from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.arguments import check_name
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
 from jaxclear.ground.wording import described
+from jaxclear.studies.tolerance import iso286
 
 __all__ = ["ISO286", "AbstractCatalogue", "Sizes"]
 __getattr__, __dir__ = nothing_else("jaxclear.catalogue", __all__)
 
 MILLI, MICRO = 1e-3, 1e-6
-# Largest size [mm] of each step of nominal sizes, and its standard tolerances IT5 to IT10 [um];
-# each fifth grade above is ten times as wide. ISO 286-1:2010, table 1.
-STANDARD = {
-    3.0: (4, 6, 10, 14, 25, 40),
-    6.0: (5, 8, 12, 18, 30, 48),
-    10.0: (6, 9, 15, 22, 36, 58),
-    18.0: (8, 11, 18, 27, 43, 70),
-    30.0: (9, 13, 21, 33, 52, 84),
-    50.0: (11, 16, 25, 39, 62, 100),
-    80.0: (13, 19, 30, 46, 74, 120),
-    120.0: (15, 22, 35, 54, 87, 140),
-    180.0: (18, 25, 40, 63, 100, 160),
-    250.0: (20, 29, 46, 72, 115, 185),
-    315.0: (23, 32, 52, 81, 130, 210),
-    400.0: (25, 36, 57, 89, 140, 230),
-    500.0: (27, 40, 63, 97, 155, 250),
-}
-# The one step whose IT11 and IT16 the table does not give as ten and a hundred times its IT6 [um].
-EXCEPTION, OF_EXCEPTION = 6.0, {11: 75, 16: 750}
-FINEST, COARSEST, DECADE = 5, 18, 5
-# A size that is the end of a step but for rounding belongs to it.
-ROUNDING = 1e-9
+FINEST, COARSEST = 5, 18
 
 
 class AbstractCatalogue(AbstractQuantified):
@@ -119,10 +99,4 @@ class ISO286(AbstractCatalogue):
 
 def standard_width(size: float, grade: int) -> float:
     """Width [um] of a grade for a nominal size [m]."""
-    step = next(end for end in STANDARD if float(size) / MILLI <= end * (1 + ROUNDING))
-    if step == EXCEPTION and grade in OF_EXCEPTION:
-        return float(OF_EXCEPTION[grade])
-    # IT11 is ten times IT6; IT5, the finest, is nobody's tenth.
-    tens, place = divmod(max(grade - FINEST - 1, 0), DECADE)
-    place += grade > FINEST
-    return float(STANDARD[step][place] * 10**tens)
+    return iso286.width(float(size) / MILLI, grade)

@@ -38,7 +38,7 @@ from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.initial_state import Past, beginning
 from jaxclear.simulation.loop import run
 from jaxclear.simulation.singular_positions import diagnosed
-from jaxclear.simulation.wear import Losses, Worn, lost_between, unworn, worn_by
+from jaxclear.simulation.wear import Losses, Worn, losses_between, unworn, worn_by
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.run_experiment import RunExperiment
 
@@ -126,13 +126,13 @@ def compiled_cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycle,
     assert end is not None
     model = found.history.model()
     system, layout = model.system, model.layout
-    rare = lost_between(layout, found.states, FOURTH)
+    rare = losses_between(layout, found.states, FOURTH)
     kept = Cycle(
         end,
         jax.tree.map(lambda after, before: after - before, found.worn, worn),
         volumes(found),
         jax.tree.map(lambda after, before: after - before, worn_by(system, worn, rare), worn),
-        lost_between(layout, found.states),
+        losses_between(layout, found.states),
         {name: jnp.asarray(own(found), float) for name, own in asked.response.items()},
         apart(found.history),
         found.outcome,

@@ -4,12 +4,14 @@ import functools
 import json
 from collections.abc import Callable, Mapping
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
 from jaxclear.ground.arguments import check_name
+from jaxclear.ground.datasets import write_csv
 from jaxclear.ground.printing import with_text_repr
 from jaxclear.integrators.checks import Checks, Figure
 from jaxclear.studies.endless import answered
@@ -147,6 +149,17 @@ class Campaign:
         name with units, outcomes, figures of the checks; what was computed and by what, as
         attributes. Samples that are not finished have outcome -1 and nan."""
         return dataset_of(self._samples)
+
+    def to_csv(self, path: Any) -> Path:
+        """Write a CSV file: a row for each sample, names with units, every digit.
+
+        Args:
+            path: name of the file.
+
+        Returns:
+            The path of the file.
+        """
+        return write_csv(self.to_dataset(), path)
 
     def sentence(self) -> str:
         """How many samples are finished, failed and warned, and of what."""

@@ -13,25 +13,25 @@ from typing import Any
 
 PACKAGE = __name__.partition(".")[0]
 # Its files were read after this [s since 1970].
-BEGUN = time.time() - 5.0
+READ_BEFORE = time.time() - 5.0
 
 
 # By module or class its names, and the things that they stood for when it was first seen: kept, so
 # that nothing else comes to stand at their places in memory.
-_SEEN: dict[Any, tuple[Any, list[Any]]] = {}
+_CONTENTS: dict[Any, tuple[Any, list[Any]]] = {}
 
 
 def remember() -> None:
     """What there is of this package by now counts as what its files say."""
     for space in _spaces():
-        if space not in _SEEN:
-            _SEEN[space] = vars(space), list(vars(space).values())
+        if space not in _CONTENTS:
+            _CONTENTS[space] = vars(space), list(vars(space).values())
 
 
-def is_as_written() -> bool:
+def is_unmodified() -> bool:
     """Whether all that is remembered is still the same."""
     remember()
-    return not any(_is_changed(space, *seen) for space, seen in _SEEN.items())
+    return not any(_is_changed(space, *recorded) for space, recorded in _CONTENTS.items())
 
 
 def _spaces() -> Iterator[Any]:
@@ -39,8 +39,8 @@ def _spaces() -> Iterator[Any]:
     for name, module in list(sys.modules.items()):
         if name.partition(".")[0] == PACKAGE and module is not None:
             yield module
-            own = list(vars(module).values())
-            yield from (one for one in own if isinstance(one, type) and one.__module__ == name)
+            members = list(vars(module).values())
+            yield from (one for one in members if isinstance(one, type) and one.__module__ == name)
 
 
 def _is_changed(space: Any, names: Any, things: list[Any]) -> bool:
