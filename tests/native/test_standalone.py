@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.native import object_code, once
+from jaxclear.native import object_code
 from jaxclear.native.standalone import object_file, standalone
+from jaxclear.native.while_loops import once
 
 
 def call(function, constants, numbers):
