@@ -1,7 +1,7 @@
 """What a unit computes, as functions of lists of arrays: its start from parameters, a communication
 step, and what is read at its end.
 
-Numbers of the mechanism enter as `constants`: `given` as the user gives them, from which the start
+Numbers of the mechanism enter as `constants`: `original` as the user has them, from which the start
 is assembled, and `run` as the steps take them (loads that follow from the inertia are settled at
 the start). What is handed from step to step is the `Carry` of a run.
 """
@@ -68,9 +68,9 @@ def is_table(leaf: Any) -> bool:
 
 
 class Functions:
-    """The functions of a unit. `given`, `run` and `carry`: numbers as the user gives them, those of
-    the steps, and what the first step is handed, for the mechanism as it is exported; `doubt`: a
-    sentence on its start, or "".
+    """The functions of a unit. `original`, `run` and `carry`: numbers as the user has them, those
+    of the steps, and what the first step starts from, for the mechanism as it is exported; `doubt`:
+    a sentence on its start, or "".
 
     All but `start` take the numbers of the steps, and the state at the beginning of a communication
     step, what is handed on at its end, and both times [s].
@@ -91,16 +91,16 @@ class Functions:
         # The search goes on from where the mechanism stands if its guess led elsewhere.
         place = nominal.start.coordinates, nominal.start.speeds
         self.rough = place if nominal.searched else None
-        self.given = Flat.of((mechanism, integrator))
+        self.original = Flat.of((mechanism, integrator))
         first = self._begin(nominal.mechanism, nominal.start, jnp.zeros(()), integrator)
         self.run, self.carry = map(Flat.of, first)
         self.packed = [i for i, x in enumerate(self.run.leaves) if not is_table(x)]
 
     def _begin(self, mechanism: Mechanism, start: Any, time: Any, integrator: Any) -> tuple:
         times = jnp.stack([time, time + self.duration])
-        values = mechanism, start.coordinates, start.speeds, times, integrator
-        mechanism, _, first = first_turn(*values)
-        return (mechanism, integrator), first
+<<<<<<< HEAD
+        values = mechanism, start.coordinates, start.speeds, times, integrator mechanism, _, first =
+        first_turn(*values) return (mechanism, integrator), first
 
     def start(self, leaves: Arrays, numbers: Arrays) -> Arrays:
         """From the given numbers and a time [s] those of the steps, what the first step is handed,
@@ -110,6 +110,19 @@ class Functions:
         start = assemble_arrays(part, True, numbers[0], self.rough)
         steps, first = map(Flat.of, self._begin(part, start, numbers[0], integrator))
         return [*(steps.leaves[i] for i in self.packed), *first.leaves, is_sound(part, start)]
+=======
+        arguments = mechanism, start.coordinates, start.speeds, times, integrator mechanism, _,
+        first = first_turn(*arguments) return (mechanism, integrator), first
+
+    def start(self, leaves: Arrays, numbers: Arrays) -> Arrays:
+        """From the original numbers and a time [s] those of the steps, what the first step starts
+        from, and whether the start is sound."""
+        mechanism, integrator = self.original.tree(leaves)
+        mechanism = with_redundancy(integrator.formulation.seen(mechanism), self.redundancy)
+        start = assemble_arrays(mechanism, True, numbers[0], self.rough)
+        steps, first = map(Flat.of, self._begin(mechanism, start, numbers[0], integrator))
+        return [*(steps.leaves[i] for i in self.packed), *first.leaves, is_sound(mechanism, start)]
+>>>>>>> main
 
     def step(self, leaves: Arrays, numbers: Arrays) -> Arrays:
         """What is handed on at the end of a communication step, from that at its beginning."""
@@ -182,7 +195,7 @@ def run_of_step(
 
 
 class Slopes(NamedTuple):
-    """The functions of a unit with tangents: of its start along given numbers, of a step, and of
+    """The functions of a unit with tangents: of its start along original numbers, of a step, and of
     what is read; `moving`: which of the numbers of the steps have tangents."""
 
     moving: tuple[int, ...]
@@ -192,12 +205,18 @@ class Slopes(NamedTuple):
 
 
 def make_slopes(functions: Functions, along: list[int]) -> Slopes:
+<<<<<<< HEAD
     """Of functions those with tangents along the given numbers of these places."""
     count, handed = len(functions.packed), functions.carry.leaves
     program = jax.make_jaxpr(functions.start)(functions.given.leaves, [jnp.zeros(())]).jaxpr
     # A number of the steps that is given as it is moves with that one alone; any other may.
-    still = [x for i, x in enumerate(program.invars) if i not in along]
-    places = [
+=======
+    """Of functions those with tangents along the original numbers of these places."""
+    count, handed = len(functions.packed), functions.carry.leaves
+    program = jax.make_jaxpr(functions.start)(functions.original.leaves, [jnp.zeros(())]).jaxpr
+    # A number of the steps that is an original one moves with that one alone; any other may.
+>>>>>>> main
+    still = [x for i, x in enumerate(program.invars) if i not in along] places = [
         k
         for k, x in enumerate(program.outvars[:count])
         if is_float(functions.run.leaves[functions.packed[k]])
@@ -213,12 +232,17 @@ def make_slopes(functions: Functions, along: list[int]) -> Slopes:
             values = list(numbers)
             for place, value in zip(places, floats, strict=True):
                 values[place] = value
-            result = function(values)
-            return [x for x in result if is_float(x)], result
+<<<<<<< HEAD
+            result = function(values) return [x for x in result if is_float(x)], result
 
-        floats = [numbers[i] for i in places]
-        _, moved, out = jax.jvp(of_floats, (floats,), (tangents,), has_aux=True)
-        return out, moved
+        floats = [numbers[i] for i in places] _, moved, out = jax.jvp(of_floats, (floats,),
+        (tangents,), has_aux=True) return out, moved
+=======
+            results = function(values) return [x for x in results if is_float(x)], results
+
+        floats = [numbers[i] for i in places] _, moved, results = jax.jvp(of_floats, (floats,),
+        (tangents,), has_aux=True) return results, moved
+>>>>>>> main
 
     def start(leaves: Arrays, numbers: Arrays) -> Arrays:
         time, *weights = numbers
@@ -242,8 +266,9 @@ def make_slopes(functions: Functions, along: list[int]) -> Slopes:
                 run[place] = value
             return function(run, [*values[len(moving) :], *plain[-2:]])
 
-        inputs = [*(leaves[i] for i in moving), *plain[:-2]]
-        return pushed(of_moving, inputs, tangents)
+<<<<<<< HEAD
+        inputs = [*(leaves[i] for i in moving), *plain[:-2]] return pushed(of_moving, inputs,
+        tangents)
 
     def step(leaves: Arrays, numbers: Arrays) -> Arrays:
         solved, moved = along_run(functions.step, leaves, numbers)
@@ -252,5 +277,17 @@ def make_slopes(functions: Functions, along: list[int]) -> Slopes:
     def read(leaves: Arrays, numbers: Arrays) -> Arrays:
         result_, moved = along_run(functions.read, leaves, numbers)
         return [*result_, *moved]
+=======
+        primals = [*(leaves[i] for i in moving), *plain[:-2]] return pushed(of_moving, primals,
+        tangents)
+
+    def step(leaves: Arrays, numbers: Arrays) -> Arrays:
+        results, moved = along_run(functions.step, leaves, numbers)
+        return [*results, *moved]
+
+    def read(leaves: Arrays, numbers: Arrays) -> Arrays:
+        results, moved = along_run(functions.read, leaves, numbers)
+        return [*results, *moved]
+>>>>>>> main
 
     return Slopes(moving, start, step, read)

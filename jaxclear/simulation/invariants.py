@@ -28,13 +28,14 @@ from jaxclear.ground.quantity import constant
 from jaxclear.integrators.checks import (
     COLLARS,
     CONTACTS,
+    IN_GAPS,
     LOOPS,
-    MECHANISM,
     RUBBING,
     SLIDING,
     SURFACES,
     TOUCHING,
     UNHELD,
+    WHOLE,
     Check,
     Checks,
     Outcome,
@@ -235,7 +236,8 @@ def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[s
         UNHELD: unheld(model),
         SLIDING: sliding(model.system),
         TOUCHING: tuple(joint.name for joint in touching(model.system)),
-        MECHANISM: ("",),
+        IN_GAPS: tuple(in_gaps(model)),
+        WHOLE: ("",),
     }
 
 
