@@ -103,16 +103,8 @@ def array(name: str, entries: Sequence[str]) -> str:
 
 def tables_of(functions: Mapping[str, Any]) -> list[str]:
     """Long arrays of functions by name, each once."""
-<<<<<<< HEAD
-    values: dict[bytes, str] = {}
-    place = lambda table: values.setdefault(table.tobytes(), f"table_{len(values)}")
-    named = {name: list(map(place, one.tables)) for name, one in functions.items()}
-    rows = [array(f"double {x}", list(map(number, np.frombuffer(k)))) for k, x in values.items()]
-    return rows + [array(f"double *const jc_{x}_tables", own) for x, own in named.items()]
-=======
     tables: dict[bytes, str] = {}
     place = lambda table: tables.setdefault(table.tobytes(), f"table_{len(tables)}")
     named = {name: list(map(place, one.tables)) for name, one in functions.items()}
     rows = [array(f"double {x}", list(map(number, np.frombuffer(k)))) for k, x in tables.items()]
     return rows + [array(f"double *const jc_{x}_tables", places) for x, places in named.items()]
->>>>>>> main

@@ -128,20 +128,18 @@ def export_fmu(
         check_name("kind", kind, KINDS, " of export_fmu")
     for name in wearing_in(mechanism):
         raise ValueError(WORN.format(name=name))
-<<<<<<< HEAD
-    for what, values in (("inputs", inputs), ("outputs", outputs), ("parameters", parameters)):
-        expect({} if values is None else values, Mapping, f"{what} of export_fmu", "a dict")
-=======
     for what, value in (("inputs", inputs), ("outputs", outputs), ("parameters", parameters)):
         expect({} if value is None else value, Mapping, f"{what} of export_fmu", "a dict")
->>>>>>> main
-    system = checked_target(target) mechanism, integrator = with_quantities((mechanism, integrator))
-    times = np.linspace(0.0, duration, max(2, round(duration / interval) + 1)) steps =
-    load_steps(mechanism, integrator, times) unit = Unit(mechanism, steps.integrator, outputs,
-    tuple(slopes), (duration, interval)) unit.add_numbers(inputs or {}, parameters or {}) file,
-    names, made = Path(path), TARGETS[system], io.BytesIO() header = unit.assemble("model exchange"
-    in kinds) code = object_file(list(unit.made.values()), names.triple, cpu or names.cpu) with
-    zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
+    system = checked_target(target)
+    mechanism, integrator = with_quantities((mechanism, integrator))
+    times = np.linspace(0.0, duration, max(2, round(duration / interval) + 1))
+    steps = load_steps(mechanism, integrator, times)
+    unit = Unit(mechanism, steps.integrator, outputs, tuple(slopes), (duration, interval))
+    unit.add_numbers(inputs or {}, parameters or {})
+    file, names, made = Path(path), TARGETS[system], io.BytesIO()
+    header = unit.assemble("model exchange" in kinds)
+    code = object_file(list(unit.made.values()), names.triple, cpu or names.cpu)
+    with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("modelDescription.xml", description(unit, file.stem, kinds))
         place = f"binaries/{system}/{IDENTIFIER}.{names.ending}"
         archive.writestr(place, library(system, header, code))

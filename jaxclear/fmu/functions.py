@@ -98,21 +98,9 @@ class Functions:
 
     def _begin(self, mechanism: Mechanism, start: Any, time: Any, integrator: Any) -> tuple:
         times = jnp.stack([time, time + self.duration])
-<<<<<<< HEAD
-        values = mechanism, start.coordinates, start.speeds, times, integrator mechanism, _, first =
-        first_turn(*values) return (mechanism, integrator), first
-
-    def start(self, leaves: Arrays, numbers: Arrays) -> Arrays:
-        """From the given numbers and a time [s] those of the steps, what the first step is handed,
-        and whether the start is sound."""
-        mechanism, integrator = self.given.tree(leaves)
-        part = with_redundancy(integrator.formulation.seen(mechanism), self.redundancy)
-        start = assemble_arrays(part, True, numbers[0], self.rough)
-        steps, first = map(Flat.of, self._begin(part, start, numbers[0], integrator))
-        return [*(steps.leaves[i] for i in self.packed), *first.leaves, is_sound(part, start)]
-=======
-        arguments = mechanism, start.coordinates, start.speeds, times, integrator mechanism, _,
-        first = first_turn(*arguments) return (mechanism, integrator), first
+        arguments = mechanism, start.coordinates, start.speeds, times, integrator
+        mechanism, _, first = first_turn(*arguments)
+        return (mechanism, integrator), first
 
     def start(self, leaves: Arrays, numbers: Arrays) -> Arrays:
         """From the original numbers and a time [s] those of the steps, what the first step starts
@@ -122,7 +110,6 @@ class Functions:
         start = assemble_arrays(mechanism, True, numbers[0], self.rough)
         steps, first = map(Flat.of, self._begin(mechanism, start, numbers[0], integrator))
         return [*(steps.leaves[i] for i in self.packed), *first.leaves, is_sound(mechanism, start)]
->>>>>>> main
 
     def step(self, leaves: Arrays, numbers: Arrays) -> Arrays:
         """What is handed on at the end of a communication step, from that at its beginning."""
@@ -205,18 +192,12 @@ class Slopes(NamedTuple):
 
 
 def make_slopes(functions: Functions, along: list[int]) -> Slopes:
-<<<<<<< HEAD
-    """Of functions those with tangents along the given numbers of these places."""
-    count, handed = len(functions.packed), functions.carry.leaves
-    program = jax.make_jaxpr(functions.start)(functions.given.leaves, [jnp.zeros(())]).jaxpr
-    # A number of the steps that is given as it is moves with that one alone; any other may.
-=======
     """Of functions those with tangents along the original numbers of these places."""
     count, handed = len(functions.packed), functions.carry.leaves
     program = jax.make_jaxpr(functions.start)(functions.original.leaves, [jnp.zeros(())]).jaxpr
     # A number of the steps that is an original one moves with that one alone; any other may.
->>>>>>> main
-    still = [x for i, x in enumerate(program.invars) if i not in along] places = [
+    still = [x for i, x in enumerate(program.invars) if i not in along]
+    places = [
         k
         for k, x in enumerate(program.outvars[:count])
         if is_float(functions.run.leaves[functions.packed[k]])
@@ -232,17 +213,12 @@ def make_slopes(functions: Functions, along: list[int]) -> Slopes:
             values = list(numbers)
             for place, value in zip(places, floats, strict=True):
                 values[place] = value
-<<<<<<< HEAD
-            result = function(values) return [x for x in result if is_float(x)], result
+            results = function(values)
+            return [x for x in results if is_float(x)], results
 
-        floats = [numbers[i] for i in places] _, moved, out = jax.jvp(of_floats, (floats,),
-        (tangents,), has_aux=True) return out, moved
-=======
-            results = function(values) return [x for x in results if is_float(x)], results
-
-        floats = [numbers[i] for i in places] _, moved, results = jax.jvp(of_floats, (floats,),
-        (tangents,), has_aux=True) return results, moved
->>>>>>> main
+        floats = [numbers[i] for i in places]
+        _, moved, results = jax.jvp(of_floats, (floats,), (tangents,), has_aux=True)
+        return results, moved
 
     def start(leaves: Arrays, numbers: Arrays) -> Arrays:
         time, *weights = numbers
@@ -266,20 +242,8 @@ def make_slopes(functions: Functions, along: list[int]) -> Slopes:
                 run[place] = value
             return function(run, [*values[len(moving) :], *plain[-2:]])
 
-<<<<<<< HEAD
-        inputs = [*(leaves[i] for i in moving), *plain[:-2]] return pushed(of_moving, inputs,
-        tangents)
-
-    def step(leaves: Arrays, numbers: Arrays) -> Arrays:
-        solved, moved = along_run(functions.step, leaves, numbers)
-        return [*solved, *moved]
-
-    def read(leaves: Arrays, numbers: Arrays) -> Arrays:
-        result_, moved = along_run(functions.read, leaves, numbers)
-        return [*result_, *moved]
-=======
-        primals = [*(leaves[i] for i in moving), *plain[:-2]] return pushed(of_moving, primals,
-        tangents)
+        primals = [*(leaves[i] for i in moving), *plain[:-2]]
+        return pushed(of_moving, primals, tangents)
 
     def step(leaves: Arrays, numbers: Arrays) -> Arrays:
         results, moved = along_run(functions.step, leaves, numbers)
@@ -288,6 +252,5 @@ def make_slopes(functions: Functions, along: list[int]) -> Slopes:
     def read(leaves: Arrays, numbers: Arrays) -> Arrays:
         results, moved = along_run(functions.read, leaves, numbers)
         return [*results, *moved]
->>>>>>> main
 
     return Slopes(moving, start, step, read)

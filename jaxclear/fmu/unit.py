@@ -159,19 +159,12 @@ class Unit:
 
     def _number(self, kind: str, name: str, where: Any) -> Variable:
         leaf, by_name = None if isinstance(where, str) else where(self.mechanism), where
-<<<<<<< HEAD
-        rows = numbers_of_parts(self.mechanism) result = [row for row in rows if row[0] == by_name
-        or row[1] is leaf] if len(result) != 1 or np.ndim(result[0][1]):
-            raise ValueError(NO_NUMBER.format(kind=kind, name=name))
-        path, leaf, metadata, unit = result[0]
-        given, run, run_at = self.functions.given.leaves, self.functions.run.leaves, 0
-=======
-        rows = own_numbers(self.mechanism) matches = [row for row in rows if row[0] == by_name or
-        row[1] is leaf] if len(matches) != 1 or np.ndim(matches[0][1]):
+        rows = numbers_of_parts(self.mechanism)
+        matches = [row for row in rows if row[0] == by_name or row[1] is leaf]
+        if len(matches) != 1 or np.ndim(matches[0][1]):
             raise ValueError(NO_NUMBER.format(kind=kind, name=name))
         path, leaf, metadata, unit = matches[0]
         original, run, run_at = self.functions.original.leaves, self.functions.run.leaves, 0
->>>>>>> main
         if kind == "input":
             if not path.startswith("loads"):
                 sentence = NO_RATE if ".drive" in path else NOT_OF_A_LOAD
@@ -322,11 +315,5 @@ class Unit:
         fixed, every = impact_speed_places(layout), names(system, layout)
         places = [k for k in range(layout.size) if k not in fixed]
         self.states = [every[k] for k in places]
-<<<<<<< HEAD
-        self.contacts = [
-            f"{name}.{k}" for name, entry in layout.memories for k in range(len(entry))
-        ]
-=======
         self.contacts = [f"{name}.{k}" for name, laws in layout.memories for k in range(len(laws))]
->>>>>>> main
         return array("int state_at", list(map(str, places)))
