@@ -108,6 +108,7 @@ def test_public_module_says_what_it_offers(place):
 # A joint with wear, a product of laws, a scene, a mechanism and a solver on groups build these
 # themselves.
 INNER = {
+    "AbstractFreeVariable",
     "AbstractLaw",
     "AbstractLean",
     "AbstractLikeIdeal",

@@ -301,3 +301,39 @@ def test_monte_carlo_of_a_scene_is_that_of_the_library(here, capsys):
     told = with_error(float(mean.value), float(mean.error))
     assert told in page.replace("\u00a0", " ")
     assert "jaxclear_scene: 1" in page and "jaxlib" in page
+
+
+@pytest.mark.slow
+def test_the_yield_of_a_drawing_is_printed_and_kept(here, capsys):
+    """Yield at rest and in motion, a share for each line, the worst case, and the picture."""
+    lines = {
+        "B": "20 H7/f7",
+        "crank hole": jc.tolerance.Position(0.05e-3, marker="A.parent"),
+        "follower hole": jc.tolerance.Position(0.05e-3, marker="B.child", at_mmc="B hole"),
+    }
+    rig = jc.scenes.four_bar("planar", 0.03e-3, friction=False, wear=False)
+    integrator = jc.integrator.ImplicitStep(5e-5)
+    error = {"error": jc.response.LargestError("D")}
+    how = {"duration": 0.02, "save": 11, "integrator": integrator, "responses": error}
+    jc.write_scene(jc.Scene(rig, **how, drawing=lines), "bar.yaml")
+    main(["yield", "bar.yaml", "--limit", "error: 0.4e-3", "--samples", "32", "--quiet"])
+    said = capsys.readouterr().out
+    for words in ("Yield at rest: ", "Yield in motion: ", "Worst case at rest: ", "20 H7/f7"):
+        assert words in said
+    kept = sorted(file.name for file in (here / "bar_yield").iterdir())
+    figures = ["drawing.png", "shares_at_rest.png", "shares_in_motion.png"]
+    assert kept == sorted(["drawing.csv", "shares.csv", *figures])
+
+
+YIELDS = {
+    "no drawing": (["--limit", "mean force: 3"], "states no drawing"),
+    "no number": (["--limit", "error"], "write a response and its largest value"),
+}
+
+
+@pytest.mark.parametrize("name", YIELDS)
+def test_a_yield_that_cannot_be_told_gets_a_sentence(name, here, capsys):
+    options, sentence = YIELDS[name]
+    with pytest.raises(SystemExit) as end:
+        main(["yield", "scene.yaml", *options, "--quiet"])
+    assert end.value.code != 0 and re.search(sentence, capsys.readouterr().err)

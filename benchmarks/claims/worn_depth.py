@@ -4,8 +4,10 @@ Walls worn by given volumes: a pin pressed one way, rigid (the area between two 
 form) and elastic, a tilted journal, a ball; and what a run tells of cells that are too few. Then a
 turn of the planar four-bar, as it is designed. Then the four-bar with three-dimensional clearance:
 deepest cell, volume, and CPU time beside the same run without wear. And the 3RSR's socket, after a
-settled cycle and after a million. The order is that between three numbers of cells. Last what hangs
-on saving times, of five kinds of surface.
+settled cycle and after a million. The order is that between three numbers of cells. Then what hangs
+on saving times, of five kinds of surface, and last stated errors of depths over true ones: of
+walls that contacts wear which stand still or go to and fro, narrower and wider than cells. (A flank
+of a play has one cell, and no error of cells.)
 """
 
 import itertools
@@ -21,8 +23,11 @@ import jaxclear as jc
 from benchmarks.measure import arguments, report, side_by_side, sign
 from jaxclear.commands.design import TURN, WEAR_SAVES
 from jaxclear.components.sphere_map import SphereMap
-from jaxclear.components.wear_map import AbstractWearMap, CylinderMap
+from jaxclear.components.wall_map import WallMap
+from jaxclear.components.wear_map import AbstractSurface, AbstractWearMap, CylinderMap
+from jaxclear.errors.estimates import factor_of_cells
 from jaxclear.integrators.checks import Check
+from jaxclear.native import scan
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.scenes.parallel_3rsr import QUIET, parallel_3rsr
 from jaxclear.simulation.invariants import narrowness
@@ -40,6 +45,10 @@ IN_PLANE = (36, 72, 144, 288, 576)
 SPAN, SAVES, GRIDS = 1.26, 631, ((18, 5), (36, 10), (72, 20), (144, 80), (144, 320))
 # Cells along that a tilted journal's scar needs, which is about a millimetre of 30.
 AROUND, ROWS = 144, (40, 80, 160, 320)
+# Of stated errors: cells around (of a guide along), the finest, and between which ratios a stated
+# error is right. Contacts go to and fro twice, in so many updates.
+OF_ERRORS, TRUE_CELLS = (24, 36, 48, 72, 96, 144, 288), {"journal": 4608, "guide": 4608}
+ALL_CELLS, RIGHT, UPDATES = 1152, (0.5, 5.0), 48
 # Saving times.
 COUNTS = (2, 21, 501, 2001)
 
@@ -55,6 +64,7 @@ PARTS = {
     "along": "worn depth: the four-bar, finer along",
     "3RSR": "worn depth: the 3RSR",
     "saves": "worn depth: by saving times",
+    "errors": "worn depth: stated errors over true ones",
 }
 
 
@@ -147,18 +157,22 @@ def told(cells: tuple[int, ...], finest: int) -> list[dict[str, Any]]:
 
 def planar(cells: tuple[int, ...]) -> list[dict[str, Any]]:
     """The bearing of the planar four-bar after a turn, and what its run tells of its cells."""
-    rows = []
+    rows, deepest = [], jc.response.PeakWornDepth("B")
     for around in cells:
         run = jc.simulate(
             four_bar("planar", 1e-4, cells=(around, 1)),
             TURN,
             save=WEAR_SAVES,
             integrator=jc.integrator.FixedStep(1e-5),
+            verify=True,
         )
+        stated = run.estimate(deepest)
         rows.append(
             {
                 "cells around": around,
                 "deepest cell [um]": 1e6 * float(run.worn_depth("B", "bearing").max()),
+                "deepest place [um]": 1e6 * float(stated.value),
+                "stated error [um]": 1e6 * float(stated.error),
                 "figure": float(run.invariants.figures[Check.WEAR_BY_CELLS].worst[0]),
             }
         )
@@ -260,6 +274,107 @@ def by_saves(counts: tuple[int, ...]) -> list[dict[str, Any]]:
     return rows
 
 
+def surface(kind: str, around: int, coarseness: float) -> AbstractSurface:
+    """A surface of so many cells around, of which so many side by side are one."""
+    return {
+        "journal": lambda: CylinderMap((around, 1), RADIUS, LENGTH, CLEARANCE, coarseness),
+        "journal, tilted": lambda: CylinderMap(
+            (around, around // 3), RADIUS, LENGTH, CLEARANCE, coarseness
+        ),
+        "ball": lambda: SphereMap((around, around // 2), RADIUS, CLEARANCE, coarseness),
+        "guide": lambda: WallMap((2, around), 0.12, 0.0, 0.04, 0.01, CLEARANCE, 0.01, coarseness),
+    }[kind]()
+
+
+def losses(kind: str, own: AbstractSurface, case: dict[str, float]) -> tuple[jax.Array, jax.Array]:
+    """Volumes and location features of a contact with an `indentation` [m] that begins at a `place`
+    [rad or m] and goes `swing` to either side of it; `fall` of the overlap [m]."""
+    turns = 4 * np.pi * np.arange(UPDATES + 1) / UPDATES
+    path = case["place"] + case["swing"] * np.sin(turns)
+    middle, half = 0.5 * (path[1:] + path[:-1]), 0.5 * np.abs(np.diff(path))
+    ones, fall = np.ones(UPDATES), case["fall"] * np.ones(UPDATES)
+    if kind == "guide":
+        place = middle, middle**2 + half**2 / 3, fall, case["indentation"] * ones, ones, ones
+    else:
+        narrow = float(own.narrowness(jnp.asarray(case["indentation"]))) * ones
+        shares = np.linspace(-1.0, 1.0, 41)[:, None] * half
+        level = 0.2 if kind == "ball" else 0.0
+        x, y = (np.cos(level) * f(middle + shares) for f in (np.cos, np.sin))
+        z = np.sin(level) * np.ones_like(x)
+        pairs = (x, x), (x, y), (x, z), (y, y), (y, z)
+        of_ball = *(each.mean(0) for each in (x, y, z)), *((a * b).mean(0) for a, b in pairs)
+        of_journal = x.mean(0), y.mean(0), fall
+        place = (*of_ball, narrow) if kind == "ball" else (*of_journal, narrow, ones * (fall > 0))
+    volumes = jnp.full((UPDATES, 1), case["volume"] / UPDATES)
+    return volumes, jnp.asarray(np.stack(place, axis=1))[:, None]
+
+
+@eqx.filter_jit
+def worn_in_turn(own: AbstractSurface, events: tuple) -> jax.Array:
+    """Depths [m] after losses one after the other."""
+    nothing = jnp.zeros(own.cells), None, (jnp.zeros(own.cells),)
+    turn = lambda now, event: (own.deposit_in_turn(now[0], None, now[2], *event), ())
+    return scan(turn, nothing, events, long=True)[0][0]
+
+
+def cases() -> list[tuple[str, dict[str, float]]]:
+    """Kinds of surface with what wears them: shallow scars and deep ones, of narrow contacts and of
+    wide ones, that stand still or go to and fro."""
+    pin = lambda depth: 2 * RADIUS * LENGTH * CLEARANCE * math.sqrt(2 * depth / CLEARANCE) * depth
+    found = []
+    for kind, depths, indentations, fall, share in (
+        ("journal", (0.2e-6, 2e-6, 20e-6), (0.05e-6, 2e-6), 0.0, 0.67),
+        ("journal, tilted", (0.5e-6, 10e-6), (0.2e-6, 2e-6), FALL, 0.1),
+        ("ball", (0.5e-6, 10e-6), (0.2e-6, 2e-6), 0.0, 0.05),
+    ):
+        for depth, indentation, swing in itertools.product(depths, indentations, (0.0, 0.4)):
+            volume = share * pin(depth) * (1 + 3 * swing)
+            how = {"indentation": indentation, "swing": swing, "fall": fall, "volume": volume}
+            found += [(kind, how | {"place": place}) for place in DIRECTIONS]
+    for volume, fall, swing in itertools.product((1e-13, 1e-11), (0.0, 5e-6, 100e-6), (0.0, 0.02)):
+        how = {"indentation": 1e-6, "swing": swing, "fall": fall, "volume": volume}
+        found.append(("guide", how | {"place": 0.0031}))
+    return found
+
+
+def stated_over_true(cells: tuple[int, ...]) -> list[dict[str, Any]]:
+    """By kind of surface how many stated errors of depths are right, too small and too large."""
+    ratios: dict[tuple[str, str], list[float]] = {}
+    for kind, case in cases():
+
+        def depths(around, coarseness, kind=kind, case=case):
+            own = surface(kind, around, coarseness)
+            events = losses(kind, own, case)
+            depth = worn_in_turn(own, events)
+            features, narrow = jnp.mean(events[1], axis=(0, 1)), narrowness(own, depth)
+            deepest = {"place": float(own.deepest(depth)), "cell": float(depth.max())}
+            return deepest, factor_of_cells(own, features, depth, narrow)
+
+        true = depths(TRUE_CELLS.get(kind, ALL_CELLS), 1.0)[0]["place"]
+        for around in cells:
+            (fine, factor), (coarse, _) = depths(around, 1.0), depths(around, 2.0)
+            for how, depth in fine.items():
+                stated = factor * abs(depth - coarse[how])
+                ratios.setdefault((kind, how), []).append(stated / max(abs(true - depth), 1e-30))
+    rows = []
+    for (kind, how), of_kind in ratios.items():
+        own = np.array(of_kind)
+        low, high = float(np.mean(own < RIGHT[0])), float(np.mean(own > RIGHT[1]))
+        rows.append(
+            {
+                "surface": kind,
+                "deepest": how,
+                "depths": len(own),
+                "right [%]": 100 * (1 - low - high),
+                "too small [%]": 100 * low,
+                "too large [%]": 100 * high,
+                "median": float(np.median(own)),
+            }
+        )
+        print(rows[-1], flush=True)
+    return rows
+
+
 def parallel(cells: tuple[int, ...]) -> list[dict[str, Any]]:
     """The quiet 3RSR's socket: what a cycle takes off once it has settled, and what a million do,
     each of those that are run standing for as many as it must."""
@@ -314,6 +429,7 @@ def main() -> None:
             "along": along_rows,
             "3RSR": parallel_rows,
             "saves": save_rows,
+            "errors": error_rows,
         }[part]
         measured(options)
     sign("benchmarks.claims.worn_depth", options.json, [PARTS[part] for part in asked])
@@ -334,6 +450,12 @@ def parallel_rows(options: Any) -> None:
 def save_rows(options: Any) -> None:
     """Of saving times."""
     report(PARTS["saves"], by_saves(COUNTS), options)
+
+
+def error_rows(options: Any) -> None:
+    """Of stated errors."""
+    cells = OF_ERRORS[:3] if options.quick else OF_ERRORS
+    report(PARTS["errors"], stated_over_true(cells), options)
 
 
 def given_rows(options: Any) -> None:

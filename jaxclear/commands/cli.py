@@ -15,6 +15,7 @@ import jax
 import jaxclear as jc
 from jaxclear.commands import antenna, arm, design, flap, four_bar, guide, parallel_3rsr, wear_life
 from jaxclear.commands.cache import cache
+from jaxclear.commands.drawing_yield import drawing_yield
 from jaxclear.commands.own_scene import example, fmu, identify, monte_carlo, parameters, run
 from jaxclear.commands.report import report
 from jaxclear.ground import cache_folder
@@ -27,7 +28,7 @@ WORTH_KEEPING = 0.5
 # What answers each command, by its name with low lines.
 SCENE_COMMANDS = (run, monte_carlo, identify, fmu, report, example, parameters, cache)
 COMMANDS: dict[str, Callable[..., None]] = {one.__name__: one for one in SCENE_COMMANDS}
-COMMANDS |= {
+COMMANDS |= {"yield": drawing_yield} | {
     study.__name__.rpartition(".")[2].removeprefix("parallel_"): study.study for study in STUDIES
 }
 

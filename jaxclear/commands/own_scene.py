@@ -150,7 +150,7 @@ def example(name: str) -> None:
 
 
 @contextlib.contextmanager
-def _mistakes() -> Iterator[None]:
+def mistakes_told() -> Iterator[None]:
     """A scene that cannot be read, run or asked ends the command with its sentence."""
     try:
         yield
@@ -162,7 +162,7 @@ def _mistakes() -> Iterator[None]:
         raise click.ClickException(str(error)) from None
 
 
-def _read(scene: Path, **changes: Any) -> jc.Scene:
+def read(scene: Path, **changes: Any) -> jc.Scene:
     """The scene in a file, with what was asked otherwise."""
     changed = {name: value for name, value in changes.items() if value is not None}
     return dataclasses.replace(jc.read_scene(scene), **changed)
@@ -170,8 +170,8 @@ def _read(scene: Path, **changes: Any) -> jc.Scene:
 
 def parameters(scene: Path | None = None) -> None:
     """Prints the numbers of a scene file, or of the four-bar."""
-    with _mistakes():
-        mechanism = jc.scenes.four_bar() if scene is None else _read(scene).mechanism
+    with mistakes_told():
+        mechanism = jc.scenes.four_bar() if scene is None else read(scene).mechanism
     click.echo(mechanism.parameters())
 
 
@@ -187,8 +187,8 @@ def run(
     `saves` instead of the file's own.
     """
     folder = Path(f"{scene.stem}_run") if folder is None else folder
-    with _mistakes():
-        content = _read(scene, duration=duration, save=saves)
+    with mistakes_told():
+        content = read(scene, duration=duration, save=saves)
         if content.positions is not None:
             table = keep_positions(content, content.stand(), folder, scene.name)
             click.echo(f"The mechanism stands at {len(table)} positions.")
@@ -220,8 +220,8 @@ def fmu(
     """Exports a scene as an FMU, `folder` its file (by default named after the scene); what it
     gives are the scene's responses, or else coordinates and speeds of its joints."""
     file = Path(f"{scene.stem}.fmu") if folder is None else folder
-    with _mistakes():
-        content = _read(scene)
+    with mistakes_told():
+        content = read(scene)
         if content.state is not None:
             raise ValueError(
                 f"{scene} begins in a state; an FMU begins at a mechanism's own start."
@@ -303,8 +303,8 @@ def identify(
     `signal`: columns with their sensors; `time`: a column in seconds, or column:unit:begin:end;
     `turn`: the column of an encoder, or the period [s]."""
     folder = Path(f"{scene.stem}_identified") if folder is None else folder
-    with _mistakes():
-        content = _read(scene)
+    with mistakes_told():
+        content = read(scene)
         signals = dict(map(sensor_of, signal))
         column, unit, *part = _time_of(time)
         with contextlib.suppress(TypeError, ValueError):
@@ -350,8 +350,8 @@ def monte_carlo(
     failures and warnings."""
     folder = Path(f"{scene.stem}_store") if folder is None else folder
     try:
-        with _mistakes():
-            content = _read(scene)
+        with mistakes_told():
+            content = read(scene)
             study = jc.campaign(
                 content.problem(), samples, folder=folder, seed=seed, chunk=chunk, progress_bar=show
             )

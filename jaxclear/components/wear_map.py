@@ -239,12 +239,15 @@ class AbstractSurface(AbstractWearMap):
 
     def deepest(self, depth):
         """A parabola through the means of the deepest cell and those beside it, in each direction;
-        at an end a straight line."""
+        at an end a straight line. Scars of flat faces have edges, across which none is right: the
+        mean of the deepest cell."""
+        if self.flat:
+            return jnp.max(depth)
         around, along = self.cells
         place = jnp.argmax(depth) // along, jnp.argmax(depth) % along
         here = found = depth[place]
-        for axis, ring in ((0, not self.flat), (1, False)):
-            if self.cells[axis] < 3 or (axis == 0 and not ring):
+        for axis, ring in ((0, True), (1, False)):
+            if self.cells[axis] < 3:
                 continue
             index = place[axis] // self.side * self.side
             at = lambda k, axis=axis: depth[(k, place[1]) if axis == 0 else (place[0], k)]

@@ -18,6 +18,7 @@ from jaxclear.errors.observables import named
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
 from jaxclear.integrators.base import PART_OF, Promise
+from jaxclear.integrators.checks import Check
 from jaxclear.multibody.system import wearing_in
 from jaxclear.results.response import needs_of
 from jaxclear.results.trajectory import Trajectory
@@ -203,38 +204,41 @@ def richardson(differences: list[Any], shares: Sequence[float | None] = (HALF, Q
 
 def factors_of_cells(run: Trajectory) -> dict[str, float]:
     """The error that cells leave in the depth of each worn surface ("joint, surface"), relative to
-    what cells twice as wide change.
-
-    Where cells resolve the contact it is 1, which allows for orders from 1 on: Roache's factor of
-    safety, 3, for two grids and the usual order, 2. A contact narrower than its cells has been
-    widened to them, and depths go with one over each of its widths, of which fourth powers add up:
-    those of the contact, from the mean of its losses, and of the cells.
-    Source: Roache 1994, J. Fluids Eng. 116, 405, doi:10.1115/1.2910291.
-    """
+    what cells twice as wide change (`factor_of_cells`)."""
     factors = {f"{joint}, {surface}": 1.0 for joint, ks in run.worn.items() for surface in ks}
-    if is_traced((run.states, run.worn)):
+    if is_traced((run.states, run.worn, run.invariants)):
         return factors
-    wearing = wearing_in(run.mechanism)
+    wearing, figures = wearing_in(run.mechanism), run.invariants.figures
+    narrow = np.max(figures[Check.WEAR_BY_CELLS].worst) if Check.WEAR_BY_CELLS in figures else 0.0
     for slot in run.history.layout().wear:
-        surface, depth = (
-            wearing[slot.bearing].maps()[slot.surface][0],
-            run.worn[slot.bearing][slot.surface],
-        )
+        surface = wearing[slot.bearing].maps()[slot.surface][0]
         volume, features = slot.loss(run.states[0], run.states[-1])
         if isinstance(surface, AbstractSurface) and volume > 0:
-            place = f"{slot.bearing}, {slot.surface}"
-            sizes = surface.cells_per_contact(features, surface.deepest(depth))
-            factors[place] = max(factors[place], factor_of_widths(sizes))
+            place, depth = f"{slot.bearing}, {slot.surface}", run.worn[slot.bearing][slot.surface]
+            factor = factor_of_cells(surface, features, depth, narrow)
+            factors[place] = max(factors[place], factor) if slot.contact else factor
     return factors
 
 
-def factor_of_widths(sizes: Sequence[Any]) -> float:
-    """The share of `factors_of_cells` for cells of such sizes over half a contact's width."""
+def factor_of_cells(surface: AbstractSurface, features: Any, depth: Any, narrow: Any) -> float:
+    """The error that cells leave in a depth, relative to what cells twice as wide change, by the
+    mean `features` of what wore the surface, its `depth` [m] and how `narrow` its scar is
+    (`Check.WEAR_BY_CELLS`).
+
+    It is that of order 2, of a narrow scar that of order 1. Scars of flat faces have edges, which
+    lie anywhere in cells, so that two numbers of cells agree by chance: Roache's factor of safety,
+    3, on order 1. A contact narrower than its cells has been widened to them, and depths go with
+    one over each of its widths, of which fourth powers add up: those of the contact and of cells.
+    Source: Roache 1994, J. Fluids Eng. 116, 405, doi:10.1115/1.2910291.
+    """
+    resolved = 1 / 3 if narrow <= Check.WEAR_BY_CELLS.limit else 1.0
+    sizes = surface.cells_per_contact(features, surface.deepest(depth))
     by_cells, by_wider = (
         math.prod((1.0 + (factor * float(x)) ** 4) ** -0.25 for x in sizes) for factor in (1, 2)
     )
     change = by_cells - by_wider
-    return max(1.0, (1.0 - by_cells) / change) if change > 0 else 1.0
+    widened = (1.0 - by_cells) / change if change > 0 else 0.0
+    return max(3.0 if surface.flat else resolved, widened)
 
 
 def _estimate_error(value: Any, coarse: Any, *rest: Any) -> Any:

@@ -57,6 +57,7 @@ from jaxclear.multibody.mechanism import Mechanism, parts_as_drawn
 from jaxclear.results.response import PositionError
 from jaxclear.simulation.saving import Saving
 from jaxclear.studies.distribution import Empirical, FromScipy
+from jaxclear.studies.tolerance import Size
 from jaxclear.studies.variable import AbstractMechanismVariable, Condition, Heating, Variable
 
 KIND = "kind"
@@ -260,6 +261,7 @@ ARGUMENT_FORMS: dict[type, dict[str, tuple[AbstractForm | None, Getter]]] = {
         "tolerance": (Number({"unit": "1", "above": 0}), _nothing),
     },
     Heating: {"expansion": (Choice((Number(EXPANSION), ByName(Number(EXPANSION)))), _expansion)},
+    Size: {"where": (Place(), _attribute("where"))},
     Variable: {
         "where": (Place(), _attribute("where")),
         "tolerance": (Number({"unit": "1", "above": 0}), _nothing),

@@ -9,9 +9,11 @@ mechanism: {bodies: ..., connections: ..., loads: ..., guess: ...}
 run: {duration: 0.5, integrator: FixedStep, save: 501}  # or {positions: {crank: [0, 0.1, 0.2]}}
 variables: {clearance: {where: connections.B.joint.clearance, tolerance: 1.0e-5}}
 responses: {peak: {kind: PeakContactForce, joint: B}}
+drawing: {B: 20 H7/g6, pin: {kind: Position, diameter: 3.0e-5, marker: A.parent}}
 ```
 """
 
+import dataclasses
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.files.forms import (
@@ -43,17 +46,19 @@ from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.ground.wording import described, listed, unknown
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.results.response import AbstractResponse
+from jaxclear.results.response import AbstractResponse, LargestError
 from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.saving import Saving, as_saving
-from jaxclear.simulation.simulate import check_duration, simulate
+from jaxclear.simulation.simulate import check_duration, saving_times, simulate
 from jaxclear.statics.position_path import checked_positions, positions
 from jaxclear.statics.positions import Positions
 from jaxclear.statics.seated import seated
 from jaxclear.studies.position_problem import PositionProblem
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.responses import by_name
+from jaxclear.studies.tolerance import AbstractTolerance
+from jaxclear.studies.tolerance.drawing import Drawing
 from jaxclear.studies.variable import AbstractMechanismVariable
 
 SEATED = "seated"
@@ -79,6 +84,8 @@ class Scene(AbstractQuantified):
         positions: coordinates of the drives [rad, m], by joint, as of `jaxclear.positions`; None
             (default) for none.
         reverse_loads: whether positions are computed under reversed loads too; False by default.
+        drawing: lines of the mechanism's drawing, by name, as of a `Drawing`; {} by default.
+        general: general tolerance of the drawing, as of a `Drawing`; None (default) for none.
 
     Raises:
         ValueError: if an argument is out of range, or a run and positions are given together.
@@ -95,6 +102,8 @@ class Scene(AbstractQuantified):
     description: str = ""
     positions: Any = None
     reverse_loads: bool = False
+    drawing: Any = eqx.field(default_factory=dict)
+    general: str | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         check_flags("Scene", reverse_loads=self.reverse_loads)
@@ -131,6 +140,7 @@ class Scene(AbstractQuantified):
             "state": self.state,
             "variables": ", ".join(self.variables),
             "responses": ", ".join(self.responses),
+            "drawing": ", ".join(self.drawing),
         }
         return "\n".join([*lines, *(f"  {what} {v}" for what, v in settings.items() if v)])
 
@@ -189,16 +199,68 @@ class Scene(AbstractQuantified):
         Raises:
             ValueError: if the scene has no variables or no responses.
         """
-        for what, entries in (("variables", self.variables), ("responses", self.responses)):
+        drawn = self.drawn()
+        varied = drawn.variables | dict(self.variables)
+        for what, entries in (("variables", varied), ("responses", self.responses)):
             if not entries:
                 raise ValueError(f"this scene states no {what}; a problem needs some.")
-        parts = (self.mechanism, dict(self.responses), dict(self.variables))
+        parts = (drawn.mechanism, self._compared(), varied)
         more: dict[str, Any] = {"correlation": self.correlation}
         if self.positions is not None:
             more |= {"positions": self.positions, "reverse_loads": self.reverse_loads}
             return PositionProblem(*parts, **more)
         more |= {"integrator": self.integrator, **self._run_arguments()}
         return Problem(*parts, **more)
+
+    def drawn(self) -> Drawing:
+        """The mechanism as its drawing tolerances it.
+
+        Returns:
+            The `Drawing`, of no lines where the scene states none.
+        """
+        return Drawing(self.mechanism, dict(self.drawing), general=self.general)
+
+    def at_rest(self, count: int = 13) -> "Scene":
+        """The same scene at positions of its drives over the run, without time.
+
+        Args:
+            count: number of positions, >= 2; 13 by default.
+
+        Returns:
+            The `Scene`.
+
+        Raises:
+            ValueError: if nothing is driven.
+        """
+        positions = self._driven(np.linspace(0.0, float(self._run_arguments()["duration"]), count))
+        changed: Any = dict.fromkeys(("duration", "integrator", "save", "state"))
+        return dataclasses.replace(self, **changed | {"positions": positions})
+
+    def _driven(self, times: Any) -> dict[str, Any]:
+        """Coordinates of the drives at some times [s]."""
+        joints = {n: self.mechanism.connections[n].joint for n in self.mechanism.driven}
+        if not joints:
+            raise ValueError("nothing drives this mechanism; give a joint a drive.")
+        at = lambda joint: [float(joint.drive.motion(jnp.asarray(t))[0]) for t in times]
+        return {name: at(joint) for name, joint in joints.items()}
+
+    def _compared(self) -> dict[str, Any]:
+        """The responses, with the mechanism without clearance where one has no reference."""
+        found = dict(self.responses)
+        bare = lambda own: isinstance(own, LargestError) and own.reference is None
+        if not any(map(bare, found.values())):
+            return found
+        ideal, driven = self.mechanism, self.positions
+        if driven is None:
+            arguments = self._run_arguments()
+            driven = self._driven(saving_times(arguments["duration"], arguments.get("save", 201)))
+        for name in ideal.topology.clearances:
+            ideal = ideal.with_joint(name, ideal.connections[name].joint.coordinate_form())
+        there = positions(ideal, driven)
+        for name, own in found.items():
+            if bare(own):
+                found[name] = dataclasses.replace(own, reference=own.values(there))
+        return found
 
     def _run_arguments(self) -> dict[str, Any]:
         """What `simulate` and `Problem` are given alike."""
@@ -234,6 +296,8 @@ TOP: dict[str, AbstractForm] = {
     "$schema": Text(),
     "written_by": Text(),
     "description": Text(),
+    "drawing": ByName(Choice((Text(), Part((AbstractTolerance,), spelled_out=True)))),
+    "general": Text(),
     "mechanism": Part((Mechanism,)),
     "variables": ByName(Part((AbstractMechanismVariable,))),
     "responses": ByName(Part((AbstractResponse,))),
@@ -415,9 +479,10 @@ def _values_of(scene: Scene) -> dict[str, Any]:
     }
     run = {name: plain(RUN[name], v, name) for name, v in settings.items() if v is not None}
     plain_scene |= {"run": run} if run else {}
-    for what in ("variables", "responses"):
+    for what in ("variables", "responses", "drawing"):
         v = dict(getattr(scene, what))
         plain_scene |= {what: plain(TOP[what], v, what)} if v else {}
+    plain_scene |= {"general": scene.general} if scene.general else {}
     if scene.correlation is not None:
         plain_scene["correlation"] = _plain_correlation(scene.correlation, mechanism)
     return plain_scene

@@ -123,7 +123,8 @@ def export_fmu(
     check_number("the interval", interval, "s", above=0)
     integrator = Adaptive() if integrator is None else integrator
     check_run(mechanism, integrator)
-    for kind in kinds:
+    kinds, slopes = ((x,) if isinstance(x, str) else tuple(x) for x in (kinds, slopes))
+    for kind in kinds or ("",):
         check_name("kind", kind, KINDS, " of export_fmu")
     for name in wearing_in(mechanism):
         raise ValueError(WORN.format(name=name))

@@ -40,6 +40,7 @@ On its way a loop passes through these files:
 - `writer`: the text under construction, and the registry of rules. An array is a NumPy array of
   register names, so reshaping costs nothing and a sum of three numbers is two instructions.
 - `kernel`: the loop compiled by LLVM, and what it writes; `dispatch`: how XLA calls it.
+- `standalone`: a function as machine code for any system, which needs neither JAX nor this process.
 - `check`: one turn of a kernel on random numbers against JAX, operation by operation: a switch.
 - `gpu`: the same kernels on an NVIDIA GPU, a thread a sample: off unless JAXCLEAR_GPU_KERNELS=1.
 - `verdicts`: which loops became kernels, and why others did not.

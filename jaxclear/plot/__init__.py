@@ -5,6 +5,7 @@ a page of a run that moves.
 
 from jaxclear.ground.argument_errors import imported_names, nothing_else
 from jaxclear.plot.animation import animate as animate
+from jaxclear.plot.drawing import drawing as drawing
 from jaxclear.plot.identification import identification as identification
 from jaxclear.plot.identification import remaining_life as remaining_life
 from jaxclear.plot.life import design as design

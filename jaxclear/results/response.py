@@ -39,6 +39,7 @@ __all__ = [
     "FinalCoordinate",
     "FromFunction",
     "LargestDeflection",
+    "LargestError",
     "LostMotion",
     "MeanContactForce",
     "PeakContactForce",
@@ -61,6 +62,10 @@ REACHES = {
     "worn depth": ("worn depth",),
     "places in gaps": ("places in gaps", "wear", "worn depth"),
 }
+
+
+def _row_of_numbers(values: Any) -> Any:
+    return None if values is None else jnp.asarray(values, float)
 
 
 class AbstractResponse(AbstractQuantified):
@@ -336,6 +341,70 @@ class LargestDeflection(AbstractResponse):
     def __call__(self, run):
         away = run.deflection(self.beam, self.relative_to)
         return safe_sqrt(jnp.max(jnp.sum(away * away, axis=-1)))
+
+
+class LargestError(AbstractResponse):
+    """Largest deviation of a coordinate, or of a body's centre of mass, from a reference [rad, m].
+
+    It reads runs and positions alike.
+
+    Args:
+        joint: name of the joint whose coordinate is read; None (default) where a body is given.
+        body: name of the body whose centre of mass is read; None (default) where a joint is given.
+        axis: number of the ground's axis along which a body is read, 0 (default), 1 or 2.
+        reference: values of the reference at the saving times or positions [rad, m], shape (time,);
+            None (default): a `Scene` takes those of the mechanism without clearance and at nominal
+            sizes.
+        unit: unit of the number; by default ("") that of what is read.
+
+    Raises:
+        ValueError: if neither or both of joint and body are given, or there is no such axis.
+    """
+
+    joint: str | None = eqx.field(static=True, default=None)
+    body: str | None = eqx.field(static=True, default=None, kw_only=True)
+    axis: int = eqx.field(static=True, default=0, kw_only=True)
+    reference: Float[Array, " time"] | None = eqx.field(
+        default=None, kw_only=True, converter=lenient_converter(_row_of_numbers)
+    )
+    unit: str = eqx.field(static=True, default="", kw_only=True)
+
+    def __check_init__(self):
+        if (self.joint is None) == (self.body is None) or self.axis not in (0, 1, 2):
+            raise ValueError(
+                "response.LargestError reads the coordinate of a joint, or a body along one of the "
+                "axes 0, 1, 2 (x, y, z); give it one of the two."
+            )
+
+    def unit_in(self, mechanism):
+        if self.unit or self.joint is None:
+            return self.unit or "m"
+        return coordinate_unit(mechanism, self.joint, 0)
+
+    def drawn_from(self):
+        return "motion"
+
+    def values(self, run: Any) -> Any:
+        """What is read of a run.
+
+        Args:
+            run: a `Trajectory`, or positions.
+
+        Returns:
+            Values [rad, m], shape (time,).
+        """
+        if self.joint is not None:
+            return run.coordinate(self.joint)
+        return run.body(self.body).com[:, self.axis]
+
+    def __call__(self, run):
+        values = self.values(run)
+        if self.reference is None or self.reference.shape != values.shape:
+            raise ValueError(
+                f"response.LargestError reads {len(values)} values and has a reference of "
+                f"{0 if self.reference is None else len(self.reference)}; give it as many."
+            )
+        return jnp.max(jnp.abs(values - self.reference))
 
 
 class LostMotion(AbstractResponse):

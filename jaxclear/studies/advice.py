@@ -31,6 +31,7 @@ from jaxclear.simulation.simulate import How, check_run, repeated
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.responses import answer
+from jaxclear.studies.run_experiment import RunExperiment
 from jaxclear.studies.sampling import draw
 
 # What the user had.
@@ -359,7 +360,9 @@ def advise(
         ValueError: if an argument is wrong, or no run gives numbers.
     """
     check_double_precision()
-    expect(problem, Problem, "what advice is given on", "a jaxclear.Problem")
+    wanted = "a jaxclear.Problem of a mechanism in time"
+    expect(problem, Problem, "what advice is given on", wanted)
+    expect(problem.experiment, RunExperiment, "what advice is given on", wanted)
     pilot = PilotSettings() if pilot is None else pilot
     expect(pilot, PilotSettings, "the pilot", "a jaxclear.PilotSettings")
     check_flags("advise", progress_bar=progress_bar)

@@ -106,6 +106,22 @@ class AbstractVariable(AbstractQuantified):
         return subject
 
 
+class AbstractFreeVariable(AbstractVariable):
+    """A variable that is no number of the subject, and so has a nominal value and a unit itself."""
+
+    nominal: eqx.AbstractVar[Any]
+    unit: eqx.AbstractVar[str]
+
+    def nominal_in(self, subject):
+        return self.nominal
+
+    def unit_in(self, subject):
+        return self.unit
+
+    def put(self, name, subject, value):
+        return subject
+
+
 class Setting(eqx.Module):
     """Values of a problem's variables: `setting(subject)` is a mechanism with them, or a dictionary
     of numbers."""

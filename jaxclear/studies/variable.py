@@ -19,7 +19,11 @@ from jaxclear.multibody.thermal_expansion import apply_thermal_expansion
 from jaxclear.multibody.topology import own_numbers
 from jaxclear.studies.distribution import AbstractDistribution, AbstractJointDistribution
 from jaxclear.studies.distribution.joint import marginals_of
-from jaxclear.studies.experiment import AbstractVariable, one_distribution
+from jaxclear.studies.experiment import (
+    AbstractFreeVariable,
+    AbstractVariable,
+    one_distribution,
+)
 
 # The least quantile of a response that studies tell.
 TOLD_QUANTILE = 0.05
@@ -214,7 +218,7 @@ class Heating:
         )
 
 
-class Condition(AbstractMechanismVariable):
+class Condition(AbstractFreeVariable, AbstractMechanismVariable):
     """A quantity that varies and is no number of the mechanism, such as a temperature.
 
     Args:
@@ -259,15 +263,6 @@ class Condition(AbstractMechanismVariable):
 
     def leaves(self, mechanism):
         return []
-
-    def nominal_in(self, subject):
-        return self.nominal
-
-    def unit_in(self, subject):
-        return self.unit
-
-    def put(self, name, subject, value):
-        return subject
 
     def followed(self, subject, value):
         return self.acts(subject, value)

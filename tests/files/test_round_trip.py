@@ -89,6 +89,9 @@ ONE_TURN = {
     "values": [0.0, 1.0, 0.5, 0.0],
     "beyond": "repeated",
 }
+# A zone is on a marker, round or between planes.
+ZONE = {"marker": "A.parent", "along": "x", "spherical": False, "width": None, "at_lmc": None}
+LEANS = ("Angularity", "Parallelism", "Perpendicularity")
 # Surfaces of ideal joints have no worn radius.
 ARCHARD_WEAR = {
     "kind": "Wearing",
@@ -126,6 +129,13 @@ OWN = {
     ("FromScipy", "table"): {"scores": [-1, 0, 1], "deviations": [-2, 0, 2], "slopes": [2, 2, 2]},
     ("ContactForce", "memory"): None,
     ("ContactForce", "dissipation"): {"kind": "LankaraniNikravesh", "restitution": 0.75},
+    ("Fit", "fit"): "20 H7/g6",
+    ("Capability", "cp"): 1.5,
+    ("Capability", "cpk"): 1.0,
+    ("Capability", "distribution"): "normal",
+    ("LargestError", "body"): None,
+    ("LargestError", "axis"): 1,
+    ("LargestError", "reference"): [0.0, 1.0],
     ("SliderGuide", "guide_length"): 4.0,
     ("SliderGuide", "guide_wear"): {"law": {"kind": "Archard"}},
     ("SliderGuide", "slider_wear"): {"law": {"kind": "Archard"}},
@@ -137,6 +147,8 @@ OWN = {
     ("TimeTable", "interpolation"): "monotone",
     ("TimeTable", "beyond"): "straight",
 }
+OWN |= {("Coaxiality", name): own for name, own in ZONE.items()}
+OWN |= {(zone, name): own for zone in LEANS for name, own in (ZONE | {"width": 0.5}).items()}
 
 
 def classes_of_package(families):

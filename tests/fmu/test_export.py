@@ -24,8 +24,8 @@ OUTPUTS = {
 }
 
 
-def rig(torque=0.3, clearance=0.2e-3):
-    """A slider-crank whose crank is turned by a torque."""
+def rig(torque=0.3, clearance=0.2e-3, start=0.0):
+    """A slider-crank whose crank is turned by a torque [N m] from an angle [rad]."""
     base = jc.scenes.slider_crank(clearance=clearance)
     crank = jc.Connection(jc.joint.Revolute(), "ground", "crank")
     motor = jc.load.JointTorque("O", torque)
@@ -33,8 +33,8 @@ def rig(torque=0.3, clearance=0.2e-3):
         base.bodies,
         base.connections | {"O": crank},
         base.loads | {"motor": motor},
-        guess={"G": 0.17, "O": 0.0},
-        start={"O": 0.0},
+        guess={"G": 0.17, "O": start},
+        start={"O": start},
     )
 
 
@@ -161,6 +161,25 @@ def test_a_run_that_ends_early_says_why(tmp_path):
     assert instance.step(1e-3) == fmi_host.OK
 
 
+def test_parameters_that_make_no_mechanism_and_contacts_beyond_their_law_are_said(tmp_path):
+    """A crank of 0.4 m at 0.5 rad lifts a rod of 0.12 m off the line of the slider; steel of 10 kPa
+    lets the journal sink."""
+    stiffness = 'connections["B"].joint.contact.elastic.stiffness.inner.young_modulus'
+    numbers = {"crank": 'connections["A"].parent.at[0]', "steel": stiffness}
+    path = tmp_path / "two.fmu"
+    jc.export_fmu(rig(start=0.5), path, integrator=STEP, parameters=numbers)
+    unit = fmi_host.Unit(path)
+    with pytest.raises(AssertionError):
+        instance = fmi_host.Instance(unit, start=False)
+        instance.begin(crank=0.4)
+    assert "cannot be assembled: its loops do not close" in instance.messages[-1]
+    instance = fmi_host.Instance(unit, steel=1e4)
+    assert instance.step(0.04) == fmi_host.OK
+    assert instance("Terminate") == fmi_host.OK
+    assert 'The indentation in joint "B" reaches' in instance.messages[-1]
+    assert instance.step(1e-3) == fmi_host.ERROR
+
+
 REFUSED = {
     "an input of FMI 3 has no rate": {
         "inputs": {"angle": 'connections["O"].joint.drive.start'},
@@ -171,6 +190,8 @@ REFUSED = {
     r'output "crank" must be \(joint': {"outputs": {"crank": "O"}},
     "wear, which an FMU does not carry": {"mechanism": lambda: jc.scenes.slider_crank(wear=True)},
     'target "amiga"': {"target": "amiga"},
+    'kind "exchange"': {"kinds": "exchange"},
+    'slope "gap"': {"parameters": {"play": CLEARANCE}, "slopes": "gap"},
 }
 
 

@@ -217,6 +217,12 @@ def test_the_figure_shows_every_method(advice):
             lambda: jc.advise(falling()),
             "what advice is given on is a Mechanism; it must be a jaxclear.Problem",
         ),
+        (
+            lambda: jc.advise(
+                jc.FunctionProblem(lambda a: a, {"a": jc.Dimension(1.0, tolerance=0.1)})
+            ),
+            "is a FunctionExperiment; it must be a jaxclear.Problem of a mechanism in time",
+        ),
         (lambda: jc.advise(swings(), 1.0), "the accuracy .* is 1.0; it must be"),
         (lambda: jc.advise(swings(), "high"), "the accuracy .* is 'high'; it must be"),
         (lambda: jc.advise(swings(), 0.0), "above 0 and below 1"),

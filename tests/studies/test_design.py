@@ -1,6 +1,7 @@
 """Designs of linear stacks against their closed form (Lagrange), members of the families against
 published formulas, and sentences for what cannot be asked."""
 
+import dataclasses
 import itertools
 import time
 
@@ -12,7 +13,7 @@ from scipy.optimize import brentq, minimize
 from scipy.stats import norm
 
 import jaxclear as jc
-from jaxclear.studies.design import optimise
+from jaxclear.studies.design import discrete
 from jaxclear.studies.design.catalogue import standard_width
 from tests.rigs import positioned_four_bar
 
@@ -340,7 +341,7 @@ def test_processes_are_the_best_of_all_combinations(kinds, room):
 @pytest.mark.parametrize("combinations", [512, 1])
 def test_processes_of_a_mechanism_are_the_best_by_enumeration(monkeypatch, combinations):
     """All combinations, and one dimension after the other as where they are too many."""
-    monkeypatch.setattr(optimise, "MOST_COMBINATIONS", combinations)
+    monkeypatch.setattr(discrete, "MOST_COMBINATIONS", combinations)
     crank, rig = positioned_four_bar.CRANKS[0], positioned_four_bar
     best = rig.optimum(crank)
     kinds = [[(b, 0.0, 1e-7, 1e-4)] for b in rig.PRICED]
@@ -451,3 +452,19 @@ def test_a_design_whose_parts_cannot_be_made_does_not_hold():
     assert "limit.WorstCase" in str(loose) and "All limits hold" not in str(loose)
     kept = jc.design(asked, cost, [limit, jc.limit.WorstCase("play", at_least=1e-6)], **quick)
     assert kept.holds and kept.tolerances["play"] == pytest.approx(19e-6, rel=1e-2)
+
+
+def test_a_limit_whose_error_crosses_its_bound_is_not_said_to_hold(plain):
+    """A share that 16 runs say is kept is known to them no better than to itself; one known as well
+    as was asked keeps its word."""
+    last = plain.rounds[-1]
+    check = last.check._replace(excess=np.array([-0.01]), excess_errors=np.array([0.02]))
+    assert list(check.kept(0.005)) == [False]
+    assert list(check._replace(excess=np.array([-0.03])).kept(0.005)) == [True]
+    near = check._replace(excess=np.array([0.004]), excess_errors=np.array([0.004]))
+    assert list(near.kept(0.005)) == [True]
+    rounds = (*plain.rounds[:-1], last._replace(check=check))
+    vague = dataclasses.replace(plain, rounds=rounds, excess=check.excess)
+    assert not vague.holds and not vague.limit_table()["holds"].any()
+    assert "It is not known to hold: the mean + 3 standard deviations of gap" in vague.sentence()
+    assert plain.holds and "not known to hold" not in plain.sentence()

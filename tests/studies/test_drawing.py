@@ -91,7 +91,7 @@ def test_a_zone_at_most_material_has_the_bonus_of_the_size_of_each_part():
     t, B = 20e-6, 21e-6
     lines = {
         "B": jc.fit("20 H7/g6", hole=jc.process(distribution="uniform")),
-        "bore": T.Position(t, on="B.parent", at_mmc="B"),
+        "bore": T.Position(t, marker="B.parent", at_mmc="B"),
     }
 
     def read(m):
@@ -102,7 +102,7 @@ def test_a_zone_at_most_material_has_the_bonus_of_the_size_of_each_part():
     beyond = float(np.mean(shift > t / 2))
     assert beyond == pytest.approx(B / (t + B), abs=3 * 0.5 / 100_000**0.5)
     assert np.all(hole - 2 * shift >= 20e-3 - t - 1e-15)
-    least = lines | {"bore": T.Position(t, on="B.parent", at_lmc="B hole")}
+    least = lines | {"bore": T.Position(t, marker="B.parent", at_lmc="B hole")}
     shift, hole = parts(jc.Drawing(RIG, least), 10_000, read)
     assert np.all(shift <= 0.5 * (t + 20.021e-3 - hole) + 1e-15)
 
@@ -111,8 +111,8 @@ def test_the_worst_slide_over_two_zones_is_slsqps():
     """Closed geometry of a slider-crank with its pin and bore anywhere in their discs."""
     ideal, angle, crank, rod = jc.scenes.slider_crank("ideal"), 0.7, 0.05, 0.12
     lines = {
-        "pin": T.Position(30e-6, on="A.parent"),
-        "bore": T.Position(20e-6, on="B.parent"),
+        "pin": T.Position(30e-6, marker="A.parent"),
+        "bore": T.Position(20e-6, marker="B.parent"),
     }
     own = jc.Drawing(ideal, lines)
     slide = {"slide": jc.response.FromFunction(lambda s: s.body("slider").com[0, 0], "m")}
@@ -205,7 +205,7 @@ def spatial():
 def test_place_and_lean_of_a_bore_share_its_cylinder():
     """In space both ends of the axis stay within the cylinder, across the axis that it has."""
     size, length = 0.05e-3, 0.04
-    own = jc.Drawing(spatial(), {"bore": T.Position(size, on="bore.parent", length=length)})
+    own = jc.Drawing(spatial(), {"bore": T.Position(size, marker="bore.parent", length=length)})
     assert own.variables["bore"].parts == ("near x", "near y", "far x", "far y")
 
     def read(m):
@@ -227,13 +227,13 @@ def test_place_and_lean_of_a_bore_share_its_cylinder():
 
 
 def test_a_direction_leans_by_the_width_over_the_length():
-    own = jc.Drawing(spatial(), {"axis": T.Perpendicularity(20e-6, on="bore.parent", over=0.1)})
+    own = jc.Drawing(spatial(), {"axis": T.Perpendicularity(20e-6, marker="bore.parent", over=0.1)})
     axis = lambda m: jnp.stack(
         [jnp.asarray(r[2]) for r in m.connections["bore"].parent.pose().rotation]
     )
     lean = np.linalg.norm(np.asarray(parts(own, 2000, axis))[:, 1:], axis=1)
     assert 0.99 * 2e-4 < lean.max() <= 2e-4 * (1 + 1e-6)
-    plane = jc.Drawing(RIG, {"guide": T.Angularity(20e-6, on="G.parent", over=0.1)})
+    plane = jc.Drawing(RIG, {"guide": T.Angularity(20e-6, marker="G.parent", over=0.1)})
     turn = parts(plane, 1000, lambda m: m.connections["G"].parent.angle)
     assert 0.99 * 2e-4 < np.abs(turn).max() <= 2e-4
 
@@ -242,15 +242,15 @@ def test_zones_to_one_datum_share_its_shift():
     """Both bores of a coupler, the second measured from the first."""
     bar = jc.scenes.four_bar("ideal", friction=False, wear=False)
     lines = {
-        "second": T.Position(10e-6, on="B.parent", datum="first"),
-        "first": T.Position(40e-6, on="A.child"),
+        "second": T.Position(10e-6, marker="B.parent", datum="first"),
+        "first": T.Position(40e-6, marker="A.child"),
     }
     read = lambda m: jnp.stack([*m.connections["A"].child.at, *m.connections["B"].parent.at])
     first_x, first_y, x, y = np.asarray(parts(jc.Drawing(bar, lines), 4000, read)).T
     assert np.hypot(x - 0.4 - first_x, y - first_y).max() <= 5e-6 * (1 + 1e-9)
     assert np.hypot(x - 0.4, y).max() > 20e-6
     with pytest.raises(ValueError, match="go round in a circle"):
-        jc.Drawing(bar, lines | {"first": T.Position(40e-6, on="A.child", datum="second")})
+        jc.Drawing(bar, lines | {"first": T.Position(40e-6, marker="A.child", datum="second")})
 
 
 def test_lengths_without_a_tolerance_take_the_general_one():
@@ -274,35 +274,35 @@ WRONG = {
     "transition": (lambda: jc.Drawing(RIG, {"B": "20 H7/k6"}), "transition fit: .* -15 to 19 um"),
     "ideal": (lambda: jc.Drawing(RIG, {"A": "20 H7/g6"}), "with clearance"),
     "plane": (
-        lambda: jc.Drawing(RIG, {"a": T.Position(1e-5, on="A.parent", spherical=True)}),
+        lambda: jc.Drawing(RIG, {"a": T.Position(1e-5, marker="A.parent", spherical=True)}),
         "out of the plane",
     ),
     "lean": (
-        lambda: jc.Drawing(RIG, {"a": T.Parallelism(1e-5, on="A.parent", over=0.1)}),
+        lambda: jc.Drawing(RIG, {"a": T.Parallelism(1e-5, marker="A.parent", over=0.1)}),
         "out of the plane",
     ),
     "other body": (
-        lambda: jc.Drawing(RIG, {"a": T.Coaxiality(1e-5, on="A.parent", datum="B.parent")}),
+        lambda: jc.Drawing(RIG, {"a": T.Coaxiality(1e-5, marker="A.parent", datum="B.parent")}),
         "no chain of dimensions",
     ),
-    "no datum": (lambda: T.Coaxiality(1e-5, on="A.parent"), "has a datum"),
+    "no datum": (lambda: T.Coaxiality(1e-5, marker="A.parent"), "has a datum"),
     "unknown datum": (
-        lambda: jc.Drawing(RIG, {"a": T.Position(1e-5, on="A.parent", datum="rod")}),
+        lambda: jc.Drawing(RIG, {"a": T.Position(1e-5, marker="A.parent", datum="rod")}),
         "must be a line of this drawing",
     ),
     "material": (
-        lambda: jc.Drawing(RIG, {"a": T.Position(1e-5, on="A.parent", at_mmc="A")}),
+        lambda: jc.Drawing(RIG, {"a": T.Position(1e-5, marker="A.parent", at_mmc="A")}),
         "no size on this drawing",
     ),
-    "marker": (lambda: T.Position(1e-5, on="A"), 'such as "A.parent"'),
-    "joint": (lambda: jc.Drawing(RIG, {"a": T.Position(1e-5, on="Q.parent")}), '"Q"'),
-    "both": (lambda: T.Position(1e-5, on="A.parent", width=1e-5), "one of the two"),
+    "marker": (lambda: T.Position(1e-5, marker="A"), 'such as "A.parent"'),
+    "joint": (lambda: jc.Drawing(RIG, {"a": T.Position(1e-5, marker="Q.parent")}), '"Q"'),
+    "both": (lambda: T.Position(1e-5, marker="A.parent", width=1e-5), "one of the two"),
     "conditions": (
-        lambda: T.Position(1e-5, on="B.parent", at_mmc="B", at_lmc="B"),
+        lambda: T.Position(1e-5, marker="B.parent", at_mmc="B", at_lmc="B"),
         "it has one of the two",
     ),
     "two widths": (
-        lambda: T.Position(width=(1e-5, 2e-5), on="B.parent", at_mmc="B"),
+        lambda: T.Position(width=(1e-5, 2e-5), marker="B.parent", at_mmc="B"),
         "one size that grows",
     ),
     "general": (lambda: jc.Drawing(RIG, {"rod": T.Size(ROD)}), "has no tolerance"),
@@ -321,3 +321,30 @@ def test_what_a_drawing_cannot_say_gets_a_sentence(name):
     made, sentence = WRONG[name]
     with pytest.raises(ValueError, match=sentence):
         made()
+
+
+def test_a_scene_file_states_its_drawing(tmp_path):
+    """Read and written, it gives the problem of the drawing, in motion and at rest."""
+    rig = jc.scenes.slider_crank()
+    lines = {
+        "B": jc.fit("20 H7/g6", shaft=jc.process(1.33, cpk=1.0)),
+        "pin": T.Position(30e-6, marker="A.parent"),
+        "guide": T.Angularity(20e-6, marker="G.parent", over=0.1),
+    }
+    error = {"error": jc.response.LargestError(body="slider")}
+    scene = jc.Scene(rig, duration=0.02, save=5, responses=error, drawing=lines)
+    jc.write_scene(scene, tmp_path / "scene.yaml")
+    text = (tmp_path / "scene.yaml").read_text(encoding="utf-8")
+    assert "pin: {kind: Position, diameter: 3.0e-05, marker: A.parent" in text
+    again = jc.read_scene(tmp_path / "scene.yaml")
+    assert again.drawn().table().equals(scene.drawn().table())
+    short = text[: text.index("drawing:")] + "drawing: {B: 20 H7/g6}\ngeneral: ISO 2768-m\n"
+    (tmp_path / "short.yaml").write_text(short, encoding="utf-8")
+    assert jc.read_scene(tmp_path / "short.yaml").drawn().names == ("B",)
+    asked = again.at_rest(3).problem()
+    assert list(asked.groups) == ["B", "pin", "guide"]
+    found = asked.evaluate(asked.nominal()).responses["error"]
+    # At mean sizes the slider is off by what the journal is, half the clearance at most.
+    assert 0 < found < 0.5 * 24e-6
+    with pytest.raises(ValueError, match="nothing drives"):
+        jc.Scene(spatial(), duration=0.02, drawing={}).at_rest()

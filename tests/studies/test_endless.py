@@ -242,53 +242,6 @@ def test_a_limit_that_names_no_level_is_refused_for_endless_lives(lasting, finit
     assert checked_limits(own, finite) == (own,)
 
 
-class TooShort(jc.limit.AbstractOneSidedLimit):
-    """The share of lives that are too short, whose own bound is no life."""
-
-    response: str = "life"
-    at_most: float | None = 0.01
-    at_least: float | None = None
-    shortest: float = LIMIT
-
-    def number(self, sample):
-        return jnp.sum(jnp.where(sample.values < self.shortest, sample.weights, 0.0))
-
-    def rarest(self):
-        return float(self.at_most)
-
-    def words(self):
-        return "share that is too short"
-
-    def unit(self, of_response):
-        return "1"
-
-
-class OfLives(TooShort):
-    """The same, which says what decides."""
-
-    def levels(self):
-        return (self.shortest,)
-
-
-class MeanLife(jc.limit.Quantile):
-    """A mean that does not say that it is one."""
-
-    def number(self, sample):
-        return jnp.sum(sample.weights * sample.values)
-
-
-@pytest.mark.parametrize("followed", [FOLLOWED, np.inf])
-def test_a_limit_that_hangs_on_how_long_endless_lives_are_is_refused(lasting, finite, followed):
-    """By what it does, whatever it says of itself: else a life that stands for an endless one just
-    beyond the levels that it names would be too short, and no candidate kept the limit."""
-    problem = lasting if np.isfinite(followed) else unfollowed(lasting)
-    for own in (TooShort(), MeanLife("life", at_least=LIMIT, share=0.6)):
-        with pytest.raises(ValueError, match=r"hangs on how far beyond its `levels`"):
-            checked_limits(own, problem)
-        assert checked_limits(own, finite) == (own,)
-    assert checked_limits(OfLives(), problem)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.501, 0.75, 0.935, 0.9375, 0.94, 0.999999])
 def test_limits_of_this_package_take_endless_lives(lasting, share):

@@ -143,7 +143,7 @@ def test_samples_that_fail_where_they_are_moved_are_told():
     assert np.isnan(answer.value) and not answer.trustworthy
     assert "34 of 128 samples, which fail where they are moved, are left out" in answer.verdict
     both = jc.sensitivity(root(D.Uniform(0.5))).derivatives["response", "x"]
-    assert both.trustworthy and both.value == pytest.approx(1.0, rel=1e-4)
+    assert both.value == pytest.approx(1.0, rel=1e-4) and "Unconfirmed" in both.verdict
     few = jc.sensitivity(root(D.Normal(0.18)), methods=("differences",))
     told = few.derivatives["response", "x"]
     assert np.isfinite(told.value) and " of 128 samples, which fail" in told.verdict

@@ -11,13 +11,11 @@ others and beyond the `levels` that decide. Limits that ask for more than on whi
 levels parts lie are refused before anything is run.
 """
 
-import math
 from abc import abstractmethod
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
@@ -25,7 +23,7 @@ from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.printing import as_written
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
-from jaxclear.studies.endless import check_told, finite_beside
+from jaxclear.studies.endless import check_told
 
 # A quantile is a mean over values whose shares lie within so much of the one asked for, as a part
 # of it: without it, it would jump from one sample to the next as a design changes. For a normal
@@ -36,12 +34,6 @@ NEAR = 1.5
 OWN = "(in the response's unit)"
 # A unit by which to see whether a limit's number has that of its response.
 SAME = "the response's unit"
-# What lies so many times as far beyond a limit's levels is the same to it, but for rounding. Levels
-# that are none (a share that bounds a limit) may be far smaller than those that decide.
-FAR, ROUNDING = 1e12, 1e-6
-# Parts of a population that a limit is tried on, and of how many the others lie beyond: a quantile
-# may lie between these and the rest in one of both populations, not in both.
-PARTS, BEYOND = 64, (4, 16)
 
 
 class Sample(NamedTuple):
@@ -160,7 +152,8 @@ class AbstractLimit(AbstractQuantified):
     def levels(self) -> tuple[Any, ...]:
         """Values of the response that decide, in its unit.
 
-        There are none where more matters than the side of them on which a part lies.
+        There are none where more matters than the side of them on which a part lies: an infinite
+        response, such as a life, then stands somewhere beyond them.
         """
         return ()
 
@@ -448,56 +441,10 @@ def check_levels(problem: Any, limit: AbstractLimit) -> None:
     """Raises `ValueError` for a limit that cannot take what its response may answer."""
     name, levels = limit.response, [float(level) for level in limit.levels()]
     why = problem.description.responses[name].infinite
-    what = f'"{name}" may be infinite ({why}), and limit.{type(limit).__name__}'
-    instead = "give it `levels`, or take limit.Quantile or limit.Probability."
     if why and not levels and not limit.by_moments():
         raise ValueError(
-            f"{what} names no values of it that decide, beyond which an infinite one could stand: "
-            f"{instead}"
+            f'"{name}" may be infinite ({why}), and limit.{type(limit).__name__} names no values '
+            "of it that decide, beyond which an infinite one could stand: give it `levels`, or "
+            "take limit.Quantile or limit.Probability."
         )
     check_told(problem, name, *levels)
-    if not why or limit.by_moments():
-        return
-    if _hangs_on_how_far(limit, levels, problem.description.responses[name].horizon):
-        told = ", ".join(f"{level:.6g}" for level in levels)
-        raise ValueError(
-            f"{what} hangs on how far beyond its `levels` ({told}) a value lies, which of an "
-            f"infinite one nobody knows: {instead}"
-        )
-
-
-def _hangs_on_how_far(limit: AbstractLimit, levels: list[float], most: float) -> bool:
-    """Whether parts far beyond all levels of a limit are another thing to it than those just beyond
-    them, or than those at the `most` that is told, which stand for infinite ones."""
-    low, beside = min(levels), float(finite_beside(np.array([np.inf]), *levels)[0])
-    far = beside + FAR * (beside - low)
-    below = low - 0.5 * (beside - low)
-    # The most that is told is on no side of a level that lies just there.
-    for near in (beside, most) if max(levels) < most < np.inf else (beside,):
-        if _broken(limit, near) != _broken(limit, far):
-            return True
-        if all(_moved(limit, [_mixed(below, own, few) for own in (near, far)]) for few in BEYOND):
-            return True
-    return False
-
-
-def _broken(limit: AbstractLimit, value: float) -> bool:
-    """Whether a population whose parts all lie at a value breaks a limit."""
-    sample = _mixed(value, value, 0)
-    return bool(limit.excess(sample) > ROUNDING * limit.size(sample))
-
-
-def _moved(limit: AbstractLimit, samples: list[Sample]) -> bool:
-    """Whether the number of a limit is another one for the second of two samples; one that lies
-    beyond all levels in both is told as infinite."""
-    near, far = (float(limit.number(sample)) for sample in samples)
-    if math.isclose(near, far, rel_tol=ROUNDING):
-        return False
-    alike = limit.unit(SAME) == SAME
-    return not (alike and min(near, far) >= max(float(level) for level in limit.levels()))
-
-
-def _mixed(most: float, others: float, few: int) -> Sample:
-    """A population at one value, but for a few of its parts, which lie at another above it."""
-    values = jnp.where(jnp.arange(PARTS) < few, others, most)
-    return Sample(values, jnp.full(PARTS, 1.0 / PARTS), jnp.array([most, others]))

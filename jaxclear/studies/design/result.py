@@ -78,11 +78,19 @@ class Design(AbstractAnswer):
 
     @property
     def holds(self) -> bool:
-        """Whether new runs found every limit kept, to within what it may be missed by, no more of
+        """Whether new runs found every limit kept, to within what it may be missed by (where their
+        error is larger than that, it does not cross the bound), no more of
         them failed than 1 %, or than the share that the rarest limit speaks of, and no more than
         5 % of them warn of what concerns a limited response."""
-        kept = self.verified and bool(np.all(self.excess <= self.allowed_excess))
+        kept = self.verified and bool(np.all(self._kept))
         return kept and not self._too_lost and not self._in_doubt
+
+    @property
+    def _kept(self):
+        check = self.rounds[-1].check
+        return (
+            np.zeros(len(self.limits), bool) if check is None else check.kept(self.allowed_excess)
+        )
 
     @property
     def infeasible(self) -> bool:
@@ -166,6 +174,9 @@ class Design(AbstractAnswer):
         else:
             broken = self._told_broken()
             said += [f"It does not hold: {broken}."] if broken else []
+            said += [
+                self._crossing(i) for i in np.flatnonzero(~self._kept) if i not in self._beyond
+            ]
             said += [f"It is not known to hold, by runs in doubt. {own}" for own in self._in_doubt]
         said += [self._priced(i) for i in np.flatnonzero(self.prices > 0)]
         if self.failed:
@@ -189,6 +200,14 @@ class Design(AbstractAnswer):
     def _told_broken(self):
         broken = [self._broken(i) for i in self._beyond]
         return "; ".join([*broken, self._lost()] if self._too_lost else broken)
+
+    def _crossing(self, i):
+        number = with_error(float(self.numbers[i]), float(self.errors[i]))
+        return (
+            f"It is not known to hold: the {self.limits[i].words()} is {number}, whose error "
+            f"crosses {as_written(self.limits[i].bound())}; verify by more runs "
+            "(DesignSettings(check=...))."
+        )
 
     def _broken(self, i):
         limit, number = self.limits[i], with_error(float(self.numbers[i]), float(self.errors[i]))
@@ -249,7 +268,7 @@ class Design(AbstractAnswer):
                 "error": self.errors[i],
                 "bound": float(limit.bound()),
                 "side": "at most" if limit.upper() else "at least",
-                "holds": bool(self.excess[i] <= self.allowed_excess),
+                "holds": bool(self._kept[i]),
                 "price": self.prices[i],
             }
             for i, limit in enumerate(self.limits)

@@ -16,8 +16,9 @@ import scipy
 
 from jaxclear.ground.arguments import check_count, check_name
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
+from jaxclear.studies.design.discrete import chosen
 from jaxclear.studies.design.lagrangian import cheapest_by_steps
-from jaxclear.studies.design.optimise import Candidate, Search, cheapest, chosen
+from jaxclear.studies.design.optimise import Candidate, Search, cheapest
 from jaxclear.studies.design.population import (
     AbstractModel,
     Direct,
@@ -163,6 +164,9 @@ class _Seeking:
             if infeasible and self.direct:
                 return
             wrong = check.excess - (candidate.excess - self.shift)
+            # What is not known as well as is asked is to keep its limit by its error, too.
+            unsure = check.excess_errors > self.settings.allowed_excess
+            wrong = wrong + np.where(unsure, check.excess_errors, 0.0)
             self.shift = np.where(np.isfinite(wrong), wrong, self.shift)
             self.region *= 0.5
 
@@ -257,7 +261,7 @@ class _Seeking:
     def _good(self, candidate: Candidate, check: Check) -> bool:
         """Whether every limit is kept, and what decides is used up."""
         allowed = self.settings.allowed_excess
-        kept = check.excess <= allowed
+        kept = check.kept(allowed)
         used = (candidate.multipliers <= 0) | (
             check.excess >= -np.maximum(allowed, check.excess_errors)
         )

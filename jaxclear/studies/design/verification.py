@@ -39,6 +39,12 @@ class Check(NamedTuple):
     lost: np.ndarray | None
     codes: np.ndarray
 
+    def kept(self, allowed: float) -> np.ndarray:
+        """Whether each limit is kept (limits,) but for an excess that is `allowed` [1]. Where its
+        error is larger than that, it must not cross the bound."""
+        sure = self.excess_errors <= allowed
+        return self.excess + np.where(sure, 0.0, self.excess_errors) <= allowed
+
 
 class Verifier(NamedTuple):
     """What verifies: `wide` is the large sample that a model is taken at, `corrected` whether it is

@@ -1,14 +1,13 @@
 """Design points: the most likely parts that fail, by FORM.
 
-In standard normal numbers z the likeliest failing part is the one nearest to the middle. The search
-steps to the nearest point of the limits as they are linear here, shortened until a merit falls.
-Limits that must be broken at once are met together. Where others may lie, the found ones are hidden
-under bulges and the search begins anew.
+In standard normal numbers z the likeliest failing part is the one nearest to the middle: the least
+of z^2 / 2 with the limit reached, or with several broken at once, by sequential quadratic
+programming (SLSQP of scipy). Where others may lie, the found ones are hidden under bulges and the
+search begins anew.
 
-Source: Hasofer & Lind 1974, J. Eng. Mech. Div. 100, 111; Rackwitz & Fiessler 1978, Comput. Struct.
-9, 489, doi:10.1016/0045-7949(78)90046-9; Zhang & Der Kiureghian 1995, Reliab. Optim. Struct.
-Syst., 297 (merit); Der Kiureghian & Dakessian 1998, Struct. Saf. 20, 37,
-doi:10.1016/S0167-4730(97)00026-X (bulges).
+Source: Hasofer & Lind 1974, J. Eng. Mech. Div. 100, 111; Liu & Der Kiureghian 1991, Struct. Saf. 9,
+161, doi:10.1016/0167-4730(91)90041-7 (search by optimisation); Kraft 1988, DFVLR-FB 88-28 (SLSQP);
+Der Kiureghian & Dakessian 1998, Struct. Saf. 20, 37, doi:10.1016/S0167-4730(97)00026-X (bulges).
 """
 
 from collections.abc import Callable
@@ -22,9 +21,12 @@ from jaxclear.studies.reliability.models import AbstractModel
 
 # A point is found where the limit and the nearest point are this near, in deviations.
 NEAR = 2e-3
-# Steps of a search, of one among bulges, shortenings of a step, and points of one cut set, at the
-# most.
-MOST_STEPS, STEPS_HIDDEN, MOST_HALVINGS, MOST_POINTS = 15, 10, 4, 8
+# and where the slope points along it but for this [1].
+ALONG = 2e-2
+# Places that a search looks at, and one among bulges, and points of one cut set, at the most.
+MOST_STEPS, STEPS_HIDDEN, MOST_POINTS = 40, 20, 8
+# Steps to planes with which a search begins.
+FIRST_STEPS = 3
 # Nothing is looked for further out [deviations]: it would happen once in 1e15 parts.
 FURTHEST = 8.0
 # Points this far apart are two [deviations].
@@ -114,9 +116,9 @@ def _of_cut(model, cut, variables, rng, hopeless) -> list[DesignPoint]:
         bulges.append(_Bulge(last.normal, RADIUS * last.beta, height))
         further = [OFF_MIDDLE * directions[0], -last.normal, *last.beta * directions[1:AGAIN]]
         for start in further:
-            where = _search(model, cut, start, bulges, STEPS_HIDDEN)[1]
+            where = _search(model, cut, start, bulges, STEPS_HIDDEN)
             # The foot of a bulge is no design point: from there the search goes on without.
-            point = _found(model, cut, where)
+            point = None if where is None else _found(model, cut, where)
             if point is not None and point.beta > 0 and all(_new(point, own) for own in found):
                 found.append(point)
                 break
@@ -146,83 +148,72 @@ def _new(point: DesignPoint, other: DesignPoint) -> bool:
 
 
 def _found(model, cut, start) -> DesignPoint | None:
-    """The design point that a search from `start` (variables,) leads to. Where a limit bends as
-    much as the distance, steps to planes go to and fro, and a method that learns curvatures goes
-    on.
+    """The design point that a search from `start` (variables,) leads to."""
+    z = _search(model, cut, start, [], MOST_STEPS)
+    if z is None or not np.linalg.norm(z) <= FURTHEST:
+        return None
+    margins, slopes = _seen(model, cut, z, [])
+    sizes = np.linalg.norm(slopes, axis=1)
+    if not np.isfinite(margins).all() or not np.isfinite(sizes).all() or sizes.min() == 0.0:
+        return None
+    directions = -slopes / sizes[:, None]
+    betas = directions @ z + margins / sizes
+    single = len(cut) == 1
+    broken = np.abs(margins) if single else np.maximum(margins, 0.0)
+    if np.max(broken / sizes) > NEAR or (single and _apart(betas[0] * directions[0], z)):
+        return None
+    beta = float(betas[0]) if single else float(np.linalg.norm(z))
+    return DesignPoint(z, beta, cut, directions, betas, sizes)
 
-    That method: SLSQP of scipy, Kraft 1988, DFVLR-FB 88-28.
-    """
-    point, where = _search(model, cut, start, [], MOST_STEPS)
-    if point is not None or not np.isfinite(where).all():
-        return point
+
+def _apart(nearest: np.ndarray, z: np.ndarray) -> bool:
+    """Whether a place is not the nearest to the middle of a limit that is a plane there."""
+    return bool(np.linalg.norm(nearest - z) > ALONG * max(float(np.linalg.norm(z)), 1.0))
+
+
+def _search(model, cut, start, bulges, steps) -> np.ndarray | None:
+    """The place (variables,) to which a search from `start` leads that looks at so many; None where
+    limits have no slopes at its start, or are no numbers."""
     seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
     def limits(z):
         if z.tobytes() not in seen:
-            margins, slopes = _seen(model, cut, z, [])
-            size = np.maximum(sizes, np.finfo(float).tiny)
-            seen[z.tobytes()] = -margins / size, -slopes / size[:, None]
+            if len(seen) == steps:
+                raise StopIteration
+            seen[z.tobytes()] = _seen(model, cut, z, bulges)
         return seen[z.tobytes()]
 
-    sizes = np.linalg.norm(_seen(model, cut, where, [])[1], axis=1)
+    # Far from the limit slopes may be next to none: there it is taken for a plane.
+    for _ in range(FIRST_STEPS if len(cut) == 1 and not bulges else 0):
+        (margin,), (slope,) = limits(start)
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            nearest = (slope @ start - margin) * slope / (slope @ slope)
+            nearest = nearest * min(1.0, FURTHEST / float(np.linalg.norm(nearest)))
+        if not np.isfinite(nearest).all():
+            break
+        if np.linalg.norm(nearest - start) < NEAR:
+            return start
+        start = nearest
+    sizes = np.linalg.norm(limits(start)[1], axis=1)
     if not np.isfinite(sizes).all() or sizes.min() == 0.0:
         return None
-    found = scipy.optimize.minimize(
-        lambda z: (0.5 * z @ z, z),
-        where,
-        jac=True,
-        method="SLSQP",
-        constraints={
-            "type": "eq" if len(cut) == 1 else "ineq",
-            "fun": lambda z: limits(z)[0],
-            "jac": lambda z: limits(z)[1],
-        },
-        options={"maxiter": MOST_STEPS, "ftol": NEAR**2},
-    )
-    return _search(model, cut, found.x, [], 1)[0] if np.isfinite(found.x).all() else None
-
-
-def _search(model, cut, start, bulges, steps) -> tuple[DesignPoint | None, np.ndarray]:
-    """The design point that a search from `start` (variables,) ends at, None without one; and where
-    it has come to."""
-    z = start
-    margins, slopes = _seen(model, cut, z, bulges)
-    for _ in range(steps):
-        sizes = np.linalg.norm(slopes, axis=1)
-        if not (np.isfinite(margins).all() and np.isfinite(sizes).all()) or sizes.min() == 0.0:
-            return None, z
-        nearest = _nearest(z, margins, slopes)
-        if nearest is None:
-            return None, z
-        nearest = nearest * min(1.0, FURTHEST / max(float(np.linalg.norm(nearest)), FURTHEST))
-        broken = margins if len(cut) == 1 else np.maximum(margins, 0.0)
-        if np.linalg.norm(nearest - z) < NEAR and np.max(abs(broken) / sizes) < NEAR:
-            return _point(z, cut, margins, slopes), z
-        z, margins, slopes = _stepped(model, cut, bulges, (z, margins, slopes), nearest)
-    return None, z
-
-
-def _stepped(model, cut, bulges, here, nearest):
-    """One step towards `nearest`, shortened until the merit falls; the best one tried if none."""
-    z, margins, slopes = here
-    sizes = np.linalg.norm(slopes, axis=1)
-    broken = lambda own: np.sum((abs(own) if len(cut) == 1 else np.maximum(own, 0.0)) / sizes)
-    # Lengths of the penalty: beyond the multiplier, or the merit would not fall along the step.
-    penalty = 2.0 * max(np.linalg.norm(z), np.linalg.norm(nearest), 1.0)
-    merit = lambda at, own: 0.5 * at @ at + penalty * broken(own)
-    before, share, tried = merit(z, margins), 1.0, []
-    for _ in range(MOST_HALVINGS):
-        at = z + share * (nearest - z)
-        seen = _seen(model, cut, at, bulges)
-        if np.isfinite(seen[0]).all() and np.isfinite(seen[1]).all():
-            value = merit(at, seen[0])
-            tried.append((value, at, *seen))
-            if value < before - 1e-4 * share * np.sum((nearest - z) ** 2):
-                break
-        share *= 0.5
-    if not tried:
-        return here
-    return min(tried, key=lambda own: own[0])[1:]
+    try:
+        found = scipy.optimize.minimize(
+            lambda z: (0.5 * z @ z, z),
+            start,
+            jac=True,
+            method="SLSQP",
+            bounds=[(-FURTHEST, FURTHEST)] * len(start),
+            constraints={
+                "type": "eq" if len(cut) == 1 else "ineq",
+                "fun": lambda z: -limits(z)[0] / sizes,
+                "jac": lambda z: -limits(z)[1] / sizes[:, None],
+            },
+            options={"ftol": NEAR**2},
+        ).x
+    except StopIteration:
+        found = np.frombuffer([*seen][-1])
+    return found if np.isfinite(found).all() else None
 
 
 def _seen(model, cut, z, bulges):
@@ -236,30 +227,3 @@ def _seen(model, cut, z, bulges):
             margins = margins + bulge.height * left**2
             slopes = slopes - 4.0 * bulge.height * left * away
     return margins, slopes
-
-
-def _nearest(z: np.ndarray, margins: np.ndarray, slopes: np.ndarray) -> np.ndarray | None:
-    """The point nearest to the middle where limits that are linear at z are met: one limit on the
-    limit, several all broken.
-
-    Several: least distance programming, Lawson & Hanson 1995, doi:10.1137/1.9781611971217.
-    """
-    if len(margins) == 1:
-        own = slopes[0]
-        return (own @ z - margins[0]) * own / (own @ own)
-    sizes = np.linalg.norm(slopes, axis=1)
-    planes = -slopes / sizes[:, None]
-    bounds = planes @ z + margins / sizes
-    aim = np.zeros(len(z) + 1)
-    aim[-1] = 1.0
-    system = np.vstack([planes.T, bounds])
-    residual = system @ scipy.optimize.nnls(system, aim)[0] - aim
-    return None if abs(residual[-1]) < 1e-12 else -residual[:-1] / residual[-1]
-
-
-def _point(z, cut, margins, slopes) -> DesignPoint:
-    sizes = np.linalg.norm(slopes, axis=1)
-    directions = -slopes / sizes[:, None]
-    betas = directions @ z + margins / sizes
-    beta = float(betas[0]) if len(cut) == 1 else float(np.linalg.norm(z))
-    return DesignPoint(z, beta, cut, directions, betas, sizes)

@@ -18,7 +18,8 @@ from jaxclear.studies.scrambling import scrambled_normal
 
 # Points at which a system of planes is looked at.
 POINTS = 1 << 16
-# Width of differences of slopes [deviations].
+# Width of differences of slopes [deviations]. A limit that is a sphere about the middle, but for
+# what these leave, bends around it.
 WIDTH = 0.02
 
 
@@ -46,14 +47,14 @@ def breitung(beta: float, bends: np.ndarray) -> float:
     """Probability [1] beyond a paraboloid at distance beta, for large beta; nan where it bends
     around the middle."""
     inside = 1.0 + beta * bends
-    if not (inside > 0).all():
+    if not (inside > WIDTH**2).all():
         return np.nan
     return float(scipy.special.ndtr(-beta) / np.sqrt(np.prod(inside)))
 
 
 def tvedt(beta: float, bends: np.ndarray) -> float:
     """As `breitung`, with two more terms; nan where it does not apply."""
-    if not ((1.0 + beta * bends) > 0).all() or not ((1.0 + (beta + 1) * bends) > 0).all():
+    if not ((1.0 + beta * bends) > WIDTH**2).all() or not ((1.0 + (beta + 1) * bends) > 0).all():
         return np.nan
     product = lambda at: 1.0 / np.sqrt(np.prod(1.0 + at * bends, dtype=complex))
     density = np.exp(-0.5 * beta**2) / np.sqrt(2 * np.pi)

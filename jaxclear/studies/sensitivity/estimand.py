@@ -86,11 +86,6 @@ class Functional(NamedTuple):
         """Whether it is a smooth function of means, whose bias a jackknife tells."""
         return self.kind != "quantile"
 
-    @property
-    def linear(self) -> bool:
-        """Whether it is the mean of a function of the response, whatever its distribution."""
-        return self.kind in ("mean", "above", "below")
-
     def deciding(self, *rows: np.ndarray) -> float:
         """How many samples decide it, of rows of responses (samples,) in the mean: those beyond a
         quantile or a limit, or all."""
@@ -290,18 +285,6 @@ def _speed(distribution, number):
 def _weights(distribution, number, scores, leaning):
     found, rate = jax.jvp(_speed(distribution, number), (scores,), (jnp.ones_like(scores),))
     return found * leaning - rate
-
-
-@eqx.filter_jit
-def _flow(distribution, number, scores):
-    return _speed(distribution, number)(scores) * jax.scipy.stats.norm.pdf(scores)
-
-
-def flow(problem: Problem, direction: Direction, scores: np.ndarray) -> np.ndarray:
-    """Share of parts [1/unit] that pass the values of standard normal scores (points,) as the
-    distribution moves; upwards is positive."""
-    own = problem.inputs.distributions[direction.variable]
-    return np.array(_flow(own, direction.number, jnp.asarray(scores)))
 
 
 def weights(problem: Problem, direction: Direction, normal: np.ndarray) -> np.ndarray:

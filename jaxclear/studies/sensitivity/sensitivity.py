@@ -6,9 +6,9 @@ in one (`derivative`).
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -26,16 +26,11 @@ from jaxclear.studies.sensitivity.derivative import (
     refused,
 )
 from jaxclear.studies.sensitivity.differences import (
-    Opposed,
     Runs,
-    between_distributions,
     differences,
-    doubling,
     looks,
     moved,
     no_differences,
-    opposed_of,
-    paired,
 )
 from jaxclear.studies.sensitivity.estimand import Direction, Functional, directions, functionals
 from jaxclear.studies.sensitivity.pathwise import pathwise
@@ -81,16 +76,16 @@ def sensitivity(
             default.
         sample: number of samples to draw, or a `MonteCarlo` or `Campaign` of this problem; 256 by
             default.
-        difference_samples: number of samples for differences; 128 by default. A first 16 suffice
-            where small steps confirm a more certain answer.
+        difference_samples: number of samples for differences; 128 by default. They begin with 16
+            and double until they confirm a more certain answer.
         of: statistics of every response, some of "mean" (default), "standard deviation",
             ("quantile", share [1]), ("above", limit), ("below", limit), with limits in the
             response's unit; or a dictionary from responses to statistics. A statistic that fewer
             than 4 samples decide is refused.
         methods: names of methods, some of "regression" (polynomial with the score function; a
-            quarter more runs, at most 128, with a wider spread), "differences" (small steps, or
-            values that become more and less likely), both by default, and "pathwise" (fixed steps
-            only; shown where another method agrees, never the answer through contacts).
+            quarter more runs, at most 128, with a wider spread), "differences" (small steps),
+            both by default, and "pathwise" (fixed steps only; shown where another method agrees,
+            never the answer through contacts).
         seed: seed of the random numbers; 0 by default.
         verify: whether to repeat samples with finer steps, as of `monte_carlo`; errors then include
             what steps change in a derivative. True by default.
@@ -131,80 +126,40 @@ def sensitivity(
         if "pathwise" in methods:
             answers["pathwise"] = pathwise(problem, sampled(2), direction, asked, **bar)
         if "differences" in methods:
-            own = _Sequential(problem, direction, *sampled(1), answers, progress_bar)
-            answers["differences"] = own.answers(asked)
+            answers["differences"] = _confirming_differences(
+                problem, direction, sampled(1), answers, asked, progress_bar
+            )
         found[direction] = {name: answers[name] for name in METHODS if name in answers}
     return _met(found, asked, drawn)
 
 
-class _Sequential(NamedTuple):
-    """Differences along a direction on as much of a sample, `values` (samples, variables) and their
-    scramblings `group` (samples,), as confirms what `others` answer, by method and label."""
-
-    problem: Problem
-    direction: Direction
-    values: np.ndarray
-    group: np.ndarray
-    others: dict[str, dict[str, Estimate]]
-    progress_bar: bool
-
-    def answers(self, asked: list[Functional]) -> dict[str, Estimate]:
-        """A first look by small steps, and what of it confirms no more certain answer by pairs, or
-        by steps on all of the sample."""
-        why = no_differences(self.problem, self.direction)
-        if why:
-            return {one.label: refused(why) for one in asked}
-        first, *rest = looks(self.group)
-        runs = self._runs(moved, first)
-        answers = differences(self.problem, runs, self.direction, asked)
-        left = self._unconfirmed(asked, answers)
-        if not left or not rest:
-            return answers
-        # Small steps of what rattles tell little, whatever the sample: whole distributions tell
-        # more.
-        linear = [one for one in left if one.linear and self._surer(one, answers)]
-        between, taken = opposed_of(self.problem, self.direction) if linear else None, 0
-        if between is not None:
-            told, taken = self._by_pairs(between, linear)
-            spent = len(runs.found.outcome)
-            answers |= {name: own._replace(runs=own.runs + spent) for name, own in told.items()}
-            left = [one for one in left if one.label not in told]
-        for look in rest if left else ():
-            runs = runs.and_also(self._runs(moved, look))
-            answers |= differences(self.problem, runs, self.direction, left)
-        # What pairs were run for in vain took them too.
-        for name in [one.label for one in left if between is not None and one in linear]:
-            answers[name] = answers[name]._replace(runs=len(runs.found.outcome) + taken)
-        return answers
-
-    def _by_pairs(self, between: Opposed, asked: list[Functional]) -> tuple[dict, int]:
-        """By pairs on an eighth of the sample, and on twice as much while that confirms too little:
-        the answers that they tell, and how many runs they took."""
-        pairs, answers = None, {}
-        for look in doubling(self.group):
-            now = self._runs(paired, look, between)
-            pairs = now if pairs is None else pairs.and_also(now)
-            answers = between_distributions(self.problem, pairs, between, asked)
-            told = [one for one in asked if one.label in answers]
-            if len(told) == len(asked) and not self._unconfirmed(told, answers):
-                break
-        return answers, 0 if pairs is None else len(pairs.found.outcome)
-
-    def _runs(self, make: Callable[..., Runs], look: np.ndarray, *beside: Opposed) -> Runs:
-        """The runs of some of the samples (samples,)."""
-        sample = self.values[look], self.group[look]
-        return make(self.problem, sample, self.direction, *beside, progress_bar=self.progress_bar)
-
-    def _unconfirmed(self, asked: list[Functional], answers: dict) -> list[Functional]:
-        """What is asked whose differences do not confirm a more certain answer."""
-        every = self.others | {"differences": answers}
-        known = lambda one: {name: of[one.label] for name, of in every.items()}
-        return [one for one in asked if not confirms(known(one), "differences")]
-
-    def _surer(self, one: Functional, answers: dict[str, Estimate]) -> bool:
-        """Whether another method has a more certain answer than differences have."""
-        known = [of[one.label].error for of in self.others.values()]
-        return any(np.isfinite(own) and not own >= answers[one.label].error for own in known)
+def _confirming_differences(
+    problem: Problem,
+    direction: Direction,
+    sample: tuple[np.ndarray, np.ndarray],
+    others: dict[str, dict[str, Estimate]],
+    asked: list[Functional],
+    progress_bar: bool,
+) -> dict[str, Estimate]:
+    """Differences along a direction on as much of a sample, values (samples, variables) and their
+    scramblings (samples,), as confirms what `others` answer, by method and label."""
+    why = no_differences(problem, direction)
+    if why:
+        return {one.label: refused(why) for one in asked}
+    values, group = sample
+    runs: Runs | None = None
+    answers: dict[str, Estimate] = {}
+    left = asked
+    for look in looks(group):
+        if not left:
+            break
+        new = moved(problem, (values[look], group[look]), direction, progress_bar=progress_bar)
+        runs = new if runs is None else runs.and_also(new)
+        answers |= differences(problem, runs, direction, left)
+        every = others | {"differences": answers}
+        known = lambda one, every=every: {name: of[one.label] for name, of in every.items()}
+        left = [one for one in asked if not confirms(known(one), "differences")]
+    return answers
 
 
 def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarlo) -> Sensitivity:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxclear.integrators import Outcome
 from jaxclear.studies.experiment import (
     AbstractExperiment,
-    AbstractVariable,
+    AbstractFreeVariable,
     Cost,
     Description,
     ResponseInfo,
@@ -18,7 +18,7 @@ from jaxclear.studies.experiment import (
 from jaxclear.studies.problem import Problem
 
 
-class RecordedVariable(AbstractVariable):
+class RecordedVariable(AbstractFreeVariable):
     """The nominal value and the unit of a variable, whose distribution is not known."""
 
     nominal: Any
@@ -29,15 +29,6 @@ class RecordedVariable(AbstractVariable):
     @property
     def parts(self):
         return self.recorded_parts
-
-    def nominal_in(self, subject):
-        return self.nominal
-
-    def unit_in(self, subject):
-        return self.unit
-
-    def put(self, name, subject, value):
-        return subject
 
     def told(self, name, subject):
         return {}

@@ -22,6 +22,7 @@ from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.studies.distribution import (
     AbstractDistribution,
     AbstractJointDistribution,
+    Independent,
 )
 from jaxclear.studies.distribution.joint import marginals_of
 from jaxclear.studies.experiment import AbstractVariable
@@ -81,27 +82,29 @@ class _ZoneVariable(AbstractMechanismVariable):
     def followed(self, subject, value):
         if self.bonus is not None:
             value = value * (1.0 + self.bonus(subject) / self.zone.size)
-        marker = self.zone.moved(marker_at(subject, self.zone.on), value, self.plane)
+        marker = self.zone.moved(marker_at(subject, self.zone.marker), value, self.plane)
         if self.datum is not None and marker.at is not None:
             there = marker_at(subject, self.datum).at
             moved = zip(marker.at, there, self.datum_at or (), strict=False)
             place = tuple(own + (new - old) for own, new, old in moved)
             marker = eqx.tree_at(lambda own: own.at, marker, place)
-        return eqx.tree_at(lambda own: marker_at(own, self.zone.on), subject, marker)
+        return eqx.tree_at(lambda own: marker_at(own, self.zone.marker), subject, marker)
 
     def check(self, name, mechanism):
-        marker_at(mechanism, self.zone.on, name)
+        marker_at(mechanism, self.zone.marker, name)
 
     def told(self, name, subject):
         return {f'zone of "{name}"': (self.zone, self.bonus, self.datum, self.datum_at)}
 
 
 class Line(NamedTuple):
-    """A line of a drawing: what it is on, what it says, and its variable."""
+    """A line of a drawing: what it is on, what it says, its variable, and lower and upper limit of
+    each of its features."""
 
     feature: str
     specification: str
     variable: AbstractVariable
+    limits: list[Any]
 
 
 class Drawing(AbstractQuantified):
@@ -149,7 +152,11 @@ class Drawing(AbstractQuantified):
             sizes = one.sizes(name)
             sizes.check(name, mechanism)
             mechanism = sizes.put(name, mechanism, sizes.means)
-            found[name] = Line(f"joint {name}", one.specification, sizes)
+            ends = [
+                (one.size + own[0], one.size + own[1])
+                for own in (one.hole_limits, one.shaft_limits)
+            ]
+            found[name] = Line(f"joint {name}", one.specification, sizes, ends)
         plane = all(len(body.inertia) == 1 for body in mechanism.bodies.values())
         for name, zone in zones.items():
             mechanism = _ready(mechanism, name, zone, plane)
@@ -162,28 +169,20 @@ class Drawing(AbstractQuantified):
         self.variables = {name: line.variable for name, line in found.items()}
 
     def table(self) -> Any:
-        """The drawing as a pandas table: a row for each number, with its limits and how parts
+        """The drawing as a pandas table: a row for each feature, with its limits and how parts
         scatter between them."""
         rows = []
         for name in self.names:
-            feature, specification, own = self.lines[name]
-            unit, subject = own.unit_in(self.mechanism), self.mechanism
-            nominal = jnp.atleast_1d(own.nominal_in(subject))
-            laws = marginals_of(own.distribution)
-            for part, middle, law in zip(own.parts or ("",), nominal, laws, strict=True):
-                ends = [float(middle + law.quantile(jnp.asarray(share))) for share in (0.0, 1.0)]
-                rows.append(
-                    {
-                        "line": name,
-                        "feature": f"{feature} {part}".strip(),
-                        "specification": specification,
-                        "mean": float(middle),
-                        "lower": ends[0],
-                        "upper": ends[1],
-                        "unit": unit,
-                        "distribution": in_a_line(law),
-                    }
-                )
+            feature, specification, own, limits = self.lines[name]
+            law = own.distribution
+            members = law.members if isinstance(law, Independent) else (law,)
+            labels = own.parts if len(own.parts) == len(limits) else [""] * len(limits)
+            for label, member, ends in zip(labels, members, limits, strict=False):
+                row: dict[str, Any] = {"line": name, "feature": f"{feature} {label}".strip()}
+                row |= {"specification": specification}
+                row |= {"lower": float(ends[0]), "upper": float(ends[1])}
+                row |= {"unit": own.unit_in(self.mechanism), "distribution": in_a_line(member)}
+                rows.append(row)
         return as_table(rows)
 
     def _shown(self):
@@ -200,14 +199,14 @@ def marker_at(mechanism: Mechanism, on: str, owner: str = "") -> Marker:
 
 def _ready(mechanism: Mechanism, name: str, zone: AbstractZone, plane: bool) -> Mechanism:
     """The mechanism whose marker has the numbers that a zone moves."""
-    marker = marker_at(mechanism, zone.on, name)
+    marker = marker_at(mechanism, zone.marker, name)
     if plane and zone.leaves_plane(marker):
         raise ValueError(
-            f'zone "{name}" ({zone.specification}) moves the marker {zone.on} out of the plane, '
+            f'zone "{name}" ({zone.specification}) moves {zone.marker} out of the plane, '
             'which a planar mechanism does not feel; give a Position there a width along "x" of '
             "the marker's frame, and a direction to an axis in the plane, or take bodies in space."
         )
-    joint, _, side = zone.on.rpartition(".")
+    joint, _, side = zone.marker.rpartition(".")
     own = mechanism.connections[joint]
     ends = {"parent": own.parent, "child": own.child} | {side: with_numbers(marker, zone, plane)}
     changed = dict(mechanism.connections.items()) | {joint: Connection(own.joint, **ends)}
@@ -233,17 +232,17 @@ def _moving(zones: dict[str, AbstractZone], zone: AbstractZone) -> list[str]:
     """The names of the zones that move the datum of one."""
     if zone.datum is None:
         return []
-    datum = zones[zone.datum].on if zone.datum in zones else zone.datum
-    return [name for name, own in zones.items() if own.on == datum]
+    datum = zones[zone.datum].marker if zone.datum in zones else zone.datum
+    return [name for name, own in zones.items() if own.marker == datum]
 
 
 def _zone_line(
     mechanism: Mechanism, name: str, zones: dict[str, AbstractZone], fits: dict, plane: bool
 ) -> Line:
     zone, datum, at = zones[name], None, None
-    marker = marker_at(mechanism, zone.on)
+    marker = marker_at(mechanism, zone.marker)
     if zone.datum is not None:
-        datum = zones[zone.datum].on if zone.datum in zones else zone.datum
+        datum = zones[zone.datum].marker if zone.datum in zones else zone.datum
         joint, _, side = datum.rpartition(".")
         if joint not in mechanism.connections or side not in ("parent", "child"):
             raise ValueError(
@@ -257,12 +256,13 @@ def _zone_line(
                 "no chain of dimensions leads from one body to another: take a datum on "
                 f'"{marker.body}", and give the other body a line of its own.'
             )
-        at = None if there.at is None or datum == zone.on else there.at
+        at = None if there.at is None or datum == zone.marker else there.at
         datum = None if at is None else datum
     bonus = _bonus(name, zone, fits)
     law = zone.law(plane)
     variable = _ZoneVariable(zone, law, plane, bonus, datum, at)
-    return Line(f"{marker.body} at {zone.on}", zone.specification, variable)
+    ends = marginals_of(law)[0].quantile(jnp.array([0.0, 1.0]))
+    return Line(f"{marker.body} at {zone.marker}", zone.specification, variable, [tuple(ends)])
 
 
 def _bonus(name: str, zone: AbstractZone, fits: dict[str, Fit]) -> Bonus | None:
@@ -273,7 +273,7 @@ def _bonus(name: str, zone: AbstractZone, fits: dict[str, Fit]) -> Bonus | None:
     joint, _, side = text.rpartition(" ")
     if text in fits:
         joint = text
-        side = SHAFT if zone.on == f"{text}.child" else HOLE
+        side = SHAFT if zone.marker == f"{text}.child" else HOLE
     if joint not in fits or side not in (HOLE, SHAFT):
         raise ValueError(
             f'zone "{name}" is at the material condition of {described(text)}, which has no size '
@@ -307,4 +307,5 @@ def _size_line(mechanism: Mechanism, name: str, line: Size, general: str | None)
         )
     _, law = process.spread(2.0 * half, 0)
     text = f"{size:.6g} ±{float(half) / MILLI:g}{text}"
-    return Line("length", text, Variable(line.where, law))
+    ends = [(value - half, value + half)]
+    return Line("length", text, Variable(line.where, law), ends)

@@ -40,7 +40,7 @@ def _widths(value: Any) -> Any:
 class AbstractZone(AbstractTolerance):
     """A zone of a marker's place or axis."""
 
-    on: eqx.AbstractVar[str]
+    marker: eqx.AbstractVar[str]
     datum: eqx.AbstractVar[str | None]
     at_mmc: eqx.AbstractVar[str | None]
     at_lmc: eqx.AbstractVar[str | None]
@@ -49,10 +49,10 @@ class AbstractZone(AbstractTolerance):
 
     def check_lines(self) -> None:
         """Raises `ValueError` where a zone is on no marker, or has both material conditions."""
-        if not isinstance(self.on, str) or self.on.rpartition(".")[2] not in ENDS:
+        if not isinstance(self.marker, str) or self.marker.rpartition(".")[2] not in ENDS:
             raise ValueError(
-                f"a zone is on {described(self.on)}; write a joint and its side, such as "
-                '"A.parent" or "A.child".'
+                f"the marker of a zone is {described(self.marker)}; write a joint and its side, "
+                'such as "A.parent" or "A.child".'
             )
         given = [name for name in (self.at_mmc, self.at_lmc) if name is not None]
         if len(given) > 1 or (given and isinstance(self.size, tuple)):
@@ -106,7 +106,7 @@ class AbstractPlaceZone(AbstractZone):
 
     unit = "m"
     diameter: Scalar | None = quantity(None, "m", above=0)
-    on: str = eqx.field(static=True, kw_only=True)
+    marker: str = eqx.field(static=True, kw_only=True)
     width: Any = quantity(
         None, "m", above=0, converter=_widths, counts=(1, 2), wanted=WIDTHS, kw_only=True
     )
@@ -182,7 +182,7 @@ class Position(AbstractPlaceZone):
 
     Args:
         diameter: diameter of a round zone [m], > 0; None (default) where a width is given.
-        on: the marker, joint and side as a text, such as "A.parent".
+        marker: the marker, joint and side as a text, such as "A.parent".
         width: distance of two planes across the marker's axis [m], > 0, or a sequence of two for
             both directions; None (default) for a round zone.
         along: name of the axis of the marker's frame along which a single width counts: "x"
@@ -206,7 +206,7 @@ class Coaxiality(AbstractPlaceZone):
 
     Args:
         diameter: diameter of a round zone [m], > 0; None (default) where a width is given.
-        on: the marker, joint and side as a text, such as "A.parent".
+        marker: the marker, joint and side as a text, such as "A.parent".
         width: distance of two planes across the marker's axis [m], > 0, or a sequence of two for
             both directions; None (default) for a round zone.
         along: name of the axis of the marker's frame along which a single width counts: "x"
@@ -236,7 +236,7 @@ class AbstractLean(AbstractZone):
 
     unit = "rad"
     width: Scalar = quantity(unit="m", above=0)
-    on: str = eqx.field(static=True, kw_only=True)
+    marker: str = eqx.field(static=True, kw_only=True)
     over: Scalar = quantity(unit="m", above=0, kw_only=True)
     along: str | None = eqx.field(static=True, default=None, kw_only=True)
     datum: str | None = eqx.field(static=True, default=None, kw_only=True)
@@ -281,7 +281,7 @@ class Angularity(AbstractLean):
 
     Args:
         width: diameter of the zone, or distance of its planes [m], > 0.
-        on: the marker, joint and side as a text, such as "G.parent".
+        marker: the marker, joint and side as a text, such as "G.parent".
         over: length of the feature over which the zone holds [m], > 0.
         along: name of the axis of the marker's frame, "x" or "y", towards which it leans; None
             (default) for any, within a cylinder.
@@ -304,7 +304,7 @@ class Parallelism(AbstractLean):
 
     Args:
         width: diameter of the zone, or distance of its planes [m], > 0.
-        on: the marker, joint and side as a text, such as "G.parent".
+        marker: the marker, joint and side as a text, such as "G.parent".
         over: length of the feature over which the zone holds [m], > 0.
         along: name of the axis of the marker's frame, "x" or "y", towards which it leans; None
             (default) for any, within a cylinder.
@@ -327,7 +327,7 @@ class Perpendicularity(AbstractLean):
 
     Args:
         width: diameter of the zone, or distance of its planes [m], > 0.
-        on: the marker, joint and side as a text, such as "G.parent".
+        marker: the marker, joint and side as a text, such as "G.parent".
         over: length of the feature over which the zone holds [m], > 0.
         along: name of the axis of the marker's frame, "x" or "y", towards which it leans; None
             (default) for any, within a cylinder.

@@ -73,6 +73,22 @@ SCENE_FILES = {
             "jaxclear monte-carlo scene.yaml --samples 64 --quiet",
         ],
     ),
+    "yield": Offer(
+        "share of parts within limits, from the drawing of a scene file: at rest, in motion",
+        [
+            SCENE,
+            click.Option(
+                ["--limit"],
+                multiple=True,
+                required=True,
+                help='a response and its largest value, or both limits: "error: 40e-6"',
+            ),
+            flag("--samples", "runs in motion", integer(32), 256),
+            out(None, "folder for tables and pictures (default SCENE_yield)"),
+            quiet(),
+        ],
+        ['jaxclear yield scene.yaml --limit "error: 40e-6"'],
+    ),
     "identify": Offer(
         "what records of sensors (CSV) tell of what varies of a scene file",
         [
