@@ -3,13 +3,15 @@
     python -m benchmarks.attack_slopes [--quick] [--json FILE] [--first N] [--draws N]
         [--only K ...] [--rung NAME ...]
 
-The mechanisms are those of `benchmarks.attack` with clearance. Of each the slopes of the last
-place of a body, of mean and peak forces of its first joint, and of what that wears, by its
-clearance, the first number of its contact law and the mass of a body, as
-`jax.jacfwd(problem.evaluate)` gives them. References are extrapolated differences of a tight
-`Adaptive`, taken by three shares of each number, and of one ten times looser. A slope is right
-within its rung's limit of the reference; refused, where it is nan or a sentence; said, where the
-run warns of its response; undecidable, where the references disagree; or silently wrong.
+The mechanisms are those of `benchmarks.attack` with clearance, and its drives. Of each the slopes
+of the last place of a body, of mean and peak forces of its first joint, and of what that wears, by
+its clearance, the first number of its contact law and the mass of a body, as
+`jax.jacfwd(problem.evaluate)` gives them; of a drive those of the last place and of the arm's mean
+force, by the first number of its element, the arm's inertia and its mass. References are
+extrapolated differences of a tight `Adaptive`, taken by three shares of each number, and of one ten
+times looser. A slope is right within its rung's limit of the reference; refused, where it is nan or
+a sentence; said, where the run warns of its response; undecidable, where the references disagree;
+or silently wrong.
 """
 
 import argparse
@@ -28,6 +30,7 @@ import jaxclear as jc
 from benchmarks.attacks import verdicts
 from benchmarks.attacks.answers import surfaces
 from benchmarks.attacks.bearings import Case
+from benchmarks.attacks.coupled import COUPLED
 from benchmarks.attacks.rungs import of_studies
 from benchmarks.attacks.structures import ROOM, Structure, structures
 from benchmarks.measure import report, sign
@@ -45,7 +48,6 @@ HALF = "peak force of every second instant"
 # steps to its summit.
 THROUGH_FIVE = np.linalg.inv(np.vander(np.arange(-2.0, 3.0)))
 NEWTON = 8
-VARIABLES = ("clearance", "contact", "mass")
 # The integrator of each rung, and by how much of itself a slope may be off.
 RUNGS: dict[str, tuple[Callable[[Case], Any], float]] = {
     "default of studies": (of_studies, 0.05),
@@ -107,6 +109,8 @@ def _dense_peak(joint: str, every: int = 1) -> Callable[[jc.Trajectory], Any]:
 def problem(case: Case, integrator: Any, dense: bool = False) -> jc.Problem:
     """What is asked of a case; `dense`: of its densely saved reference, which tells peaks."""
     rig = case.mechanism
+    if not rig.topology.clearances:
+        return _problem(case, integrator, *_of_a_drive(rig), SAVES)
     joint = rig.topology.clearances[0]
     body = next(iter(rig.bodies))
     worn = [one for one in surfaces(rig) if one[0] == joint]
@@ -126,25 +130,50 @@ def problem(case: Case, integrator: Any, dense: bool = False) -> jc.Problem:
         "contact": lambda m: law(m)[first],
         "mass": lambda m: m.bodies[body].mass,
     }
+    return _problem(case, integrator, responses, places, DENSE if dense else SAVES)
+
+
+def _problem(case: Case, integrator: Any, responses: Any, places: Any, saves: int) -> jc.Problem:
     variables = {
-        name: jc.Variable(place, tolerance=1e-3 * abs(float(place(rig))))
+        name: jc.Variable(place, tolerance=1e-3 * float(np.max(np.abs(place(case.mechanism)))))
         for name, place in places.items()
     }
     return jc.Problem(
-        rig,
+        case.mechanism,
         responses,
         variables,
         duration=case.duration,
         integrator=integrator,
-        save=DENSE if dense else SAVES,
+        save=saves,
         state=jc.State(concentric=case.concentric),
     )
+
+
+def _of_a_drive(rig: jc.Mechanism) -> tuple[dict[str, Any], dict[str, Callable]]:
+    """(responses, numbers that vary) of a drive of `benchmarks.attacks.coupled`: its element is its
+    coupling, or the load that comes last."""
+    element = lambda m: jax.tree.leaves(
+        next(iter(m.couplings.values())) if m.couplings else list(m.loads.values())[-1]
+    )
+    first = next(i for i, n in enumerate(element(rig)) if eqx.is_inexact_array(n) and n != 0)
+    force = lambda run: run.reaction("A").force
+    responses = {
+        "place": lambda run: jnp.sum(run.body("arm").com[-1]),
+        "mean force": lambda run: jnp.mean(jnp.sqrt(jnp.sum(force(run) ** 2, axis=-1))),
+    }
+    numbers = {
+        "element": lambda m: element(m)[first],
+        "inertia": lambda m: m.bodies["arm"].inertia,
+        "mass": lambda m: m.bodies["arm"].mass,
+    }
+    return responses, numbers
 
 
 def reference(case: Case) -> tuple[dict, dict, dict] | str:
     """(slopes, doubts, values) by response, or why there are none."""
     slopes, doubts, values = {}, {}, {}
-    for dense in (False, True):
+    contact = bool(case.mechanism.topology.clearances)
+    for dense in (False, True) if contact else (False,):
         found = []
         for rtol in TOLERANCES:
             integrator = jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol)
@@ -157,8 +186,9 @@ def reference(case: Case) -> tuple[dict, dict, dict] | str:
             slopes[name] = tight[0]
             doubts[name] = np.maximum(tight[1], abs(tight[0] - loose[0]))
             values[name] = found[0][0][name][0]
-    coarse = slopes.pop(HALF)
-    doubts["peak force"] = doubts["peak force"] + abs(slopes["peak force"] - coarse)
+    if contact:
+        coarse = slopes.pop(HALF)
+        doubts["peak force"] = doubts["peak force"] + abs(slopes["peak force"] - coarse)
     return slopes, doubts, values
 
 
@@ -193,7 +223,7 @@ def attack(structure: Structure, draw: int, rungs: dict[str, tuple]) -> list[Row
     number = structure.number * ROOM + draw
     try:
         case = structure.case(draw)
-        if not case.mechanism.topology.clearances:
+        if not case.mechanism.topology.clearances and structure.build not in COUPLED:
             return []
         known = reference(case)
     except ValueError as error:
@@ -201,10 +231,10 @@ def attack(structure: Structure, draw: int, rungs: dict[str, tuple]) -> list[Row
     if isinstance(known, str):
         print(f"case {number} has no reference: {known}", flush=True)
         return []
-    rows = []
+    rows, names = [], tuple(problem(case, jc.integrator.Adaptive()).names)
     for rung, (make, limit) in rungs.items():
         told = _told(case, make(case))
-        rows += _judged((number, structure.name, rung), known, told, limit)
+        rows += _judged((number, structure.name, rung), names, known, told, limit)
     return rows
 
 
@@ -227,12 +257,14 @@ def _told(case: Case, integrator: Any) -> tuple[dict, frozenset[str], np.ndarray
     return slopes, verdicts.of_checks(result.checks), at
 
 
-def _judged(where: tuple[int, str, str], known: tuple, told: tuple, limit: float) -> list[Row]:
-    """The rows of a case and rung, by what is known and what was told."""
+def _judged(
+    where: tuple[int, str, str], names: tuple[str, ...], known: tuple, told: tuple, limit: float
+) -> list[Row]:
+    """The rows of a case and rung, by the names of what varies, what is known and what was told."""
     (slopes, doubts, values), (own, warned, at) = known, told
     rows = []
     for name, of_name in slopes.items():
-        for k, variable in enumerate(VARIABLES):
+        for k, variable in enumerate(names):
             slope = float(own[name][k]) if own else np.nan
             scale = abs(of_name[k])
             if at is not None:
@@ -287,9 +319,10 @@ def main() -> None:
             rows += found
             _tell(structure, draw, found)
         jax.clear_caches()
-    for key in ("rung", "response"):
-        report(f"slopes by {key}", summary(rows, key), given)
-    sign("benchmarks.attack_slopes", given.json)
+        # So that a run may be ended at any time.
+        for key in ("rung", "response", "mechanism"):
+            report(f"slopes by {key}", summary(rows, key), given)
+        sign("benchmarks.attack_slopes", given.json)
 
 
 def _tell(structure: Structure, draw: int, rows: list[Row]) -> None:

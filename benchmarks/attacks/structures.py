@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmarks.attacks import bearings, ideal
 from benchmarks.attacks.bearings import Build, Case, Laws
+from benchmarks.attacks.coupled import COUPLED
 from benchmarks.attacks.laws import CONTACTS, CYLINDERS, FRICTIONS, WEARS
 from benchmarks.attacks.numbers import Draw
 from benchmarks.attacks.rungs import ALWAYS, LAST, TAKING_TURNS
@@ -94,7 +95,7 @@ def structures(others: int = 1) -> list[Structure]:
     wears = [*WEARS, "Archard", ""]
     builders = [build for build, count in WITH_CLEARANCE for _ in range(count)]
     found = []
-    for number, build in enumerate([*builders, *IDEAL]):
+    for number, build in enumerate([*builders, *IDEAL, *COUPLED]):
         ideal_one = number >= len(builders)
         contact = str(contacts[number % len(contacts)])
         if build in NOT_CYLINDERS and contact in CYLINDERS:

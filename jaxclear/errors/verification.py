@@ -200,6 +200,16 @@ def _verification(
         )
         errors = list(errors + wear * [row.off for row in rows_of_cells])
         shares = shares + wear * [row.share for row in rows_of_cells]
+    # Steps that miss a contact agree on its peak: it is no surer than a mean beyond its promise.
+    means = {
+        row[0].place: share
+        for row, share, most in zip(rows, shares, promised, strict=True)
+        if row[0].part == "mean_force" and share > most
+    }
+    for k, (row, *_) in enumerate(rows):
+        if row.part == "peak_force" and shares[k] < means.get(row.place, 0.0):
+            shares[k] = means[row.place]
+            errors[k] = shares[k] * abs(row.value)
     numbers = np.stack([[row[0].value for row in rows], errors, shares, promised], axis=1)
     path, chaotic = None, np.zeros(len(rows), bool)
     gaps = np.array([row[0].part == "gaps" for row in rows])

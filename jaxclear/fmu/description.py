@@ -25,8 +25,8 @@ STRUCTURE = ("Output", "ContinuousStateDerivative", "InitialUnknown", "EventIndi
 
 
 class Variable(NamedTuple):
-    """A number of a unit by its `name`: its `unit`, the place `at` among the given numbers and of
-    an input at `run_at` among those of the steps, which `leaf` it is, its `value` and range."""
+    """A number of a unit by its `name`: its `unit`, the place `at` among the original numbers, and
+    of an input at `run_at` among those of the steps, which `leaf` it is, its `value` and range."""
 
     name: str
     unit: str
@@ -46,8 +46,8 @@ class Variable(NamedTuple):
 
 def description(unit: Any, name: str, kinds: Sequence[str]) -> str:
     """modelDescription.xml of a unit of this name and these kinds."""
-    found = {"variability": "continuous", "initial": "calculated"}
-    inner, out = {"causality": "local"} | found, {"causality": "output"} | found
+    calculated = {"variability": "continuous", "initial": "calculated"}
+    inner, out = {"causality": "local"} | calculated, {"causality": "output"} | calculated
     time = {"causality": "independent", "variability": "continuous"}
     rows: list[tuple] = [("time", "s", time)]
     rows += [(x.name, x.unit, x.about("input", "continuous")) for x in unit.inputs]
@@ -61,8 +61,8 @@ def description(unit: Any, name: str, kinds: Sequence[str]) -> str:
     rows += [(f"depth of {x}", "m", inner, "EventIndicator") for x in unit.contacts]
     lines = []
     for k, (label, measure, about, *_) in enumerate(rows):
-        known = {"name": label, "valueReference": str(k), "unit": measure} | about
-        words = (f"{key}={quoteattr(value)}" for key, value in known.items() if value)
+        attributes = {"name": label, "valueReference": str(k), "unit": measure} | about
+        words = (f"{key}={quoteattr(value)}" for key, value in attributes.items() if value)
         lines.append(f"<Float64 {' '.join(words)}/>")
     places = [
         f'<{part} valueReference="{k}"/>'
@@ -103,8 +103,8 @@ def array(name: str, entries: Sequence[str]) -> str:
 
 def tables_of(functions: Mapping[str, Any]) -> list[str]:
     """Long arrays of functions by name, each once."""
-    known: dict[bytes, str] = {}
-    place = lambda table: known.setdefault(table.tobytes(), f"table_{len(known)}")
+    tables: dict[bytes, str] = {}
+    place = lambda table: tables.setdefault(table.tobytes(), f"table_{len(tables)}")
     named = {name: list(map(place, one.tables)) for name, one in functions.items()}
-    rows = [array(f"double {x}", list(map(number, np.frombuffer(k)))) for k, x in known.items()]
-    return rows + [array(f"double *const jc_{x}_tables", own) for x, own in named.items()]
+    rows = [array(f"double {x}", list(map(number, np.frombuffer(k)))) for k, x in tables.items()]
+    return rows + [array(f"double *const jc_{x}_tables", places) for x, places in named.items()]

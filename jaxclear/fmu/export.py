@@ -128,8 +128,8 @@ def export_fmu(
         check_name("kind", kind, KINDS, " of export_fmu")
     for name in wearing_in(mechanism):
         raise ValueError(WORN.format(name=name))
-    for what, given in (("inputs", inputs), ("outputs", outputs), ("parameters", parameters)):
-        expect({} if given is None else given, Mapping, f"{what} of export_fmu", "a dict")
+    for what, value in (("inputs", inputs), ("outputs", outputs), ("parameters", parameters)):
+        expect({} if value is None else value, Mapping, f"{what} of export_fmu", "a dict")
     system = checked_target(target)
     mechanism, integrator = with_quantities((mechanism, integrator))
     times = np.linspace(0.0, duration, max(2, round(duration / interval) + 1))

@@ -1,7 +1,7 @@
 """What a unit computes, as functions of lists of arrays: its start from parameters, a communication
 step, and what is read at its end.
 
-Numbers of the mechanism enter as `constants`: `given` as the user gives them, from which the start
+Numbers of the mechanism enter as `constants`: `original` as the user has them, from which the start
 is assembled, and `run` as the steps take them (loads that follow from the inertia are settled at
 the start). What is handed from step to step is the `Carry` of a run.
 """
@@ -68,9 +68,9 @@ def is_table(leaf: Any) -> bool:
 
 
 class Functions:
-    """The functions of a unit. `given`, `run` and `carry`: numbers as the user gives them, those of
-    the steps, and what the first step is handed, for the mechanism as it is exported; `doubt`: a
-    sentence on its start, or "".
+    """The functions of a unit. `original`, `run` and `carry`: numbers as the user has them, those
+    of the steps, and what the first step starts from, for the mechanism as it is exported; `doubt`:
+    a sentence on its start, or "".
 
     All but `start` take the numbers of the steps, and the state at the beginning of a communication
     step, what is handed on at its end, and both times [s].
@@ -91,25 +91,25 @@ class Functions:
         # The search goes on from where the mechanism stands if its guess led elsewhere.
         place = nominal.start.coordinates, nominal.start.speeds
         self.rough = place if nominal.searched else None
-        self.given = Flat.of((mechanism, integrator))
+        self.original = Flat.of((mechanism, integrator))
         first = self._begin(nominal.mechanism, nominal.start, jnp.zeros(()), integrator)
         self.run, self.carry = map(Flat.of, first)
         self.packed = [i for i, x in enumerate(self.run.leaves) if not is_table(x)]
 
     def _begin(self, mechanism: Mechanism, start: Any, time: Any, integrator: Any) -> tuple:
         times = jnp.stack([time, time + self.duration])
-        given = mechanism, start.coordinates, start.speeds, times, integrator
-        mechanism, _, first = first_turn(*given)
+        arguments = mechanism, start.coordinates, start.speeds, times, integrator
+        mechanism, _, first = first_turn(*arguments)
         return (mechanism, integrator), first
 
     def start(self, leaves: Arrays, numbers: Arrays) -> Arrays:
-        """From the given numbers and a time [s] those of the steps, what the first step is handed,
-        and whether the start is sound."""
-        mechanism, integrator = self.given.tree(leaves)
-        own = with_redundancy(integrator.formulation.seen(mechanism), self.redundancy)
-        start = assemble_arrays(own, True, numbers[0], self.rough)
-        steps, first = map(Flat.of, self._begin(own, start, numbers[0], integrator))
-        return [*(steps.leaves[i] for i in self.packed), *first.leaves, is_sound(own, start)]
+        """From the original numbers and a time [s] those of the steps, what the first step starts
+        from, and whether the start is sound."""
+        mechanism, integrator = self.original.tree(leaves)
+        mechanism = with_redundancy(integrator.formulation.seen(mechanism), self.redundancy)
+        start = assemble_arrays(mechanism, True, numbers[0], self.rough)
+        steps, first = map(Flat.of, self._begin(mechanism, start, numbers[0], integrator))
+        return [*(steps.leaves[i] for i in self.packed), *first.leaves, is_sound(mechanism, start)]
 
     def step(self, leaves: Arrays, numbers: Arrays) -> Arrays:
         """What is handed on at the end of a communication step, from that at its beginning."""
@@ -182,7 +182,7 @@ def run_of_step(
 
 
 class Slopes(NamedTuple):
-    """The functions of a unit with tangents: of its start along given numbers, of a step, and of
+    """The functions of a unit with tangents: of its start along original numbers, of a step, and of
     what is read; `moving`: which of the numbers of the steps have tangents."""
 
     moving: tuple[int, ...]
@@ -191,18 +191,19 @@ class Slopes(NamedTuple):
     read: Callable
 
 
-def make_slopes(own: Functions, along: list[int]) -> Slopes:
-    """Of functions those with tangents along the given numbers of these places."""
-    count, handed = len(own.packed), own.carry.leaves
-    program = jax.make_jaxpr(own.start)(own.given.leaves, [jnp.zeros(())]).jaxpr
-    # A number of the steps that is given as it is moves with that one alone; any other may.
+def make_slopes(functions: Functions, along: list[int]) -> Slopes:
+    """Of functions those with tangents along the original numbers of these places."""
+    count, handed = len(functions.packed), functions.carry.leaves
+    program = jax.make_jaxpr(functions.start)(functions.original.leaves, [jnp.zeros(())]).jaxpr
+    # A number of the steps that is an original one moves with that one alone; any other may.
     still = [x for i, x in enumerate(program.invars) if i not in along]
     places = [
         k
         for k, x in enumerate(program.outvars[:count])
-        if is_float(own.run.leaves[own.packed[k]]) and not any(x is one for one in still)
+        if is_float(functions.run.leaves[functions.packed[k]])
+        and not any(x is one for one in still)
     ]
-    moving = tuple(own.packed[k] for k in places)
+    moving = tuple(functions.packed[k] for k in places)
 
     def pushed(function: Callable, numbers: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
         """A function of a list of arrays, and tangents of those of its results that have some."""
@@ -212,12 +213,12 @@ def make_slopes(own: Functions, along: list[int]) -> Slopes:
             values = list(numbers)
             for place, value in zip(places, floats, strict=True):
                 values[place] = value
-            found = function(values)
-            return [x for x in found if is_float(x)], found
+            results = function(values)
+            return [x for x in results if is_float(x)], results
 
         floats = [numbers[i] for i in places]
-        _, moved, found = jax.jvp(of_floats, (floats,), (tangents,), has_aux=True)
-        return found, moved
+        _, moved, results = jax.jvp(of_floats, (floats,), (tangents,), has_aux=True)
+        return results, moved
 
     def start(leaves: Arrays, numbers: Arrays) -> Arrays:
         time, *weights = numbers
@@ -226,8 +227,8 @@ def make_slopes(own: Functions, along: list[int]) -> Slopes:
             values = list(leaves)
             for place, value in zip(along, chosen, strict=True):
                 values[place] = value
-            found = own.start(values, [time])
-            return [*(found[k] for k in places), *found[count : count + len(handed)]]
+            results = functions.start(values, [time])
+            return [*(results[k] for k in places), *results[count : count + len(handed)]]
 
         return pushed(of_chosen, [leaves[i] for i in along], weights)[1]
 
@@ -241,15 +242,15 @@ def make_slopes(own: Functions, along: list[int]) -> Slopes:
                 run[place] = value
             return function(run, [*values[len(moving) :], *plain[-2:]])
 
-        given = [*(leaves[i] for i in moving), *plain[:-2]]
-        return pushed(of_moving, given, tangents)
+        primals = [*(leaves[i] for i in moving), *plain[:-2]]
+        return pushed(of_moving, primals, tangents)
 
     def step(leaves: Arrays, numbers: Arrays) -> Arrays:
-        found, moved = along_run(own.step, leaves, numbers)
-        return [*found, *moved]
+        results, moved = along_run(functions.step, leaves, numbers)
+        return [*results, *moved]
 
     def read(leaves: Arrays, numbers: Arrays) -> Arrays:
-        found, moved = along_run(own.read, leaves, numbers)
-        return [*found, *moved]
+        results, moved = along_run(functions.read, leaves, numbers)
+        return [*results, *moved]
 
     return Slopes(moving, start, step, read)

@@ -160,11 +160,11 @@ class Unit:
     def _number(self, kind: str, name: str, where: Any) -> Variable:
         leaf, by_name = None if isinstance(where, str) else where(self.mechanism), where
         rows = own_numbers(self.mechanism)
-        found = [row for row in rows if row[0] == by_name or row[1] is leaf]
-        if len(found) != 1 or np.ndim(found[0][1]):
+        matches = [row for row in rows if row[0] == by_name or row[1] is leaf]
+        if len(matches) != 1 or np.ndim(matches[0][1]):
             raise ValueError(NO_NUMBER.format(kind=kind, name=name))
-        path, leaf, metadata, unit = found[0]
-        given, run, run_at = self.functions.given.leaves, self.functions.run.leaves, 0
+        path, leaf, metadata, unit = matches[0]
+        original, run, run_at = self.functions.original.leaves, self.functions.run.leaves, 0
         if kind == "input":
             if not path.startswith("loads"):
                 sentence = NO_RATE if ".drive" in path else NOT_OF_A_LOAD
@@ -173,8 +173,8 @@ class Unit:
         least, most = metadata.get("at_least", -np.inf), metadata.get("at_most", np.inf)
         least = np.nextafter(metadata["above"], np.inf) if "above" in metadata else least
         most = np.nextafter(metadata["below"], -np.inf) if "below" in metadata else most
-        at = place_of(leaf, given)
-        place = packed_size(given[:at]), run_at, at
+        at = place_of(leaf, original)
+        place = packed_size(original[:at]), run_at, at
         return Variable(name, unit, float(leaf), *place, float(least), float(most))
 
     def _make(self, name: str, numbers: Any, function: Callable, constants: Any = None) -> None:
@@ -183,17 +183,18 @@ class Unit:
 
     def assemble(self, exchange: bool) -> str:
         """Makes the functions, for model exchange too or not; the header in C."""
-        own, run, given = self.functions, self.functions.run.leaves, self.functions.given.leaves
-        carry, times = own.carry.tree(self.handed), jnp.array([-self.interval, 0.0])
-        mechanism, integrator = own.run.tree(run)
+        functions = self.functions
+        run, original = functions.run.leaves, functions.original.leaves
+        carry, times = functions.carry.tree(self.handed), jnp.array([-self.interval, 0.0])
+        mechanism, integrator = functions.run.tree(run)
         whole = run_of_step(mechanism, integrator, carry.state, carry, times)
         checks = check_places(whole.history.model(), carry)
         try:
-            self._make("read", self.row, own.read)
-            self._make("start", [jnp.zeros(())], own.start, given)
+            self._make("read", self.row, functions.read)
+            self._make("start", [jnp.zeros(())], functions.start, original)
             more = [self._add_steps()]
             if checks:
-                self._make("check", self.row, own.check)
+                self._make("check", self.row, functions.check)
             more += [self._add_exchange(whole)] if exchange else []
         except Unsupported as reason:
             kind = public_name(type(integrator))
@@ -206,9 +207,9 @@ class Unit:
             check.sentence.replace("{figure:.2g}", "%.2g").format(place=place, limit=check.limit)
             for check, place in checks
         ]
-        marked = own.carry.tree(list(range(len(self.handed))))
+        marked = functions.carry.tree(list(range(len(self.handed))))
         sizes = {
-            "GIVEN": packed_size(given),
+            "GIVEN": packed_size(original),
             "RUN": packed_size(run),
             "STATE": self.handed[0].size,
             "HANDED": packed_size(self.handed),
@@ -220,7 +221,7 @@ class Unit:
             "ACCEPTED": packed_size(self.handed[: marked.steps[0]]),
             "INTERVAL": number(self.interval),
             "TOKEN": text(self.token),
-            "DOUBT": text(own.doubt.replace("%", "%%")),
+            "DOUBT": text(functions.doubt.replace("%", "%%")),
             "SLOPES": len(self.slopes),
             "CHECKS": len(checks),
             "STATES": len(self.states),
@@ -228,7 +229,7 @@ class Unit:
         }
         beyond = [f"{x.name} = %g is out of its range [{x.unit}]." for x in self.settable]
         arrays = {
-            "double given": flat(given),
+            "double given": flat(original),
             "double run": flat(run),
             "double handed": flat(self.handed),
             "int given_at": [str(x.at) for x in self.settable],
@@ -261,19 +262,21 @@ class Unit:
 
     def _add_steps(self) -> str:
         """Makes the step, and what else slopes take; what C is told of these."""
-        own, run, zero = self.functions, self.functions.run.leaves, jnp.zeros(())
+        functions, run, zero = self.functions, self.functions.run.leaves, jnp.zeros(())
         if not self.slopes:
-            self._make("step", self.row, own.step)
+            self._make("step", self.row, functions.step)
             return ""
         chosen = [self.settable[self.names.index(name)] for name in self.slopes]
-        slopes = make_slopes(own, [one.leaf for one in chosen])
+        slopes = make_slopes(functions, [one.leaf for one in chosen])
         handed = [x for x in self.handed if is_float(x)]
         tangents = [*(run[i] for i in slopes.moving), handed[0], *handed]
         row = [*self.row, zero, *map(jnp.zeros_like, tangents)]
         self._make("step_slope", row, slopes.step)
         self._make("read_slope", row, slopes.read)
-        self._make("start_slope", [zero] * (1 + len(chosen)), slopes.start, own.given.leaves)
-        plain, mechanism = flat(run), own.run.tree(run)[0]
+        self._make(
+            "start_slope", [zero] * (1 + len(chosen)), slopes.start, functions.original.leaves
+        )
+        plain, mechanism = flat(run), functions.run.tree(run)[0]
         others = [flat(Flat.of((mechanism, other)).leaves) for other in self.others]
         changed = [k for k in range(len(plain)) if any(x[k] != plain[k] for x in others)]
         sizes = {
@@ -312,5 +315,5 @@ class Unit:
         fixed, every = impact_speed_places(layout), names(system, layout)
         places = [k for k in range(layout.size) if k not in fixed]
         self.states = [every[k] for k in places]
-        self.contacts = [f"{name}.{k}" for name, own in layout.memories for k in range(len(own))]
+        self.contacts = [f"{name}.{k}" for name, laws in layout.memories for k in range(len(laws))]
         return array("int state_at", list(map(str, places)))

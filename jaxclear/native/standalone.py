@@ -3,7 +3,7 @@ for any processor and system, which a linker of theirs takes.
 
 The function is called as `name(in, out, tables)`: one row of floats for its arguments, one for what
 it gives (behind the number of its turns, which is 1), whole numbers and truth values as floats; and
-the places of long arrays that never change.
+the places of is_long arrays that never change.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ from jaxclear.native.writer import LONGEST_IN_REGISTERS, Unsupported
 
 class Standalone(NamedTuple):
     """A function as LLVM code: its `name`, `text`, how many numbers its arguments and what it gives
-    have, and the long arrays that it reads."""
+    have, and the is_long arrays that it reads."""
 
     name: str
     text: str
@@ -34,46 +34,48 @@ def standalone(
     name: str, function: Callable, constants: Sequence[Any], numbers: Sequence[Any]
 ) -> Standalone:
     """`function(constants, numbers)`, lists of arrays, which gives a list of arrays. Of the
-    constants long ones are tables. Raises `Unsupported` where a part of it has no rule."""
-    constants, numbers = ([jnp.asarray(x) for x in given] for given in (constants, numbers))
+    constants is_long ones are tables. Raises `Unsupported` where a part of it has no rule."""
+    constants, numbers = ([jnp.asarray(x) for x in arguments] for arguments in (constants, numbers))
     # What may change is in registers, a few numbers at a time.
     pieces = [
         np.array_split(np.arange(x.size), max(1, -(-x.size // LONGEST_IN_REGISTERS)))
         for x in numbers
     ]
     cut = [
-        jnp.ravel(x)[own] if len(parts) > 1 else x
+        jnp.ravel(x)[part] if len(parts) > 1 else x
         for x, parts in zip(numbers, pieces, strict=True)
-        for own in parts
+        for part in parts
     ]
-    given = [*constants, *cut]
+    arguments = [*constants, *cut]
 
     def whole(*values: Any) -> list:
-        own, rest = values[: len(constants)], iter(values[len(constants) :])
+        first, rest = values[: len(constants)], iter(values[len(constants) :])
         joined = [
             jnp.concatenate([next(rest) for _ in parts]).reshape(x.shape)
             if len(parts) > 1
             else next(rest)
             for x, parts in zip(numbers, pieces, strict=True)
         ]
-        return [jnp.asarray(x) for x in function(list(own), joined)]
+        return [jnp.asarray(x) for x in function(list(first), joined)]
 
-    left = jax.eval_shape(whole, *given)
-    nothing = [jnp.zeros((), int), *(jnp.zeros(x.shape, x.dtype) for x in left)]
+    shapes = jax.eval_shape(whole, *arguments)
+    zeros = [jnp.zeros((), int), *(jnp.zeros(x.shape, x.dtype) for x in shapes)]
 
     def body(*values: Any) -> list:
-        return [values[len(given)] + 1, *whole(*values[: len(given)])]
+        return [values[len(arguments)] + 1, *whole(*values[: len(arguments)])]
 
-    tests, _ = opened(jax.make_jaxpr(lambda turns, *_: turns < 1)(*nothing))
-    turns, fixed = opened(jax.make_jaxpr(body)(*given, *nothing))
-    program = Program(tests, turns, 0, len(fixed) + len(given), single_turn=True, vmapped=True)
+    tests, _ = opened(jax.make_jaxpr(lambda turns, *_: turns < 1)(*zeros))
+    turns, captured = opened(jax.make_jaxpr(body)(*arguments, *zeros))
+    program = Program(
+        tests, turns, 0, len(captured) + len(arguments), single_turn=True, vmapped=True
+    )
     text = kernel.text_of(program, 1)
-    held, state = avals_of(program)
-    long = in_memory(program)[: len(held)]
-    tables = [np.asarray(x) for x, one in zip([*fixed, *given], long, strict=True) if one]
-    if any(x.size and not one for x, one in zip(fixed, long, strict=False)):
-        raise Unsupported("a long array that is no table")
-    size = sum(x.size for x, one in zip(held, long, strict=True) if not one)
+    constant_avals, state = avals_of(program)
+    is_long = in_memory(program)[: len(constant_avals)]
+    tables = [np.asarray(x) for x, one in zip([*captured, *arguments], is_long, strict=True) if one]
+    if any(x.size and not one for x, one in zip(captured, is_long, strict=False)):
+        raise Unsupported("a is_long array that is no table")
+    size = sum(x.size for x, one in zip(constant_avals, is_long, strict=True) if not one)
     head = f"@{stopping.SYMBOL} = internal global i64 0\n"
     text = text.replace("define internal void @NAME.loop", f"define hidden void @{name}")
     text = text.replace("@NAME", f"@{name}").replace(f"@{name}.loop", f"@{name}")

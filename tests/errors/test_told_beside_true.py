@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import jaxclear as jc
+from benchmarks.attacks.structures import structures
 from jaxclear.errors import verification
 from tests.extension.test_contact_law import Cushion
 from tests.rigs.bouncing_journal import CLEARANCE, GRAVITY, MASS, falling
@@ -192,3 +193,24 @@ def test_a_gap_that_is_narrow_beside_the_arms_gets_finer_steps_too():
     run = jc.simulate(jc.scenes.slider_crank(clearance=1e-6), 0.01, save=21)
     (finer,) = run.verification.replicas
     assert finer.accepted_steps > 1.3 * run.accepted_steps
+
+
+@pytest.mark.slow
+def test_a_peak_is_no_surer_than_a_mean_that_is_beyond_its_promise():
+    """A spinning ball in its socket by steps far longer than its impacts: in halves of them its
+    peak is alike, and three times too large."""
+    case = structures()[24].case(72)
+    force, runs = jc.response.PeakContactForce("B"), []
+    for integrator in (jc.integrator.ImplicitStep(6.314e-4), jc.integrator.Adaptive()):
+        run = jc.simulate(
+            case.mechanism,
+            case.duration,
+            save=201,
+            integrator=integrator,
+            state=jc.State(concentric=True),
+            verify=isinstance(integrator, jc.integrator.ImplicitStep),
+        )
+        runs.append(run)
+    coarse, right = (float(force(run)) for run in runs)
+    assert coarse > 3 * right
+    assert {"mean_force", "peak_force"} <= runs[0].verification.beyond

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.native import object_code, once
+from jaxclear.native import object_code
 from jaxclear.native.standalone import object_file, standalone
+from jaxclear.native.while_loops import as_kernel
 
 
 def call(function, constants, numbers):
@@ -30,7 +31,7 @@ def test_rows_within_a_function_are_gone_through_one_by_one():
     """A function of two rows that is a kernel by itself elsewhere."""
 
     def function(constants, numbers):
-        one = lambda x: once(lambda y: jnp.sin(y) * constants[0], x)
+        one = lambda x: as_kernel(lambda y: jnp.sin(y) * constants[0], x)
         return [jax.vmap(one)(numbers[0])]
 
     rows = np.array([[0.1, 0.2], [0.3, 0.4]])

@@ -73,7 +73,7 @@ def test_problem_goes_on_as_simulate_does():
         state=one.state(),
     )
     found = eqx.filter_jit(jc.Problem.evaluate)(problem, problem.nominal()).responses["response"]
-    np.testing.assert_allclose(found, run.worn_depth("B", "bearing").max(), rtol=1e-12)
+    np.testing.assert_allclose(found, jc.response.PeakWornDepth("B")(run), rtol=1e-12)
 
 
 def test_a_worn_gap_is_deeper():

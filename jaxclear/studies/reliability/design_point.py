@@ -160,15 +160,12 @@ def _found(model, cut, start) -> DesignPoint | None:
     betas = directions @ z + margins / sizes
     single = len(cut) == 1
     broken = np.abs(margins) if single else np.maximum(margins, 0.0)
-    if np.max(broken / sizes) > NEAR or (single and _apart(betas[0] * directions[0], z)):
+    # The nearest to the middle of a limit that is a plane lies along its slope.
+    aside = float(np.linalg.norm(betas[0] * directions[0] - z)) if single else 0.0
+    if np.max(broken / sizes) > NEAR or aside > ALONG * max(float(np.linalg.norm(z)), 1.0):
         return None
     beta = float(betas[0]) if single else float(np.linalg.norm(z))
     return DesignPoint(z, beta, cut, directions, betas, sizes)
-
-
-def _apart(nearest: np.ndarray, z: np.ndarray) -> bool:
-    """Whether a place is not the nearest to the middle of a limit that is a plane there."""
-    return bool(np.linalg.norm(nearest - z) > ALONG * max(float(np.linalg.norm(z)), 1.0))
 
 
 def _search(model, cut, start, bulges, steps) -> np.ndarray | None:

@@ -61,7 +61,8 @@ def surface_where_it_fails(
     runs = max(RUNS_PER_TERM * len(powers(np.full(variables, 2), 2)), FEWEST)
     seen = [_counted(model, WIDE * scrambled_normal(runs, variables, rng))]
     for _ in range(MOST_ROUNDS):
-        values, found = _together(seen)
+        values = np.concatenate([own for own, _ in seen])
+        found = jax.tree.map(lambda *parts: np.concatenate(parts), *(own for _, own in seen))
         asked = {own.response: found.responses[own.response] for own in model.limit.limits()}
         endless = endless_sentences(model.problem, asked)
         if endless:
@@ -90,12 +91,6 @@ def surface_where_it_fails(
 def _counted(model: RunModel, normal: np.ndarray) -> tuple[np.ndarray, SampleResult]:
     values, found = model.responses(normal)
     model.of(found)
-    return values, found
-
-
-def _together(seen: list[tuple[np.ndarray, SampleResult]]) -> tuple[np.ndarray, SampleResult]:
-    values = np.concatenate([own for own, _ in seen])
-    found = jax.tree.map(lambda *parts: np.concatenate(parts), *(own for _, own in seen))
     return values, found
 
 
@@ -157,7 +152,15 @@ def reliability(
     model = RunModel(problem, limit, progress_bar)
     reach = Reach(model, seed)
     points, own, notes = _searched(model, surface, wanted, seed, reach)
-    estimates = _from_points(model, own, points, wanted, notes)
+    estimates: dict[str, Probability] = {}
+    if "form" in wanted:
+        estimates["form"] = (
+            Probability(form(points), runs=model.runs) if points else _none(own, limit, notes)
+        )
+    if "sorm" in wanted:
+        estimates |= _second_order(
+            model if own is None else SurfaceModel(own, limit), model, points
+        )
     if "importance" in wanted:
         asked = variation, most_runs, seed
         estimates["importance"] = _about(model, own, points, asked, notes) or _none(
@@ -165,7 +168,9 @@ def reliability(
         )
     missed = "importance" in estimates and not estimates["importance"].variation <= variation
     looked = "subset" in wanted or (methods is None and missed)
-    if looked and (_seen_failing(estimates, points, own) or not reach.beyond()):
+    sampled = "importance" in estimates and np.isfinite(estimates["importance"].value)
+    # Something is known to fail by a sample, or a design point of the runs themselves.
+    if looked and (sampled or (points and own is None) or not reach.beyond()):
         estimates["subset"] = subset(model, variation, most_runs, seed)
     if reach.sentence:
         nothing = refused(reach.sentence, model.runs)
@@ -239,34 +244,6 @@ def _with_other_regions(
     return proposal
 
 
-def _seen_failing(
-    estimates: dict[str, Probability], points: list[DesignPoint], own: ResponseSurface | None
-) -> bool:
-    """Whether something is known to fail: a design point of the runs themselves, or a sample."""
-    sampled = "importance" in estimates and bool(np.isfinite(estimates["importance"].value))
-    return sampled or (bool(points) and own is None)
-
-
-def _from_points(
-    model: RunModel,
-    own: ResponseSurface | None,
-    points: list[DesignPoint],
-    wanted: Sequence[str],
-    notes: list[str],
-) -> dict[str, Probability]:
-    """What FORM and SORM answer; their runs are those of the search."""
-    estimates: dict[str, Probability] = {}
-    search: AbstractModel = model if own is None else SurfaceModel(own, model.limit)
-    found_in = model.runs
-    if "form" in wanted:
-        estimates["form"] = (
-            Probability(form(points), runs=found_in) if points else _none(own, model.limit, notes)
-        )
-    if "sorm" in wanted:
-        estimates |= _second_order(search, model, points, found_in)
-    return estimates
-
-
 def _searched(
     model: RunModel, surface: ResponseSurface | None, wanted: Sequence[str], seed: int, reach: Reach
 ) -> tuple[list[DesignPoint], ResponseSurface | None, list[str]]:
@@ -309,7 +286,7 @@ def _none(
 
 
 def _second_order(
-    search: AbstractModel, model: RunModel, points: list[DesignPoint], before: int
+    search: AbstractModel, model: RunModel, points: list[DesignPoint]
 ) -> dict[str, Probability]:
     """SORM's answers by its two formulas."""
     names = ("breitung", "tvedt")
@@ -320,12 +297,10 @@ def _second_order(
         return dict.fromkeys(names, refused(why))
     if any(point.beta <= 0.0 for point in points):
         return dict.fromkeys(names, refused("parts in the middle fail."))
-    start = model.runs
     answers = sorm(points, [curvatures(search, point) for point in points])
-    runs = before + model.runs - start
-    bent = refused("the limit bends around the middle.", runs)
+    bent = refused("the limit bends around the middle.", model.runs)
     return {
-        name: Probability(value, runs=runs) if value == value else bent
+        name: Probability(value, runs=model.runs) if value == value else bent
         for name, value in zip(names, answers, strict=True)
     }
 

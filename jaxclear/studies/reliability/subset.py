@@ -214,27 +214,35 @@ def _conditioned(worst, seeds, margins, levels, rng) -> tuple[np.ndarray, np.nda
 
 @dataclass
 class Reach:
-    """What a search of a few runs says of whether anything fails: asked once, when it is wanted."""
+    """What a search of a few runs says of whether anything fails, asked once, when it is wanted;
+    and the sample that came nearest to the limit, with its margin."""
 
     model: RunModel
     seed: int
     sentence: str | None = None
+    normal: np.ndarray | None = None
+    margin: float = np.inf
 
     def beyond(self) -> str:
         """A sentence where the limit lies beyond everything seen; "" where something fails, and
         where it is not known."""
         if self.sentence is None:
-            self.sentence = self._searched()
+            rng, before = np.random.default_rng([self.seed, 7]), self.model.runs
+            (share,), _, (rare,) = repetitions(self.model, 1, PILOT, rng, self._see)
+            self.sentence = ""
+            if not share > 0.0 and not rare > FAR and self.normal is not None:
+                runs = self.model.runs - before
+                far = f"{runs} runs down to parts as rare as {rare:.0e}"
+                self.sentence = self._told(self.normal, far)
         return self.sentence
 
-    def _searched(self) -> str:
-        nearest = _Nearest(self.model)
-        rng, before = np.random.default_rng([self.seed, 7]), self.model.runs
-        (share,), _, (rare,) = repetitions(self.model, 1, PILOT, rng, nearest.see)
-        if share > 0.0 or rare > FAR or nearest.normal is None:
-            return ""
-        runs = self.model.runs - before
-        return self._told(nearest.normal, f"{runs} runs down to parts as rare as {rare:.0e}")
+    def _see(self, normal: np.ndarray, margins: np.ndarray) -> None:
+        """Of samples (samples, variables) with margins (samples, limits), known if not nan."""
+        known = np.where(np.isnan(margins), np.inf, margins)
+        told = system_margin(known, self.model.limit.cut_sets())
+        least = int(np.argmin(told))
+        if told[least] < self.margin:
+            self.normal, self.margin = normal[least], float(told[least])
 
     def _told(self, normal: np.ndarray, far: str) -> str:
         problem, limit = self.model.problem, self.model.limit
@@ -256,23 +264,6 @@ class Reach:
             f"nothing fails in {far}: the limit ({limit.words()}) lies beyond everything seen. "
             f"Nearest to it is {reached}, at {where}."
         )
-
-
-@dataclass
-class _Nearest:
-    """The sample that came nearest to the limit."""
-
-    model: RunModel
-    normal: np.ndarray | None = None
-    margin: float = np.inf
-
-    def see(self, normal: np.ndarray, margins: np.ndarray) -> None:
-        """Of samples (samples, variables) with margins (samples, limits), known if not nan."""
-        known = np.where(np.isnan(margins), np.inf, margins)
-        told = system_margin(known, self.model.limit.cut_sets())
-        least = int(np.argmin(told))
-        if told[least] < self.margin:
-            self.normal, self.margin = normal[least], float(told[least])
 
 
 def _unit(unit: str) -> str:
