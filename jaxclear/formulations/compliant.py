@@ -204,16 +204,7 @@ class CompliantContact(AbstractFormulation):
         Returns:
             a `ContactMotion`.
         """
-        motion = unpack_motion(model.system, model.entries(state))
-        motions = kinematics.link_motions(model.system, *motion, time)
-        bearings = model.system.bearings
-        relative = relative_motions(model.system, motions)
-        calls = [
-            (bearing.joint, own, model.worn.get(name, {}))
-            for (name, bearing), own in zip(bearings.items(), relative, strict=True)
-        ]
-        found = map_grouped(contact_point.indentation_rates, calls)
-        points = [point for joint in found for point in joint]
+        points = _point_motions(model, time, state)
         if not model.layout.plays:
             return _stacked(points)
         depths = lambda time, state: _flank_motion(model, time, state, flanks)
@@ -271,16 +262,11 @@ class CompliantContact(AbstractFormulation):
         Returns:
             velocities [m/s], an array (contacts, 3).
         """
-        motion = unpack_motion(model.system, model.entries(state))
-        motions = kinematics.link_motions(model.system, *motion, time)
+        laws = [own for bearing in model.system.bearings.values() for own in bearing.contact_laws]
         found = []
-        for name, bearing in model.system.bearings.items():
-            pose, *speeds = kinematics.relative_motion(bearing.closure, motions)[2]
-            contacts = contact_point.gap_function(bearing.joint, pose, model.worn.get(name, {}))
-            for laws, contact in zip(bearing.contact_laws, contacts, strict=True):
-                slip = contact_point.contact_speeds(bearing.joint, pose, contact, *speeds)[1]
-                rubbing = () if laws.friction is None else slip
-                found.append(sp.stack([*rubbing, *sp.ZERO][:3]))
+        for own, (_, _, slip) in zip(laws, _point_motions(model, time, state), strict=True):
+            rubbing = () if own.friction is None else slip
+            found.append(sp.stack([*rubbing, *sp.ZERO][:3]))
         found += [jnp.zeros(3)] * (2 * len(model.layout.plays))
         return jnp.stack(found)
 
@@ -451,6 +437,22 @@ class CompliantContact(AbstractFormulation):
         met += [x for own in now.reactions for part in own for x in part]
         handed_on = [*now.smooth, *now.contact, *now.depths, *met, *now.surplus, *now.forces]
         return sp.stack(after), sp.stack(handed_on)
+
+
+def _point_motions(model: Model, time: Any, state: State) -> list[tuple]:
+    """(indentation, its rate, components of slip) of every possible contact of joints, from the
+    geometry alone."""
+    motion = unpack_motion(model.system, model.entries(state))
+    motions = kinematics.link_motions(model.system, *motion, time)
+    bearings = model.system.bearings
+    calls = [
+        (bearing.joint, own, model.worn.get(name, {}))
+        for (name, bearing), own in zip(
+            bearings.items(), relative_motions(model.system, motions), strict=True
+        )
+    ]
+    found = map_grouped(contact_point.point_motions, calls)
+    return [point for joint in found for point in joint]
 
 
 def _flank_motion(model: Model, time: Any, state: State, flanks: Any) -> ContactMotion:

@@ -18,7 +18,7 @@ from jaxclear.components.clearance import ContactLaws
 from jaxclear.formulations import delassus
 from jaxclear.formulations.base import model_of
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.formulations.contact_rows import free_motion, split
+from jaxclear.formulations.contact_rows import free_motion, row_rates, split
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.multibody import contact_point, kinematics
@@ -158,14 +158,7 @@ def _of_joint(bearing, system, motions, now, free) -> _Pressed:
     travel = jnp.asarray(REACHES)[jnp.argmax(jnp.max(overlaps, 1) > 0)]
     pose = moved(travel)
     gaps = contact_point.gap_function(bearing.joint, pose, {})
-
-    def rates(pose, velocity, spin):
-        out = []
-        for gap in gaps:
-            rate, slip = contact_point.contact_speeds(bearing.joint, pose, gap, velocity, spin)
-            out += [rate, *slip]
-        return out
-
+    rates = lambda *moving: row_rates(bearing.joint, gaps, *moving)
     rows = kinematics.relative_jacobian(system, motions, bearing.closure, pose, rates)
     operator = delassus.delassus_operator(now, rows)
     directions = [len(gap.candidate.tangents) for gap in gaps]

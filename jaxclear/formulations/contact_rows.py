@@ -19,10 +19,9 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_grouped
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.pose import Pose
-from jaxclear.laws.contact import Rigid
 from jaxclear.multibody import constraints, contact_point, dynamics, kinematics
 from jaxclear.multibody.constraints import ClosureEquations
-from jaxclear.multibody.contact_point import GapFunction, JointReport, PointState, Response
+from jaxclear.multibody.contact_point import ActingContact, GapFunction, JointReport
 from jaxclear.multibody.damped_stops import forces_at
 from jaxclear.multibody.forces import Forces, relative_motions
 from jaxclear.multibody.kinematics import JacobianRow
@@ -235,7 +234,7 @@ def contact_points(
 
     def geometry(joint, relative, worn):
         gap_functions = contact_point.gap_function(joint, relative.pose, worn)
-        return gap_functions, _row_rates(
+        return gap_functions, row_rates(
             joint, gap_functions, relative.pose, relative.velocity, relative.spin
         )
 
@@ -247,7 +246,7 @@ def contact_points(
         motions,
         [bearing.closure for bearing in bearings.values()],
         [
-            (_row_rates, (bearing.joint, gap_functions), poses[name])
+            (row_rates, (bearing.joint, gap_functions), poses[name])
             for (name, bearing), (gap_functions, _) in zip(bearings.items(), found, strict=True)
         ],
     )
@@ -266,7 +265,7 @@ def contact_points(
     return poses, tuple(points)
 
 
-def _row_rates(joint, gap_functions, pose, velocity, spin) -> tuple:
+def row_rates(joint, gap_functions, pose, velocity, spin) -> tuple:
     """Rate of the indentation and components of slip of each contact, one after the other."""
     rates: list[Any] = []
     for gap_function in gap_functions:
@@ -279,43 +278,15 @@ def _row_rates(joint, gap_functions, pose, velocity, spin) -> tuple:
 TOUCHING = 1e-9
 
 
-class ActingContact(NamedTuple):
-    """A contact with the forces that act in it: normal [N], pushing apart, and friction [N] on the
-    journal along each sliding direction, at the rates of its rows; `slid`: speed [m/s] with which
-    it wears, where that is not the slip's."""
-
-    laws: ContactLaws
-    gap_function: GapFunction
-    rates: tuple
-    normal: Any
-    tractions: tuple
-    memory: PointState = PointState(None, ())
-    slid: Any = None
-
-
 def joint_reports(
     system: System, poses: dict[str, Pose], contacts: list[ActingContact]
 ) -> dict[str, JointReport]:
     """Reports of the clearance joints."""
-    reports = {}
-    for (name, bearing), own in zip(
-        system.bearings.items(), by_joint(system, contacts), strict=True
-    ):
-        speeds, responses = [], []
-        for contact in own:
-            slip = tuple(contact.rates[1:])
-            speeds.append((contact.rates[0], slip))
-            speed = contact_point.slip_speed(slip) if contact.slid is None else contact.slid
-            responses.append(Response(contact.normal, speed, contact.tractions, contact.memory))
-        reports[name] = contact_point.assemble(
-            bearing.joint,
-            tuple(contact.laws for contact in own),
-            poses[name],
-            tuple(contact.gap_function for contact in own),
-            tuple(speeds),
-            tuple(responses),
-        )
-    return reports
+    each = zip(system.bearings.items(), by_joint(system, contacts), strict=True)
+    return {
+        name: contact_point.assemble(bearing.joint, poses[name], own)
+        for (name, bearing), own in each
+    }
 
 
 def rigid_reports(
@@ -328,26 +299,12 @@ def rigid_reports(
     """Reports for given forces (normal, then friction along each slip direction) of contacts
     without stiffness, at their rates with the speeds changed by `change`."""
     acting = []
-    for contact, force in zip(contacts, forces, strict=True):
-        depth = jnp.maximum(contact.gap_function.indentation, _pressed(contact.laws, force[0]))
-        acting.append(
-            ActingContact(
-                contact.laws._replace(contact=Rigid()),
-                contact.gap_function._replace(indentation=depth),
-                contact.rates_at(change),
-                force[0],
-                tuple(force[1:]),
-            )
-        )
-    reports = joint_reports(system, poses, acting)
-    indentations = [contact.gap_function.indentation for contact in contacts]
-    for name, own in zip(system.bearings, by_joint(system, indentations), strict=True):
-        points = tuple(
-            point._replace(indentation=depth)
-            for point, depth in zip(reports[name].points, own, strict=True)
-        )
-        reports[name] = reports[name]._replace(points=points)
-    return reports
+    for contact, (normal, *tractions) in zip(contacts, forces, strict=True):
+        laws, gap = contact.laws, contact.gap_function
+        pressed = jnp.maximum(gap.indentation, _pressed(laws, normal))
+        given = laws, gap, contact.rates_at(change), normal, tuple(tractions), 0.0
+        acting.append(ActingContact(*given, pressed=pressed))
+    return joint_reports(system, poses, acting)
 
 
 def _pressed(laws: ContactLaws, force: Any) -> Any:

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 from jaxclear.components.clearance import ContactLaws
 from jaxclear.formulations import laws_over_step
 from jaxclear.formulations.contact_rows import (
-    ActingContact,
     ContactPoint,
     MiddleOfStep,
     TimeStep,
@@ -31,8 +30,7 @@ from jaxclear.formulations.state_rate import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
-from jaxclear.ground.quantity import Scalar
-from jaxclear.multibody.contact_point import PointState, impact_speed_now
+from jaxclear.multibody.contact_point import ActingContact, PointState, impact_speed_now
 from jaxclear.multibody.damped_stops import forces_at
 from jaxclear.multibody.state import impact_speed_places, pack_memories, unpack_motion
 from jaxclear.multibody.system import System
@@ -160,17 +158,10 @@ def _acting_contacts(
         slip += tuple(rate.at(change) for rate in point.rates[point.active :])
         end = contact.depth + whole.averaging.length * rates[0]
         depth = 0.5 * (positive_part(contact.depth) + positive_part(end))
-        acting.append(
-            ActingContact(
-                point.laws,
-                point.gap_function._replace(indentation=depth),
-                (rates[0], *slip),
-                positive_part(-forces[0]),
-                forces[1:],
-                PointState(None, contact.memory.bristles),
-                speed,
-            )
-        )
+        forces = positive_part(-forces[0]), forces[1:], point.laws.contact.elastic_force(depth)
+        given = point.laws, point.gap_function, (rates[0], *slip), *forces
+        memory = PointState(None, contact.memory.bristles)
+        acting.append(ActingContact(*given, memory, speed, depth))
     return acting
 
 
@@ -188,31 +179,28 @@ def damped(system: System) -> bool:
 def normal_forces(model: Model, state: State, motion: ContactMotion) -> PerContact:
     """Normal force [N] of every possible contact that damps, 0 of the others, from its motion and
     the impact speed that the state remembers."""
-    forces: list[Scalar | float] = []
     places = impact_speed_places(model.layout)
-    for k, (laws, place) in enumerate(zip(_laws(model.system), places, strict=True)):
-        if told_by_depth(laws):
-            forces.append(0.0)
-            continue
-        rate = motion.rates[k]
-        speed = impact_speed_now(None if place is None else state[place], rate)
-        forces.append(laws.contact.normal_force(motion.depths[k], rate, speed))
-    return jnp.asarray(sp.stack(forces))
+    speeds = (None if place is None else state[place] for place in places)
+    each = zip(_laws(model.system), motion.depths, motion.rates, speeds, strict=True)
+    return jnp.asarray(sp.stack([_damped_force(*own) for own in each]))
 
 
 def forces_at_start(system: System, contacts: list[ContactOverStep], faster: list) -> tuple:
     """The same where an implicit step begins with these contacts, which close faster than their
     speeds tell (`midpoint_step`) [m/s]; () where none damps."""
-    if not damped(system):
-        return ()
+    each = zip(contacts, faster, strict=True)
     return tuple(
-        0.0
-        if told_by_depth(contact.point.laws)
-        else contact.point.laws.contact.normal_force(
-            contact.depth, sp.add(contact.approach, more), contact.memory.impact_speed
+        _damped_force(
+            own.point.laws, own.depth, sp.add(own.approach, more), own.memory.impact_speed
         )
-        for contact, more in zip(contacts, faster, strict=True)
+        for own, more in (each if damped(system) else ())
     )
+
+
+def _damped_force(laws: ContactLaws, depth: Any, rate: Any, impact_speed: Any) -> Any:
+    if told_by_depth(laws):
+        return 0.0
+    return laws.contact.normal_force(depth, rate, impact_speed_now(impact_speed, rate))
 
 
 def _laws(system: System) -> list[ContactLaws]:

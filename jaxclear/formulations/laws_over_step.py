@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.components.clearance import ContactLaws
-from jaxclear.formulations.contact_rows import MiddleOfStep
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.laws.friction.base import Unhindered
@@ -64,15 +63,6 @@ def braking(laws: ContactLaws, h: Any, bias: Any, depth: Any, lightnesses: list)
     braked = h * lightness * strength
     theta = jnp.maximum(0.5 * (1 + bias), 1 - 1 / jnp.maximum(braked, 1.0))
     return Braking(theta, theta * h, theta * h * lightness)
-
-
-def slips(middle: MiddleOfStep, speeds: list) -> list[tuple]:
-    """Of each contact, the slip along its sliding directions in the middle of a step, at given
-    speeds; () where nothing rubs."""
-    change = middle.change_to(speeds)
-    return [
-        tuple(rate.at(change) for rate in point.acting[1:]) for point in middle.free_motion.contacts
-    ]
 
 
 def at_start(now: tuple, past: tuple, depth: Any) -> tuple[SlipAtStart, ...]:

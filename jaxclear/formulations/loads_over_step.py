@@ -22,9 +22,9 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.laws.rebound import restitution_of
 from jaxclear.multibody import kinematics
-from jaxclear.multibody.forces import Forces, as_pressed, read_coordinate
+from jaxclear.multibody.forces import Forces, as_pressed, read_coordinate, with_rows
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.rows import ActingForces, Direction, LinearRate, Row, forces_on_drives
+from jaxclear.multibody.rows import Direction, LinearRate, Row
 from jaxclear.multibody.state import Followed, unpack_motion
 from jaxclear.multibody.system import System, coordinate_loads
 from jaxclear.multibody.transmissions import Pressing, twist_direction, twist_of
@@ -82,7 +82,7 @@ class HeldCoordinate(NamedTuple):
             return position, direction
         flanks = system.flanks[self.on]
         direction = twist_direction(motions, flanks).times(1 / flanks.scale)
-        return twist_of(system, motions, flanks).value, direction
+        return twist_of(motions, flanks).value, direction
 
     def friction(
         self, system: System, motions: tuple[Motion, ...], time: Any, followed: Followed
@@ -183,25 +183,16 @@ def with_loads(system: System, forces: Forces, given: dict[str, Any]) -> Forces:
     every = held(system)
     if not every:
         return forces
-    motions, pressing = forces.motions, dict(forces.pressing)
-    acting = ActingForces(list(forces.wrenches), list(forces.coordinate_forces), [])
+    motions, rows, pressing = forces.motions, [], dict(forces.pressing)
     for name, own in every.items():
-        acting.add(Row(own.on, own.reading(system, motions, forces.followed)[1], given[name]))
+        direction = own.reading(system, motions, forces.followed)[1]
+        rows.append(Row(own.on, direction, given[name]))
         if own.load is None:
             torque, none = -given[name], (0.0, 0.0)
             torques = positive_part(torque), positive_part(-torque)
-            twist = twist_of(system, motions, system.flanks[own.on])
+            twist = twist_of(motions, system.flanks[own.on])
             pressing[own.on] = Pressing(torque, None, 0.0, 0.0, twist, none, none, torques)
-    external = forces.external_power
-    for link, force in forces_on_drives(motions, acting.rows).items():
-        external = sp.sub(external, sp.mul(force, motions[link].speeds[0]))
-    return forces._replace(
-        wrenches=tuple(acting.wrenches),
-        coordinate_forces=tuple(acting.coordinate_forces),
-        rows=(*forces.rows, *acting.rows),
-        pressing=pressing,
-        external_power=external,
-    )
+    return with_rows(forces._replace(pressing=pressing), rows)
 
 
 def forces_of_means(instant: Instant) -> dict[str, Any]:

@@ -151,7 +151,7 @@ def _contacts_at_start(
     last: WarmStart,
 ) -> list[ContactOverStep]:
     """The contacts with which a step begins; `free`: accelerations without contact."""
-    back, slips = middle.change_to(middle.v), laws_over_step.slips(middle, middle.v)
+    back = middle.change_to(middle.v)
     half, diagonal = 0.5 * averaging.length, middle.free_motion.diagonal
     memories = unpack_memories(model.layout, entries)
     remembered = [memory for joint in memories.values() for memory in joint]
@@ -175,6 +175,7 @@ def _contacts_at_start(
         return depth, approach, mass, memory, braking, sliding
 
     points = middle.free_motion.contacts
+    slips = [tuple(rate.at(back) for rate in point.acting[1:]) for point in points]
     calls = [
         (
             averaging,

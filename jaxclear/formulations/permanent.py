@@ -40,7 +40,6 @@ from jaxclear.formulations.loads_over_step import (
 )
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.permanent_reactions import (
-    Answer,
     check_unique,
     friction_response,
     own_part,
@@ -63,10 +62,10 @@ from jaxclear.formulations.permanent_wear import (
     wear_rates,
 )
 from jaxclear.formulations.rigid import check_friction
-from jaxclear.formulations.state_rate import followed_rates, link_accelerations
+from jaxclear.formulations.state_rate import Passive, link_accelerations, passive_rates
 from jaxclear.ground import sparse as sp
-from jaxclear.multibody import dynamics, kinematics
-from jaxclear.multibody.forces import Forces, applied_forces
+from jaxclear.multibody import kinematics
+from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.state import unpack_followed, unpack_motion
 from jaxclear.multibody.system import System, prepare
@@ -238,22 +237,22 @@ class PermanentContact(AbstractFormulation):
         centres = centres_of(system, ends)
         goes = _rates_of(centres, last[len(v) : -1], h)
         worn = wear_rates(model, motions, motion[0], ends, sliding, goes)
-        gained = [h * rate for rate in (*followed_rates(system, layout, forces), *worn)]
+        given: list = []
         for one, reaction, place in zip(held, found.reactions, placed(held), strict=True):
             pressed = pressing(one, reaction, own_part(friction, place))
-            acting = [*reaction.force, *reaction.torque, *friction[place], pressed]
-            gained += [h * x for x in acting]
-        end, given = displace(system, q, mean, h), None
+            given += [*reaction.force, *reaction.torque, *friction[place], pressed]
+        end, acting = displace(system, q, mean, h), with_friction(system, forces, friction)
         if loads.rates:
             own = own_rows(loads, friction)
-            given = loads.by_load(system, own)
-            gained += [h * force for force in given.values()]
+            by_load = loads.by_load(system, own)
+            given, acting = [*given, *by_load.values()], with_loads(system, acting, by_load)
             beyond = beyond_stops(model, time_step.end, [*end, *after], followed)
             way, taken = moved_to_stops(loads, beyond, response, own, h)
             end = displace(system, end, way, 1.0)
-        if layout.energies:
-            rates = _powers(model, forces, found, friction, sliding, given)
-            gained += [h * rate for rate in rates]
+        solution = link_accelerations(system, found.accelerations, found.multipliers)
+        passive = Passive(worn, *friction_losses(held, friction, sliding))
+        rates = passive_rates(system, layout, acting, solution, passive, given)
+        gained = [h * rate for rate in rates]
         if loads.rates and layout.energies:
             lost = taken + h * loads.lost(own, change)
             gained[layout.energies.index("damping_loss") - len(layout.energies)] += lost
@@ -286,20 +285,4 @@ def _rates_of(centres: Centres, before: Any, h: Any) -> Centres:
             there = sp.norm(known) > 0
             way = sp.minus(centre, known)
             rates[name].append(tuple(jnp.where(there, x / h, 0.0) for x in way))
-    return rates
-
-
-def _powers(
-    model: Model, forces: Forces, found: Answer, friction: Any, slips: list, given: Any
-) -> list:
-    """Powers of the energy balance; friction's at the sliding speeds `slips` [m/s]; `given`: forces
-    of loads that the step has found."""
-    solution = link_accelerations(model.system, found.accelerations, found.multipliers)
-    acting = with_friction(model.system, forces, friction)
-    acting = acting if given is None else with_loads(model.system, acting, given)
-    rates = dynamics.powers(model.system, acting, solution)
-    lost, driven = friction_losses(touching(model.system), friction, slips)
-    places = model.layout.energies.index
-    rates[places("friction_loss")] = lost
-    rates[places("input")] = sp.add(rates[places("input")], driven)
     return rates

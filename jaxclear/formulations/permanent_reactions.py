@@ -19,9 +19,8 @@ from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.pose import FLIP, Pose
 from jaxclear.multibody import constraints, dynamics, kinematics
 from jaxclear.multibody.dynamics import Solution
-from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.forces import Forces, with_rows
 from jaxclear.multibody.rows import (
-    ActingForces,
     Direction,
     LinearRate,
     OnClosure,
@@ -138,18 +137,13 @@ def sliding_speeds(system: System, motions: tuple, held: PermanentJoint) -> list
 def with_friction(system: System, forces: Forces, friction: Any) -> Forces:
     """The forces, with friction [N] added in each joint that touches, in the order of
     `touching`."""
-    every = list(forces.wrenches), list(forces.coordinate_forces), list(forces.rows)
-    acting, joints = ActingForces(*every), touching(system)
+    rows, joints = [], touching(system)
     for held, place in zip(joints, placed(joints), strict=True):
         # What friction does to a joint that a drive moves, the drive takes.
         directions = () if held.driven else sliding_directions(system, forces.motions, held)
         for k, direction in enumerate(directions, place.start):
-            acting.add(Row(held.name, direction, friction[k]))
-    return forces._replace(
-        wrenches=tuple(acting.wrenches),
-        coordinate_forces=tuple(acting.coordinate_forces),
-        rows=tuple(acting.rows),
-    )
+            rows.append(Row(held.name, direction, friction[k]))
+    return with_rows(forces, rows)
 
 
 # Numbers of a reaction: force and torque.

@@ -40,7 +40,6 @@ from jaxclear.formulations.permanent_reactions import check_unique, touching, wi
 from jaxclear.formulations.permanent_report import friction_of, joint_components, report_of_means
 from jaxclear.formulations.rubbing_percussions import (
     Rubbed,
-    RubbedOver,
     joints_in_step,
     percussions_and_friction,
     rubbed_over,
@@ -48,7 +47,6 @@ from jaxclear.formulations.rubbing_percussions import (
 )
 from jaxclear.formulations.state_rate import (
     Passive,
-    followed_rates,
     link_accelerations,
     passive_rates,
 )
@@ -57,7 +55,6 @@ from jaxclear.formulations.unilateral import (
     Percussions,
     Projected,
     demands,
-    percussions,
     project,
     stops_as_contacts,
     unilateral_contacts,
@@ -214,14 +211,10 @@ class RigidContact(AbstractFormulation):
         rates += [rate for joint in joints for rate in joint.moved]
         rows = [rate.row for rate in (*rates, *(rub.sliding for rub in loads.rubs))]
         delassus, known = delassus_operator(middle.free_motion, rows), handed[count:-1]
-        impact, rubbed = Percussions([], [0] * count, (0,) * len(delassus.multipliers), 0.0), None
-        if joints or loads.rates:
-            contacts = with_laws_of_stops(contacts, loads, delassus, h)
-            impact, rubbed = percussions_and_friction(
-                model, middle, contacts, joints, loads, delassus, known, h, settings
-            )
-        elif contacts:
-            impact = percussions(middle, contacts, delassus, known, h, settings)
+        contacts = with_laws_of_stops(contacts, loads, delassus, h)
+        impact, rubbed = percussions_and_friction(
+            model, middle, contacts, joints, loads, delassus, known, h, settings
+        )
         v = [x + h * k + p for x, k, p in zip(middle.v, delassus.free, impact.changes, strict=True)]
         mean = [
             settings.theta * b + (1 - settings.theta) * a for a, b in zip(middle.v, v, strict=True)
@@ -233,15 +226,14 @@ class RigidContact(AbstractFormulation):
         # What compliant laws would remember; nothing reads it here.
         remembered = model.layout.memory_start + model.layout.memory_count
         after = [*end.coordinates, *v, *entries[model.layout.memory_start : remembered]]
-        over = None if rubbed is None else rubbed_over(model, middle, joints, rubbed, mean)
-        given = None
-        if loads.rates and rubbed is not None:
-            given = _given(model.system, loads, impact, rubbed, middle.change_to(mean), h)
-        passive = _passive(model, time_step, middle, delassus, impact, mean, end, over, given)
+        over = rubbed_over(model, middle, joints, rubbed, mean)
+        given = _given(model.system, loads, impact, rubbed, middle.change_to(mean), h)
+        passive = _passive(
+            model, time_step, middle, delassus, impact, mean, end, rubbed.friction, over, given
+        )
         after += [x + change for x, change in zip(entries[len(after) :], passive, strict=True)]
         flat = [part for own in impact.by_contact for part in own]
-        flat += [] if over is None else [h * x for x in over.friction]
-        flat += [] if rubbed is None else [h * x for x in rubbed.loads]
+        flat += [h * x for x in (*rubbed.friction, *rubbed.loads)]
         residual = jnp.maximum(handed[-1], impact.residual)
         ahead = _with_springs(contacts, delassus, impact, h)
         return sp.stack(after), sp.stack([*ahead, *flat, residual])
@@ -311,23 +303,25 @@ def _passive(
     impact: Percussions,
     mean: list,
     end: Projected,
-    rubbed: RubbedOver | None,
-    given: tuple[dict[str, Any], Any] | None,
+    friction: list,
+    rubbed: tuple[Passive, list],
+    given: tuple[dict[str, Any], Any],
 ) -> list:
-    """Changes of what only follows the motion: angles, worn volumes, impulses, energies."""
+    """Changes of what only follows the motion: angles, worn volumes, impulses, energies; by
+    `friction` of joints, what is `rubbed` by it, and what is `given` by loads."""
     system, layout, h = model.system, model.layout, time_step.length
     free_motion = middle.free_motion
     by_contact = impact.by_contact[: len(free_motion.contacts)]
-    impulses = [part for own in by_contact for part in own]
-    impulses += [] if rubbed is None else [h * force for force in rubbed.forces]
-    impulses += [] if given is None else [h * force for force in given[0].values()]
-    if not layout.wear and not layout.energies:
-        rates = followed_rates(system, layout, free_motion.forces)
-        return [*(sp.mul(h, rate) for rate in rates), *impulses]
     forces = [tuple(sp.mul(1 / h, part) for part in own) for own in by_contact]
-    change = middle.change_to(mean)
-    reports = rigid_reports(system, free_motion.poses, free_motion.contacts, forces, change)
-    acting = free_motion.forces._replace(reports=reports)
+    pressing = [part for own in forces for part in own]
+    passive, by_joint = rubbed
+    by_load, lost = given
+    pressing += [*by_joint, *by_load.values()]
+    acting = free_motion.forces
+    if layout.wear or layout.energies:
+        change = middle.change_to(mean)
+        reports = rigid_reports(system, free_motion.poses, free_motion.contacts, forces, change)
+        acting = acting._replace(reports=reports)
     if layout.energies:
         # Loads work along the mean speeds: those of the middle know nothing of the impulses against
         # which the loads press.
@@ -336,23 +330,20 @@ def _passive(
         motions = kinematics.link_motions(system, *motion, time_step.middle)
         followed = free_motion.forces.followed
         acting = applied_forces(system, motions, reports, *motion, time_step.middle, followed)
-        if rubbed is not None:
-            acting = with_friction(system, acting, rubbed.friction)
-        if given is not None:
-            acting = with_loads(system, acting, given[0])
+        acting = with_loads(system, with_friction(system, acting, friction), by_load)
     total = _add_rates(delassus.free, impact.changes, h)
     multipliers = tuple(_add_rates(delassus.multipliers, impact.multipliers, h))
     solution = link_accelerations(system, total, multipliers)
-    passive = Passive() if rubbed is None else rubbed.passive
-    rates = [sp.mul(h, rate) for rate in passive_rates(system, layout, acting, solution, passive)]
-    worn = len(rates) - len(layout.energies)
+    rates = passive_rates(system, layout, acting, solution, passive, pressing)
+    rates = [sp.mul(h, rate) for rate in rates]
+    first = len(rates) - len(layout.energies)
     for name in ("contact_work", "contact_loss") if layout.energies else ():
-        place = worn + layout.energies.index(name)
+        place = first + layout.energies.index(name)
         rates[place] = sp.sub(rates[place], end.energy)
-    if given is not None and layout.energies:
-        place = worn + layout.energies.index("damping_loss")
-        rates[place] = sp.add(rates[place], sp.mul(h, given[1]))
-    return [*rates[:worn], *impulses, *rates[worn:]]
+    if layout.energies:
+        place = first + layout.energies.index("damping_loss")
+        rates[place] = sp.add(rates[place], sp.mul(h, lost))
+    return rates
 
 
 def _add_rates(free: Any, impulses: Any, h: Any) -> list:

@@ -1,7 +1,5 @@
-"""Friction and wear of ideal joints in a step of percussions: set-valued, by the reactions of the
-same step; the impulse of an impact's reaction counts as that of any other.
-
-Nothing here is evaluated in a mechanism without such joints.
+"""Percussions of a step, with the friction and wear of ideal joints: set-valued, by the reactions
+of the same step; the impulse of an impact's reaction counts as that of any other.
 """
 
 from collections.abc import Callable
@@ -193,7 +191,9 @@ def _problem(
         lifted += [-rows[k][k] * own.load, *(sp.dot(axis, free) for axis in own.axes)]
         guess += [own.load, *(sp.dot(axis, [z[i] for i in place]) for axis in own.axes)]
         mu, sizes, k = [*mu, own.share], (*sizes, 1 + count), k + 1 + count
-    active = jnp.concatenate([jnp.asarray(closed, bool), jnp.ones(len(joints), bool)])
+    active = jnp.asarray(closed, bool)
+    if joints:
+        active = jnp.concatenate([active, jnp.ones(len(joints), bool)])
     for i, contact, spring in search.springs:
         # The row of a percussion that is known: only itself, moved to where it is 0.
         alone = [rows[i][i] if j == i else 0.0 for j in range(len(rows))]
@@ -237,15 +237,6 @@ class Rubbed(NamedTuple):
     friction: list
     reactions: tuple[Reaction, ...]
     loads: list
-
-
-class RubbedOver(NamedTuple):
-    """What follows from it: wear and losses, friction of every component [N], and the components of
-    the joints' forces that the state counts [N, N m]."""
-
-    passive: Passive
-    friction: list
-    forces: list
 
 
 def joints_in_step(model: Model, middle: MiddleOfStep) -> list[JointInStep]:
@@ -309,8 +300,9 @@ def springs_of(contacts: list[UnilateralContact]) -> tuple[tuple[int, int, Sprin
 
 def rubbed_over(
     model: Model, middle: MiddleOfStep, joints: list[JointInStep], rubbed: Rubbed, mean: list
-) -> RubbedOver:
-    """What follows from what joints do in a step of these mean speeds."""
+) -> tuple[Passive, list]:
+    """What follows from what joints do in a step of these mean speeds: wear and losses, and the
+    components of the joints' forces that the state counts [N, N m]."""
     system, forces, friction = model.system, middle.free_motion.forces, rubbed.friction
     q = unpack_motion(system, [*middle.halfway, *middle.predicted])[0]
     change = middle.change_to(mean)
@@ -319,7 +311,7 @@ def rubbed_over(
     passive = passive_of(model, forces, q, answer, friction, slips)
     each = zip(rubbed.reactions, placed(touching(system)), passive.pressing, strict=True)
     acting = [[*met.force, *met.torque, *friction[own], pressed] for met, own, pressed in each]
-    return RubbedOver(passive._replace(pressing=()), friction, [x for own in acting for x in own])
+    return passive._replace(pressing=()), [x for own in acting for x in own]
 
 
 def _caused(delassus: DelassusOperator, flat: list) -> tuple[list, tuple]:

@@ -49,7 +49,8 @@ def shafts_over_step(
         pressing = forces.pressing[name]
         known = forces.followed.states.get(name)
         end = known[0] if own.has_twist and known is not None else None
-        rate = LinearRate(pressing.twist.rate, transmissions.row_of(system, forces.motions, own))
+        row = transmissions.twist_direction(forces.motions, own).jacobian(system, forces.motions)
+        rate = LinearRate(pressing.twist.rate, {j: x / own.scale for j, x in row.items()})
         start = pressing.twist.value - 0.5 * length * rate.at(back)
         compliance = transmissions.compliance_of(own)
         found.append(ShaftOverStep(compliance, rate, start, end, length))

@@ -251,30 +251,6 @@ def demands(
     return ContactDemands(lifted, mu, sizes, closed)
 
 
-def percussions(
-    middle: MiddleOfStep,
-    contacts: list[UnilateralContact],
-    delassus: DelassusOperator,
-    last: list,
-    h: Any,
-    settings: MoreauJeanSettings,
-) -> Percussions:
-    """Percussions of a step of length h [s], searched from the `last` ones."""
-    asked = demands(middle, contacts, delassus.free, h, settings)
-    problem = FrictionContact(
-        [sp.stack(line) for line in delassus.matrix()],
-        sp.stack(asked.lifted),
-        sp.stack(asked.mu),
-        asked.sizes,
-        asked.closed,
-    )
-    found = settings.solver().iterate(problem, jnp.concatenate(first_guess(contacts, last)))
-    z = with_kept_states(problem, found.z)
-    flat = [z[i] for i in range(sum(asked.sizes))]
-    by_contact = in_own_directions(contacts, flat)
-    return Percussions(by_contact, *delassus.under(flat), found.residual)
-
-
 def in_own_directions(contacts: list[UnilateralContact], flat: list) -> list[tuple]:
     """By contact its percussions, those across the normal along the joint's own slip directions."""
     return [

@@ -104,6 +104,7 @@ NEVER = (np.inf, Outcome.REACHED)
 LOOPS, CONTACTS, SURFACES, WHOLE = "loops", "contacts", "surfaces", "mechanism"
 LOADS, RUBBING, COLLARS = "loads and drives", "joints that rub", "collars"
 TOUCHING = "joints that always touch"
+IN_GAPS = "joints that always touch in a gap"
 UNHELD = "joints that always touch and that nothing holds along their axis"
 SLIDING = "journals that nothing holds along their axis"
 
@@ -248,7 +249,7 @@ class Check(AbstractCheck):
         "motion in the gap",
         0.1,
         "forces",
-        TOUCHING,
+        IN_GAPS,
         'to follow its force through the gap of joint "{place}" would take {figure:.2g} of it '
         "(limit {limit:g}): take integrator.ImplicitStep",
     )

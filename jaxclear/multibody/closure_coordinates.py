@@ -69,7 +69,7 @@ def states_at_start(system: System, layout: Layout, motions: tuple[Motion, ...])
     loads = [x.start for _, load in coordinate_loads(system) for x in load.states()]
     for own in system.transmissions.values():
         if own.has_twist:
-            twist = transmissions.twist_of(system, motions, own)
+            twist = transmissions.twist_of(motions, own)
             loads.append(transmissions.end_at_start(own, twist))
         loads += [0.0] * (len(own.states()) - own.has_twist)
     return loads

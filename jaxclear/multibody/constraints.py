@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import STILL, Pose, Twist
 from jaxclear.multibody import kinematics, loops, pose_rows, tree
-from jaxclear.multibody.coordinate_sums import sum_direction, sum_equation
+from jaxclear.multibody.coordinate_sums import read_sum
 from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.loops import Baumgarte, Closure, CoordinateSum, Relative
 from jaxclear.multibody.meshes import Mesh
@@ -140,8 +140,9 @@ def constraint_rows(
     """Residuals, rates and Jacobian of a closure's rows; `relative`: the motion of its markers, and
     `jacobian`, where they are known."""
     if isinstance(closure.reading, CoordinateSum):
-        residual, rate, row = sum_equation(system, motions, closure.reading)
-        return ConstraintRows([0], (residual,), (rate,), [row], {})
+        residual, direction = read_sum(motions, closure.reading)
+        rate = direction.linear_rate(system, motions)
+        return ConstraintRows([0], (residual,), (rate.value,), [rate.row], {})
     if relative is None:
         relative = kinematics.relative_motion(closure, motions)[2]
     pose = relative.pose
@@ -173,7 +174,7 @@ def constraint_rows(
 def residuals(system: System, motions: tuple[Motion, ...], closure: Closure) -> tuple:
     """Value of each row of a closure [m, rad, 1]; 0 where structurally satisfied."""
     if isinstance(closure.reading, CoordinateSum):
-        return sum_equation(system, motions, closure.reading)[:1]
+        return read_sum(motions, closure.reading)[:1]
     pose = kinematics.relative_motion(closure, motions)[1]
     return _counted(closure, loops.residuals_of(closure, pose), pose, motions)
 
@@ -252,7 +253,7 @@ def _sum_rows(
 ) -> list[Row]:
     """The same from each closure with the multipliers of its rows, by their places."""
     return [
-        Row(name, sum_direction(motions, closure.reading), own[0])
+        Row(name, read_sum(motions, closure.reading)[1], own[0])
         for name, (closure, own) in zip(system.topology.loops, every, strict=True)
         if isinstance(closure.reading, CoordinateSum) and own
     ]

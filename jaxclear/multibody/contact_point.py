@@ -5,15 +5,15 @@ Normal forces act along the gradient of the indentation with respect to the rela
 so normal power is exactly -F_n d(delta)/dt, worn and tilted surfaces included. Friction acts at the
 point of contact, against the relative velocity of the two material points there.
 
-Laws may be told whether a contact counts as closed (`integrators.saltation`). Where a surface asks
+A contact may be told whether it counts as closed (`integrators.saltation`). Where a surface asks
 for it (`Wearing.worn_radius`) laws are fitted anew to the radii at the contact: a bearing or socket
 worn by h has R + h there, a journal or ball R - h, and the clearance grows by both. Source: Hou,
 Deng & Zeng 2021, J. Cent. South Univ. 28, 712, doi:10.1007/s11771-021-4640-y.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -22,8 +22,6 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import share_trace
 from jaxclear.ground.numerics import rounded_norm, safe_sqrt
 from jaxclear.ground.pose import Pose
-from jaxclear.ground.quantity import Scalar
-from jaxclear.laws.contact.base import AbstractContactLaw
 from jaxclear.laws.friction.base import AbstractForceFriction
 from jaxclear.laws.stiffness import AbstractFit, Shape, fitted
 from jaxclear.multibody.loops import Relative
@@ -32,48 +30,23 @@ from jaxclear.multibody.loops import Relative
 LEAST_FORCE = 1e-30
 
 
-def laws_as_counted(
-    contact_laws: tuple[ContactLaws, ...], shares: tuple[Any, ...]
-) -> tuple[ContactLaws, ...]:
-    """The laws of all contacts of a joint, by the share of each that acts; None: as it is."""
-    return tuple(
-        laws if share is None else _as_counted(laws, share)
-        for laws, share in zip(contact_laws, shares, strict=True)
-    )
+def _counted(share: Any, force: Any) -> Any:
+    """A force of a contact of which a share acts; None: as it is."""
+    return force if share is None else share * force
 
 
-def _as_counted(laws: ContactLaws, share: Scalar) -> ContactLaws:
-    friction = laws.friction
-    own = _Force(laws.contact, share), None if friction is None else _Friction(friction, share)
-    parts = lambda laws: (laws.contact, laws.friction)
-    return eqx.tree_at(parts, laws, own, is_leaf=lambda part: part is None)
-
-
-class _Force(eqx.Module):
-    """A share of a contact's normal force."""
-
-    law: AbstractContactLaw
-    share: Scalar
-
-    def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Any) -> Scalar:
-        return self.share * self.law.normal_force(indentation, rate, impact_speed)
-
-    def elastic_force(self, indentation: Scalar) -> Scalar:
-        return self.share * self.law.elastic_force(indentation)
-
-
-class _Friction(eqx.Module):
-    """Friction of a contact of which a share acts: bristles of the rest straighten."""
-
-    law: AbstractForceFriction
-    share: Scalar
-
-    def tractions(self, normal_force: Scalar, bristles: tuple, slip: tuple, slip_speed: Scalar):
-        pressed = jnp.where(normal_force > 0, normal_force, LEAST_FORCE + normal_force)
-        tractions, closed = self.law.tractions(pressed, bristles, slip, slip_speed)
-        _, apart = self.law.tractions(jnp.zeros_like(pressed), bristles, slip, slip_speed)
-        rates = (a + self.share * (b - a) for a, b in zip(apart, closed, strict=True))
-        return tractions, tuple(rates)
+def _rub(
+    law: AbstractForceFriction, normal: Any, state: "PointState", slip: tuple, speed: Any
+) -> tuple[tuple, tuple]:
+    """(tractions, rates of the bristles) of a contact; of one of which a share acts, bristles of
+    the rest straighten."""
+    if state.share is None:
+        return law.tractions(normal, state.bristles, slip, speed)
+    pressed = jnp.where(normal > 0, normal, LEAST_FORCE + normal)
+    tractions, closed = law.tractions(pressed, state.bristles, slip, speed)
+    _, apart = law.tractions(jnp.zeros_like(pressed), state.bristles, slip, speed)
+    rates = (a + state.share * (b - a) for a, b in zip(apart, closed, strict=True))
+    return tractions, tuple(rates)
 
 
 def fitted_laws(joint: AbstractClearance) -> tuple[ContactLaws, ...]:
@@ -210,14 +183,22 @@ class GapFunction(NamedTuple):
     candidate: ContactCandidate
 
 
-class Response(NamedTuple):
-    """What the laws answer at one contact: normal force [N], sliding speed [m/s], friction [N]
-    along each sliding direction, rates of the memory."""
+class ActingContact(NamedTuple):
+    """A contact with the forces that act in it: normal [N], pushing apart, of which a part is
+    `elastic`, and friction [N] on the journal along each sliding direction, at its rates (of the
+    indentation, then of slip); what its laws remember, or its rates; where they are not those of
+    the slip and the gap, the speed [m/s] with which it wears and the indentation [m] at which its
+    extent is read."""
 
+    laws: ContactLaws
+    gap_function: GapFunction
+    rates: tuple
     normal: Any
-    slip_speed: Any
     tractions: tuple
-    memory_rates: PointState
+    elastic: Any
+    memory: PointState = PointState(None, ())
+    slid: Any = None
+    pressed: Any = None
 
 
 def evaluate(
@@ -229,22 +210,26 @@ def evaluate(
 ) -> JointReport:
     """Forces of a clearance joint; `worn` are the depth maps that feed back into the gap."""
     pose, velocity, spin = relative
-    gap_functions = gap_function(joint, pose, worn)
-    shares = tuple(state.share for state in memory)
-    contact_laws = laws_as_counted(laws_at(joint, contact_laws, pose, worn), shares)
-    speeds, responses = [], []
+    gap_functions, acting = gap_function(joint, pose, worn), []
+    contact_laws = laws_at(joint, contact_laws, pose, worn)
     for laws, contact, state in zip(contact_laws, gap_functions, memory, strict=True):
         rate, slip = contact_speeds(joint, pose, contact, velocity, spin)
         impact_speed = impact_speed_now(state.impact_speed, rate)
         normal = laws.contact.normal_force(contact.indentation, rate, impact_speed)
+        normal = _counted(state.share, normal)
         speed, tractions, bristle_rates = slip_speed(slip), (), ()
         if laws.friction is not None:
-            tractions, bristle_rates = laws.friction.tractions(normal, state.bristles, slip, speed)
+            tractions, bristle_rates = _rub(laws.friction, normal, state, slip, speed)
+        elastic = _counted(state.share, laws.contact.elastic_force(contact.indentation))
         # Steps set the impact speed where a contact closes; it has no rate.
         standing = None if state.impact_speed is None else 0.0
-        speeds.append((rate, slip))
-        responses.append(Response(normal, speed, tractions, PointState(standing, bristle_rates)))
-    return assemble(joint, contact_laws, pose, gap_functions, tuple(speeds), tuple(responses))
+        remembered, rates = PointState(standing, bristle_rates), (rate, *slip)
+        acting.append(
+            ActingContact(
+                laws, contact, rates, normal, tuple(tractions), elastic, remembered, speed
+            )
+        )
+    return assemble(joint, pose, acting)
 
 
 def impact_speed_now(remembered: Any, rate: Any) -> Any:
@@ -281,12 +266,13 @@ def depths(joint: AbstractClearance, pose: Pose, worn: dict[str, Any]) -> tuple:
     return joint.indentations(pose.translation, _axes(joint, pose), worn)
 
 
-def indentation_rates(joint: AbstractClearance, relative: Relative, worn: dict) -> tuple:
-    """(indentation [m], its rate [m/s]) of every possible contact of a joint."""
+def point_motions(joint: AbstractClearance, relative: Relative, worn: dict) -> tuple:
+    """(indentation [m], its rate [m/s], components of slip) of every possible contact of a
+    joint."""
     pose, velocity, spin = relative
     contacts = gap_function(joint, pose, worn)
     return tuple(
-        (contact.indentation, contact_speeds(joint, pose, contact, velocity, spin)[0])
+        (contact.indentation, *contact_speeds(joint, pose, contact, velocity, spin))
         for contact in contacts
     )
 
@@ -311,24 +297,18 @@ def slip_speed(slip: tuple) -> Any:
 
 
 def assemble(
-    joint: AbstractClearance,
-    contact_laws: tuple[ContactLaws, ...],
-    pose: Pose,
-    gap_functions: tuple[GapFunction, ...],
-    speeds: tuple[tuple[Any, tuple], ...],
-    responses: tuple[Response, ...],
+    joint: AbstractClearance, pose: Pose, contacts: Sequence[ActingContact]
 ) -> JointReport:
-    """The joint's report from the geometry, the speeds and the laws' responses at each contact."""
+    """The joint's report from its contacts."""
     offset, axes = pose.translation, _axes(joint, pose)
-    force, torque, powers, reports = sp.ZERO, sp.ZERO, [], []
-    each = zip(contact_laws, gap_functions, speeds, responses, strict=True)
-    for laws, contact, (rate, slip), response in each:
-        normal, candidate = response.normal, contact.candidate
-        traction = sp.ZERO
+    force, torque, powers = sp.ZERO, sp.ZERO, list[tuple]()
+    reports: list[PointReport] = []
+    for laws, contact, (rate, *slip), normal, tractions, elastic, memory, slid, _ in contacts:
+        candidate, traction = contact.candidate, sp.ZERO
         # Without friction there are no tractions.
-        for size, tangent in zip(response.tractions, candidate.tangents, strict=False):
+        for size, tangent in zip(tractions, candidate.tangents, strict=False):
             traction = sp.plus(traction, sp.scale(size, tangent))
-        if response.memory_rates.bristles:
+        if memory.bristles:
             traction = candidate.tangential(traction)
         force = sp.plus(force, sp.scale(-normal, contact.slope), traction)
         torques = []
@@ -336,16 +316,14 @@ def assemble(
             torques.append(sp.scale(-normal, sp.cross(axis, turn)))
         arm = sp.minus(candidate.place, offset)
         torque = sp.plus(torque, *torques, sp.cross(arm, traction))
-        elastic = laws.contact.elastic_force(contact.indentation)
         drag = 0.0 if laws.friction is None else safe_sqrt(sp.dot(traction, traction))
-        loss = sp.neg(sp.dot(response.tractions, slip)) if response.tractions else 0
+        loss = sp.neg(sp.dot(tractions, slip)) if tractions else 0
         powers.append((normal * rate, (normal - elastic) * rate, loss))
-        felt = (normal, response.slip_speed, drag)
+        felt = (normal, slip_speed(tuple(slip)) if slid is None else slid, drag)
         reports.append(PointReport(contact.indentation, rate, *felt, candidate.place, elastic))
-    indentations = tuple(contact.indentation for contact in gap_functions)
-    wear_rates = _wear_rates(joint, contact_laws, offset, axes, indentations, reports)
+    wear_rates = _wear_rates(joint, offset, axes, contacts, reports)
     sums = [sp.total(parts) for parts in zip(*powers, strict=True)]
-    rates = tuple(response.memory_rates for response in responses)
+    rates = tuple(contact.memory for contact in contacts)
     contact_power, contact_loss, friction_loss = sums
     return JointReport(
         force, torque, rates, wear_rates, contact_power, contact_loss, friction_loss, tuple(reports)
@@ -384,13 +362,16 @@ def _indentations(joint, offset, axes, worn):
     return values, gradients
 
 
-def _wear_rates(joint, contact_laws, offset, axes, indentations, reports):
+def _wear_rates(joint, offset, axes, contacts, reports):
     """For each surface and each contact that wears it: (volume rate, location features)."""
+    indentations = tuple(
+        own.gap_function.indentation if own.pressed is None else own.pressed for own in contacts
+    )
     rates = {}
     for surface, (_, wearing) in joint.maps().items():
         entries = []
-        for k, (laws, report) in enumerate(zip(contact_laws, reports, strict=True)):
-            if laws.wears:
+        for k, (contact, report) in enumerate(zip(contacts, reports, strict=True)):
+            if contact.laws.wears:
                 volume = wearing.law.volume_rate(
                     report.normal_force, report.slip_speed, report.traction
                 )

@@ -6,6 +6,7 @@ the accelerations (`dynamics`).
 """
 
 import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -30,13 +31,13 @@ from jaxclear.multibody import closure_coordinates, contact_point, kinematics, t
 from jaxclear.multibody.contact_point import JointReport
 from jaxclear.multibody.loops import Relative
 from jaxclear.multibody.rows import (
-    ActingForces,
     CoordinateReading,
     Direction,
     OnClosure,
     OnLink,
     Row,
     action_and_reaction,
+    add_wrenches,
     forces_on_drives,
     sum_wrenches,
     wrench_in_joint,
@@ -119,44 +120,63 @@ def applied_forces(
                     wrenches[link] = sum_wrenches(wrenches[link], wrench)
             stored, damping = sp.add(stored, effect.stored), sp.add(damping, effect.dissipated)
             external = sp.add(external, effect.external)
-    acting = ActingForces(wrenches, [(0,) * len(motion.columns) for motion in motions], [])
+    acting: list[Row] = []
     rates: dict[str, tuple] = {}
     for name, _ in coordinate_loads(system):
         found, rows = load_rows(system, motions, name, time, followed)
-        for row in rows:
-            acting.add(row)
+        acting += rows
         rates |= {name: found.rates} if found.rates else {}
         stored, damping = sp.add(stored, found.stored), sp.add(damping, found.dissipated)
         external = sp.add(external, found.external)
     pressed = pressing_of(system, motions, followed)
     for name, giving in system.transmissions.items():
         torque = pressed[name].torque
-        acting.add(Row(name, twist_direction(motions, giving), -torque / giving.scale))
+        acting.append(Row(name, twist_direction(motions, giving), -torque / giving.scale))
         moved = (pressed[name].end_rate,) if giving.has_twist else ()
         rubbed = _friction_of_coupling(system, motions, name, torque, followed)
         if rubbed is not None:
             direction, friction, speed, rate = rubbed
-            acting.add(Row(name, direction, friction))
+            acting.append(Row(name, direction, friction))
             moved, damping = (*moved, rate), sp.add(damping, -friction * speed)
         rates |= {name: moved} if moved else {}
         stored, damping = (
             sp.add(stored, pressed[name].stored),
             sp.add(damping, pressed[name].dissipated),
         )
-    for link, force in forces_on_drives(motions, acting.rows).items():
-        external = sp.sub(external, sp.mul(force, motions[link].speeds[0]))
-    return Forces(
+    without_rows = Forces(
         motions,
         reports,
-        tuple(acting.wrenches),
-        tuple(acting.coordinate_forces),
+        tuple(wrenches),
+        tuple((0,) * len(motion.columns) for motion in motions),
         stored,
         damping,
         external,
-        tuple(acting.rows),
+        (),
         followed,
         rates,
         pressed,
+    )
+    return with_rows(without_rows, acting)
+
+
+def with_rows(forces: Forces, rows: Sequence[Row]) -> Forces:
+    """The forces with more rows; of what acts on coordinates that drives prescribe, these give the
+    power."""
+    wrenches, coordinate_forces = list(forces.wrenches), list(map(list, forces.coordinate_forces))
+    for row in rows:
+        add_wrenches(wrenches, row)
+        for place in row.direction.places:
+            if isinstance(place, OnLink) and coordinate_forces[place.link]:
+                on_link, size = coordinate_forces[place.link], sp.mul(place.factor, row.force)
+                on_link[place.component] = sp.add(on_link[place.component], size)
+    external = forces.external_power
+    for link, force in forces_on_drives(forces.motions, rows).items():
+        external = sp.sub(external, sp.mul(force, forces.motions[link].speeds[0]))
+    return forces._replace(
+        wrenches=tuple(wrenches),
+        coordinate_forces=tuple(map(tuple, coordinate_forces)),
+        rows=(*forces.rows, *rows),
+        external_power=external,
     )
 
 
@@ -221,7 +241,7 @@ def pressing_of(
     """What couplings with play or stiffness do, by name; alike ones are traced once."""
     calls = []
     for name, own in system.transmissions.items():
-        twist, end = transmissions.twist_of(system, motions, own), None
+        twist, end = transmissions.twist_of(motions, own), None
         if own.has_twist:
             known = followed.states.get(name)
             end = transmissions.end_at_start(own, twist) if known is None else known[0]

@@ -29,7 +29,7 @@ def turned(
     motions = kinematics.link_motions(system, *own, time)
     for branch, coupling in free:
         giving: Any = system.transmissions[coupling]
-        twist = transmissions.twist_of(system, motions, giving)
+        twist = transmissions.twist_of(motions, giving)
         (factor,) = (x.factor for x in giving.closure.reading.terms if x.joint == branch.name)
         share = giving.scale / factor
         play = giving.coupling.play

@@ -130,26 +130,6 @@ class Row(NamedTuple):
     force: Any
 
 
-class ActingForces(NamedTuple):
-    """What acts so far: wrenches on links, forces on their coordinates, and the rows among it."""
-
-    wrenches: list[Wrench]
-    coordinate_forces: list[tuple]
-    rows: list[Row]
-
-    def add(self, row: Row) -> None:
-        """Adds a row. Drives take what acts on coordinates that they prescribe
-        (`forces_on_drives`)."""
-        self.rows.append(row)
-        add_wrenches(self.wrenches, row)
-        for place in row.direction.places:
-            if isinstance(place, OnLink) and self.coordinate_forces[place.link]:
-                own = list(self.coordinate_forces[place.link])
-                size = sp.mul(place.factor, row.force)
-                own[place.component] = sp.add(own[place.component], size)
-                self.coordinate_forces[place.link] = tuple(own)
-
-
 def add_wrenches(wrenches: list[Wrench], row: Row) -> None:
     """Adds what a row does between markers to the wrenches on the links."""
     for place in row.direction.places:

@@ -276,6 +276,6 @@ def _limits_passed(
     for name in plays:
         giving = system.transmissions[name]
         play = giving.coupling.play
-        twist = transmissions.twist_of(system, motions, giving).value
+        twist = transmissions.twist_of(motions, giving).value
         found.append(jnp.abs(sp.sub(twist, middle_of(play))) - 0.5 * play.play)
     return found

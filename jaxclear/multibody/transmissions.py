@@ -24,8 +24,7 @@ from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import constant
 from jaxclear.laws.transmission import bounded, one_sided
 from jaxclear.multibody import kinematics, pose_rows
-from jaxclear.multibody.coordinate_sums import sum_direction, sum_equation
-from jaxclear.multibody.kinematics import JacobianRow
+from jaxclear.multibody.coordinate_sums import read_sum
 from jaxclear.multibody.loops import Closure, CoordinateSum
 from jaxclear.multibody.meshes import Mesh
 from jaxclear.multibody.rows import Direction, OnClosure, OnLink
@@ -57,11 +56,12 @@ class Pressing(NamedTuple):
     torques: tuple = ()
 
 
-def twist_of(system: System, motions: tuple[Motion, ...], own: Transmission) -> CouplingTwist:
+def twist_of(motions: tuple[Motion, ...], own: Transmission) -> CouplingTwist:
     """The twist of a transmission as the links move."""
     closure = own.closure
     if isinstance(closure.reading, CoordinateSum):
-        residual, rate, _ = sum_equation(system, motions, closure.reading)
+        residual, direction = read_sum(motions, closure.reading)
+        rate = direction.rate(motions)
     else:
         _, pose, relative = kinematics.relative_motion(closure, motions)
         (residual,), (slope,) = pose_rows.gradients(closure.reading, pose)
@@ -91,7 +91,7 @@ def twist_direction(motions: tuple[Motion, ...], own: Transmission) -> Direction
     """The direction of a force along the twist of a transmission, times its `scale`."""
     closure, wobble = own.closure, _wobble(motions, own)
     if isinstance(closure.reading, CoordinateSum):
-        found = sum_direction(motions, closure.reading)
+        found = read_sum(motions, closure.reading)[1]
         if wobble is None:
             return found
         first = closure.reading.terms[0].link
@@ -99,12 +99,6 @@ def twist_direction(motions: tuple[Motion, ...], own: Transmission) -> Direction
     pose = kinematics.relative_motion(closure, motions)[1]
     (slope,) = pose_rows.gradients(closure.reading, pose)[1]
     return Direction((OnClosure(closure, pose, Wrench(*slope.wrench(pose))),))
-
-
-def row_of(system: System, motions: tuple[Motion, ...], own: Transmission) -> JacobianRow:
-    """How fast it twists by unit speeds, by their index."""
-    row = twist_direction(motions, own).jacobian(system, motions)
-    return {j: entry / own.scale for j, entry in row.items()}
 
 
 class Compliance(NamedTuple):

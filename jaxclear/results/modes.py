@@ -163,7 +163,7 @@ def _indentations(history, name):
         bearing = now.model.system.bearings[name]
         relative = kinematics.relative_motion(bearing.closure, now.motions)[2]
         worn = now.model.worn.get(name, {})
-        points = contact_point.indentation_rates(bearing.joint, relative, worn)
+        points = contact_point.point_motions(bearing.joint, relative, worn)
         return tuple(sp.stack([point[i] for point in points]) for i in (0, 1))
 
     return over_time(history, one)

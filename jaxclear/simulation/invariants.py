@@ -28,6 +28,7 @@ from jaxclear.ground.quantity import constant
 from jaxclear.integrators.checks import (
     COLLARS,
     CONTACTS,
+    IN_GAPS,
     LOOPS,
     RUBBING,
     SLIDING,
@@ -235,6 +236,7 @@ def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[s
         UNHELD: unheld(model),
         SLIDING: sliding(model.system),
         TOUCHING: tuple(joint.name for joint in touching(model.system)),
+        IN_GAPS: tuple(in_gaps(model)),
         WHOLE: ("",),
     }
 

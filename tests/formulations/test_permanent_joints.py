@@ -243,3 +243,20 @@ def test_a_joint_that_a_spring_holds_is_judged_beside_the_way_of_its_arm():
     finer = jc.simulate(held_arm(), 0.5, save=251, integrator=jc.integrator.NonColliding(1e-4))
     away = 0.3 * np.asarray(run.body("fore").rotation - finer.body("fore").rotation)[:, :, 0]
     assert np.abs(away).max() < 1e-5
+
+
+def test_a_bearing_without_a_gap_beside_one_with_a_gap():
+    """What a part would need to follow its force through a gap is told of joints that have one."""
+    rod = lambda: jc.Body(1.0, 2e-3, (0.1, 0.0))
+    rubs = jc.joint.PlainBearing(jc.friction.Coulomb(mu_kinetic=0.1), radius=5e-3)
+    rig = jc.Mechanism(
+        {"arm": rod(), "forearm": rod()},
+        {
+            "J": jc.Connection(PLANAR, "ground", "arm"),
+            "K": jc.Connection(rubs, "arm", "forearm", at=(0.2, 0.0)),
+        },
+        {"gravity": jc.load.Gravity()},
+    )
+    run = jc.simulate(rig, 0.01, save=3, integrator=jc.integrator.NonColliding(), verify=False)
+    assert run.succeeded
+    assert run.invariants.figures[Check.GAP_MOTION].places == ("J",)

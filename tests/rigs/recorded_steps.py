@@ -106,7 +106,8 @@ def geared_masses(rigid: bool = False) -> jc.Mechanism:
 # By name: the mechanism, the integrators that step it, and for how long [s] it has run before.
 MECHANISMS = {
     "antenna": (lambda: jc.scenes.antenna(), ("NonColliding",), 0.2),
-    "arm": (lambda: jc.scenes.arm("play"), EXPLICIT, 0.02),
+    # By ImplicitStep its motors with holding friction part at rounding.
+    "arm": (lambda: jc.scenes.arm("play"), ("FixedStep",), 0.02),
     "flap": (lambda: jc.scenes.flap(), ("ImplicitStep", "NonColliding"), 0.02),
     "four-bar": (lambda: jc.scenes.four_bar(), (*EXPLICIT, "NonColliding"), 0.02),
     "guide": (lambda: jc.scenes.guide(), ("NonColliding",), 0.2),

@@ -214,7 +214,7 @@ class Coaxiality(AbstractPlaceZone):
         spherical: whether the zone is a ball and moves along the axis too; False by default.
         length: length of the bore within a cylindrical zone [m], > 0, whose axis then leans too,
             with both ends within the cylinder; None (default): its middle only moves.
-        datum: the marker, or the line of the drawing, whose axis it is measured from.
+        datum: name of the marker, or of the line of the drawing, whose axis it is measured from.
         at_mmc: name of the fit whose feature widens the zone by how far it is from its most
             material: "B", or "B hole", "B shaft"; None (default) for none.
         at_lmc: as `at_mmc`, from its least material; None (default) for none.
