@@ -147,9 +147,9 @@ def posed(
             )
     ends: dict[Any, Any] = motor_ends(mechanism)
     for name, load in mechanism.loads.items():
-        joint = load.motor_of() if isinstance(load, AbstractStateLoad) and load.states() else None
-        place = ends[joint].coordinate if joint in ends else joint
-        if joint is not None and not {joint, place} & {*drives}:
+        steered = load.motor_of() if isinstance(load, AbstractStateLoad) and load.states() else None
+        place = ends[steered].coordinate if steered in ends else steered
+        if steered is not None and not {steered, place} & {*drives}:
             raise ValueError(
                 f'load "{name}" is a controller whose states decide where "{place}" rests; hold '
                 f'that: positions={{"{place}": [...]}}.'
