@@ -372,5 +372,11 @@ def both(
     result = positions_at(scene, places, starts, method)
     if not reverse_loads:
         return result
+    if all(load.springs_back() for load in scene.mechanism.loads.values()):
+        raise ValueError(
+            "no load of this mechanism reverses (springs, stops and controllers stay as they are), "
+            "so reverse_loads would find no lost motion: add a jaxclear.load.JointTorque, a Force "
+            "or Gravity."
+        )
     other = positions_at(scene, places, starts if others is None else others, method.reversed)
     return eqx.tree_at(lambda p: p.other, result, other, is_leaf=lambda x: x is None)
