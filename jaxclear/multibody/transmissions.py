@@ -138,7 +138,8 @@ def pressing(
     for depth, rate in sides:
         viscous = 0.0 if damping is None else damping * rate
         torques.append(play.law.torque(stiffness * depth, viscous))
-    if end is not None:
+    # At rest a shaft needs no damping.
+    if end is not None and damping is not None:
         return _with_end(own, twist, (place, half, end), (torques, shares))
     depths: tuple = tuple(side[0] for side in sides)
     rates = tuple(side[1] for side in sides)

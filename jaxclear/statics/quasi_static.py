@@ -45,7 +45,7 @@ from jaxclear.multibody.newton import shortened
 from jaxclear.multibody.rows import sum_wrenches, wrench_in_joint
 from jaxclear.multibody.start_equations import retract
 from jaxclear.multibody.state import Followed, unpack_motion
-from jaxclear.multibody.system import System, acting_in, longest_arm, prepare
+from jaxclear.multibody.system import System, acting_in, longest_arm, motor_ends, prepare
 from jaxclear.multibody.topology import motor_name
 from jaxclear.multibody.tree import Motion, Wrench
 from jaxclear.native import while_loop
@@ -144,6 +144,15 @@ def posed(
             raise ValueError(
                 f'coupling "{name}" has play and no stiffness, by which its flanks would press '
                 "where the mechanism rests; give that of its shaft or teeth."
+            )
+    ends: dict[Any, Any] = motor_ends(mechanism)
+    for name, load in mechanism.loads.items():
+        steered = load.motor_of() if isinstance(load, AbstractStateLoad) and load.states() else None
+        place = ends[steered].coordinate if steered in ends else steered
+        if steered is not None and not {steered, place} & {*drives}:
+            raise ValueError(
+                f'load "{name}" is a controller whose states decide where "{place}" rests; hold '
+                f'that: positions={{"{place}": [...]}}.'
             )
     mechanism, motors = _constrain_motors(mechanism, drives)
     for name in drives:

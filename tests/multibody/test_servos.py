@@ -40,6 +40,21 @@ def test_the_integral_takes_the_error_of_a_load(ki):
     np.testing.assert_allclose(left, 9.0 / KP if ki is None else 0.0, atol=1e-9)
 
 
+def test_lost_motion_behind_a_servo_is_that_of_the_motor_it_holds():
+    play, stiffness, torque = 0.01, 1e4, 5.0
+    gear = jc.coupling.Gear(jc.coupling.Motor(1e-3), "A", ratio=1.0, play=play, stiffness=stiffness)
+    servo = jc.load.Servo("A", 0.3, KP, ki=50.0, kd=KD)
+    rig = arm(servo, torque=torque, couplings={"gear": gear})
+    with pytest.raises(ValueError, match='load "servo" is a controller .* "gear.motor" rests'):
+        jc.positions(rig, {}, reverse_loads=True)
+    held = {"gear.motor": [0.3]}
+    stands = jc.positions(rig, held, reverse_loads=True)
+    lost = float(jc.response.LostMotion("A")(stands))
+    np.testing.assert_allclose(lost, play + 2 * torque / stiffness, rtol=1e-9)
+    with pytest.raises(ValueError, match="no load of this mechanism reverses"):
+        jc.positions(rig.with_load("t", None), held, reverse_loads=True)
+
+
 def test_a_limited_torque_is_the_limit():
     servo = jc.load.Servo("A", 2.0, KP, kd=KD, torque_limit=5.0)
     run = jc.simulate(arm(servo), 0.2, save=11, integrator=FINE)
